@@ -22,7 +22,7 @@ from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import system_uncertainty
-from tsobs_ros.paper.systems import arm_system
+from tsobs_ros.paper.examples import arm_system
 from tsobs_ros.resources import config_path
 
 Array = NDArray[np.float64]
@@ -137,7 +137,7 @@ def test_the_arm_is_a_special_case() -> None:
     gain = arm.stiffness / arm.link_inertia
     noise = own.process_noise
     request = TSRequest(
-        model=TSModel(system.A, system.B[0], system.C[0], sector, np.eye(4)[:1]),
+        model=replace(system, rule_base=sector),
         disturbance=[own.disturbance],
         process_noise=[0.0, noise.link, 0.0, noise.motor * gain**2],
         measurement_std=[own.measurement_std],

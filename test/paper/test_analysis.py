@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase, membership
+from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.paper.analysis import (
     augmented_modes,
     check_autonomous_innovation,
@@ -16,20 +17,16 @@ from tsobs_ros.paper.analysis import (
     uncertainty_factor,
 )
 from tsobs_ros.paper.augmentation import Augmentation, check_conditions
-from tsobs_ros.paper.examples import example_1, example_3
-from tsobs_ros.paper.systems import TSSystem, arm_system
+from tsobs_ros.paper.examples import arm_system, example_1, example_3
 
 
-def some_system(seed: int, n: int = 4, p: int = 2, r: int = 3) -> TSSystem:
+def some_system(seed: int, n: int = 4, p: int = 2, r: int = 3) -> TSModel:
     random = np.random.default_rng(seed)
     bells = [membership("gaussian", {"centre": c, "width": 0.7}) for c in range(r)]
     rules = RuleBase(tuple((bell,) for bell in bells))
-    return TSSystem(
-        random.normal(size=(r, n, n)),
-        random.normal(size=(r, n, 1)),
-        random.normal(size=(r, p, n)),
-        rules,
-    )
+    C = random.normal(size=(r, p, n))
+    A, B = random.normal(size=(r, n, n)), random.normal(size=(r, n, 1))
+    return TSModel(A, B, C[0], rules, np.zeros((1, n)), np.ones((1, 1)), C)
 
 
 def some_augmentation(seed: int) -> Augmentation:

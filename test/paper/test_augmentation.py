@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.paper.augmentation import Augmentation, recover_fault
+from tsobs_ros.paper.augmentation import Augmentation
 from tsobs_ros.paper.examples import example_1
 
 SYSTEM = example_1().system
@@ -49,15 +49,9 @@ def test_disturbance_is_recovered_where_the_outputs_differ() -> None:
     random = np.random.default_rng(5)
     x, omega, h2 = random.normal(size=(4, 3)), random.normal(size=(4, 3)), random.uniform(size=4)
     weights = np.stack([1.0 - h2, h2], axis=-1)
-    y = np.einsum("bi,ipn,bn->bp", weights, SYSTEM.C, x) + omega
+    y = np.einsum("bi,ipn,bn->bp", weights, SYSTEM.rule_outputs, x) + omega
     lumped = y - x @ aug.C.T
     np.testing.assert_allclose(aug.recover_disturbance(x, lumped, weights), omega, atol=1e-14)
-
-
-def test_faults_are_recovered_through_their_distribution() -> None:
-    D_s = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, -2.0]])
-    faults = np.random.default_rng(2).normal(size=(5, 2))
-    np.testing.assert_allclose(recover_fault(faults @ D_s.T, D_s), faults, atol=1e-14)
 
 
 SINGULAR = np.vstack([np.zeros((3, 3)), np.diag([1.0, 1.0, 0.0])])
@@ -74,8 +68,6 @@ SINGULAR = np.vstack([np.zeros((3, 3)), np.diag([1.0, 1.0, 0.0])])
             r"ΔA: expected shape \(2, ",
         ),
         (lambda: Augmentation(SYSTEM).alpha_1([0.1, -0.2]), r"alpha: expected bounds of at least"),
-        (lambda: recover_fault(np.zeros(3), np.ones((3, 2))), "D_s: expected full column rank 2"),
-        (lambda: recover_fault(np.zeros(3), np.ones((2, 1))), r"D_s: expected shape \(3, 1\), got"),
     ],
 )
 def test_wrong_matrices_are_named(make, message) -> None:

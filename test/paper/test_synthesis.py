@@ -12,9 +12,8 @@ from tsobs_ros.errors import DetectabilityError, ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.paper.analysis import analyse, check_stability
 from tsobs_ros.paper.augmentation import check_conditions
-from tsobs_ros.paper.examples import PaperExample, example_1, example_2, example_3
+from tsobs_ros.paper.examples import PaperExample, arm_system, example_1, example_2, example_3
 from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
-from tsobs_ros.paper.systems import arm_system
 
 NO_BOUNDS = np.zeros(2)
 
@@ -142,7 +141,7 @@ def test_rules_without_a_common_matrix_are_refused() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"Gamma": np.eye(3) + 0.5 * np.eye(3, k=1)}, r"Γ of rule 1: .* symmetric .*by 0\.5"),
+        ({"Gamma": np.eye(3) + 0.5 * np.eye(3, k=1)}, "Γ of rule 1: expected a symmetric one"),
         ({"Gamma": np.diag([1.0, -1.0, 1.0])}, r"Γ of rule 1: .* positive definite.*value -1"),
         ({"Gamma": np.eye(2)}, r"Γ: expected shape \(2, 3, 3\), got \(2, 2, 2\)"),
         ({"alpha": [0.1, 0.1, 0.1]}, r"alpha: expected shape \(2,\), got \(3,\)"),
@@ -154,5 +153,3 @@ def test_wrong_matrices_are_named(changes, message) -> None:
     given = {"system": example.system, "alpha": example.alpha, "xi": example.xi}
     with pytest.raises(ModelError, match=message):
         design_adaptive_observer(**(given | changes))
-    with pytest.raises(ModelError, match=r"A: expected one matrix a rule.* got \(3, 3\)"):
-        check_stability(np.eye(3), [0.0])

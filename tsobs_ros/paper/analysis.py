@@ -19,8 +19,8 @@ from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.design.lyapunov import common_lyapunov, refutation_margin
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.detectability import HiddenMode, format_mode, hidden_modes
+from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.paper.augmentation import Augmentation
-from tsobs_ros.paper.systems import TSSystem
 
 # Relative singular value that counts as zero in the PBH test. A pencil at a computed eigenvalue of
 # a nearly defective matrix is only accurate to the square root of rounding.
@@ -124,7 +124,7 @@ class Analysis:
 
 
 def analyse(
-    system: TSSystem,
+    system: TSModel,
     alpha: ArrayLike | None = None,
     *,
     delta_A: ArrayLike | None = None,
@@ -146,7 +146,7 @@ def analyse(
         DesignError: Feasibility is too close to its border to be decided.
 
     >>> from tsobs_ros.model.arm import ElasticJointArm
-    >>> from tsobs_ros.paper.systems import arm_system
+    >>> from tsobs_ros.paper.examples import arm_system
     >>> analyse(arm_system(ElasticJointArm())).feasible
     False
     """
@@ -214,8 +214,6 @@ def check_stability(A: ArrayLike, rates: ArrayLike) -> StabilityVerdict:
         ModelError: A matrix has the wrong shape.
         DesignError: The problem is too close to the border for either proof.
     """
-    if np.ndim(A) != 3:
-        raise ModelError(f"A: expected one matrix a rule, shape (r, n, n), got {np.shape(A)}")
     r, n = np.shape(A)[0], np.shape(A)[-1]
     decays = as_matrix("rates", rates, (r,))
     shifted = as_matrix("A", A, (r, n, n)) + decays[:, None, None] * np.eye(n)

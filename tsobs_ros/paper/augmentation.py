@@ -26,7 +26,7 @@ from scipy.linalg import block_diag
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
-from tsobs_ros.paper.systems import TSSystem
+from tsobs_ros.model.ts_model import TSModel
 
 # Reciprocal condition number below which E_L counts as singular.
 _SINGULAR = 1e-12
@@ -47,7 +47,7 @@ class Augmentation:
         ModelError: There is no such rule, L has another shape, or E_L is singular.
     """
 
-    system: TSSystem
+    system: TSModel
     output_rule: int = 0
     free_matrix: ArrayLike | None = None
 
@@ -68,7 +68,7 @@ class Augmentation:
     @property
     def rule_count(self) -> int:
         """Number of rules r."""
-        return self.system.rule_base.rule_count
+        return self.system.rule_count
 
     @property
     def state_count(self) -> int:
@@ -78,7 +78,7 @@ class Augmentation:
     @property
     def output_count(self) -> int:
         """Number of outputs p, and of disturbances."""
-        return int(self.system.C.shape[1])
+        return len(self.system.C)
 
     @property
     def size(self) -> int:
@@ -88,7 +88,7 @@ class Augmentation:
     @property
     def C(self) -> Array:
         """The common output matrix, shape (p, n)."""
-        return np.asarray(self.system.C[self.output_rule])
+        return np.asarray(self.system.rule_outputs[self.output_rule])
 
     @cached_property
     def L(self) -> Array:
@@ -193,29 +193,14 @@ class Augmentation:
             omega_0: Lumped disturbance Σ hᵢ(Cᵢ − C)x + ω, or its estimate, shape (..., p).
             weights: Rule weights h, shape (..., r).
         """
-        mismatch = np.einsum("...i,ipn->...pn", weights, self.system.C - self.C)
+        mismatch = np.einsum("...i,ipn->...pn", weights, self.system.rule_outputs - self.C)
         return np.asarray(omega_0 - (mismatch @ x[..., np.newaxis])[..., 0])
 
 
-def recover_fault(omega: Array, D_s: ArrayLike) -> Array:
-    """Return the sensor faults f with ω = D_s f, by least squares: (42)–(43) of the method.
-
-    Args:
-        omega: Output disturbance or its estimate, shape (..., p).
-        D_s: Fault distribution, shape (p, k), of full column rank.
-
-    Returns:
-        Faults, shape (..., k).
-
-    Raises:
-        ModelError: D_s has another number of rows or not full column rank.
-    """
-    columns = np.shape(D_s)[1] if np.ndim(D_s) == 2 else 0
-    distribution = as_matrix("D_s", D_s, (omega.shape[-1], columns))
-    rank = int(np.linalg.matrix_rank(distribution)) if columns else 0
-    if rank < max(1, columns):
-        raise ModelError(f"D_s: expected full column rank {columns}, got rank {rank}")
-    return np.asarray(omega @ np.linalg.pinv(distribution).T)
+def blend(matrices: Array, weights: Array, vector: Array) -> Array:
+    """Return Σ hᵢ Mᵢ v: (r, a, b), (..., r) and (..., b) to (..., a)."""
+    blended = np.einsum("...r,rab->...ab", weights, matrices)
+    return np.asarray(np.einsum("...ab,...b->...a", blended, vector))
 
 
 class Condition(NamedTuple):
@@ -263,9 +248,6 @@ class ConditionReport:
     def __getitem__(self, name: str) -> Condition:
         """Return a condition by its name, else raise `KeyError`."""
         return {condition.name: condition for condition in self.conditions}[name]
-
-    def __str__(self) -> str:
-        return "\n".join(str(condition) for condition in self.conditions)
 
 
 def check_conditions(

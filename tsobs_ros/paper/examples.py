@@ -20,19 +20,21 @@ Available are P and M of Example 1, with ε and ‖P⁻¹‖, and P and Hᵢ of 
 Example 1 and any solution of Example 2, their conditions can be checked only as far as they do
 not depend on them; see `tsobs_ros.paper.augmentation.check_conditions`.
 
-ω₃ may have been .4 (sin² 2πt + cos 3πt): `third_frequency` is the factor of t.
+ω₃ may have been .4 (sin² 2πt + cos 3πt); the reading without π is taken.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from tsobs_ros.checks import Array, as_matrix
+from tsobs_ros.core.functions import evaluate
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase, membership
-from tsobs_ros.paper.systems import TSSystem, arm_system
+from tsobs_ros.model.ts_model import TSModel
 
 Signal = Callable[[Array], Array]
 """A signal of time: t of shape (...) to values of shape (..., channels)."""
@@ -64,7 +66,7 @@ class PaperExample:
     """
 
     name: str
-    system: TSSystem
+    system: TSModel
     delta_A: Array
     alpha: Array
     xi: Array
@@ -74,7 +76,7 @@ class PaperExample:
     disturbance: Signal
 
     def __post_init__(self) -> None:
-        r, n, p = len(self.system.A), self.system.state_count, self.system.C.shape[1]
+        r, n, p = len(self.system.A), self.system.state_count, len(self.system.C)
         shapes = {"delta_A": (r, n, n), "alpha": (r,), "xi": (r,), "Gamma": (r, p, p)}
         shapes["initial_state"] = (n,)
         for field, shape in shapes.items():
@@ -87,11 +89,32 @@ class PaperExample:
                 )
 
 
-def _system(A1: list[list[float]], A2: list[list[float]]) -> TSSystem:
+def _system(A1: list[list[float]], A2: list[list[float]]) -> TSModel:
     # h₂ = y₁² as printed, and 1 for |y₁| > 1, which the paper's y₁ never reaches.
     unit = {"half_width": 1.0}
     rules = RuleBase(((membership("square_rest", unit),), (membership("square", unit),)))
-    return TSSystem.from_rules([A1, A2], list(_B), list(_C), rules)
+    A, C, measured = np.array([A1, A2]), np.array(_C), np.ones((1, 1))
+    return TSModel(A, np.array(_B), C[0], rules, np.zeros((1, 3)), measured, C)
+
+
+def arm_system(arm: ElasticJointArm, x_max: float = math.pi / 2) -> TSModel:
+    """Return the two-rule T–S form of an arm, equal to it wherever |q₁| ≤ x_max.
+
+    Sector nonlinearity: sin q₁ = (h₁·1 + h₂·b) q₁ with b = sin(x_max)/x_max, the paper's
+    (48)–(49) at x_max = π/2.
+
+    Args:
+        arm: The nonlinear arm.
+        x_max: Half width of the domain [rad], 0 < x_max < π.
+
+    Raises:
+        ModelError: The half width is out of range.
+    """
+    sector = {"half_width": x_max}
+    rules = RuleBase(((membership("sine_upper", sector),), (membership("sine_lower", sector),)))
+    slopes = 1.0, evaluate("sine", x_max).item() / x_max
+    A = np.array([arm.slope_matrix(slope) for slope in slopes])
+    return TSModel(A, arm.input_matrix, arm.output_matrix, rules, np.eye(4)[:1])
 
 
 def _sine(t: Array) -> Array:
@@ -115,13 +138,8 @@ def _after_2_and_3(first: Signal, second: Signal, third: Signal) -> Signal:
     return channels
 
 
-def example_1(third_frequency: float = 1.0) -> PaperExample:
-    """Return Example 1: three states, three disturbed outputs, two rules with different C.
-
-    Args:
-        third_frequency: Factor of t in ω₃; π in the other reading of the text.
-    """
-    f = third_frequency
+def example_1() -> PaperExample:
+    """Return Example 1: three states, three disturbed outputs, two rules with different C."""
     return PaperExample(
         name="example_1",
         system=_system(
@@ -137,18 +155,13 @@ def example_1(third_frequency: float = 1.0) -> PaperExample:
         disturbance=_after_2_and_3(
             lambda t: 0.2 * np.sin(3.0 * t) ** 2,
             lambda t: 0.3 * np.cos(4.0 * t) ** 2,
-            lambda t: 0.4 * (np.sin(2.0 * (f * t)) ** 2 + np.cos(3.0 * (f * t))),
+            lambda t: 0.4 * (np.sin(2.0 * t) ** 2 + np.cos(3.0 * t)),
         ),
     )
 
 
-def example_2(third_frequency: float = 1.0) -> PaperExample:
-    """Return Example 2: sensor faults on the system of Gao, Shi and Ding (D_s = I).
-
-    Args:
-        third_frequency: Factor of t in the third fault; π in the other reading of the text.
-    """
-    f = third_frequency
+def example_2() -> PaperExample:
+    """Return Example 2: sensor faults on the system of Gao, Shi and Ding (D_s = I)."""
     return PaperExample(
         name="example_2",
         system=_system(
@@ -164,7 +177,7 @@ def example_2(third_frequency: float = 1.0) -> PaperExample:
         disturbance=_after_2_and_3(
             lambda t: 0.2 * np.sin(3.0 * t),
             lambda t: 0.2 * np.sin(4.0 * t),
-            lambda t: 0.4 * (np.sin(2.0 * (f * t)) + np.cos(3.0 * (f * t))),
+            lambda t: 0.4 * (np.sin(2.0 * t) + np.cos(3.0 * t)),
         ),
     )
 

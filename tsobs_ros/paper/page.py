@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`tsobs paper`: the method's examples run again, its figures, and the verdicts on its claims.
 
-Files written: `example_*.png`, those for narrow pages `example_*_narrow.png`, `paper.md`,
-`paper.html` (needs no other file) and `paper.json`.
+Files written: `example_*.png`, `paper.html` (needs no other file) and `paper.json`.
 """
 
 import base64
@@ -46,36 +45,16 @@ _INTRODUCTION = (
     "explains how they were put back, and docs/method.md has the proofs of the propositions."
 )
 _STYLE = f"""
-:root {{ color-scheme: light; }}
-body {{ font: 16px/1.55 system-ui, sans-serif; color: {INK}; background: #fff;
-       max-width: 68rem; margin: 2rem auto; padding: 0 1.25rem; }}
-h1 {{ font-size: 1.6rem; line-height: 1.25; }} h2 {{ font-size: 1.2rem; margin-top: 2.5rem; }}
-.short {{ border: 1px solid #c4c9d0; border-left: 4px solid #00798c; padding: .2rem 1rem; }}
-dt {{ font-weight: 600; margin-top: .6rem; }} dd {{ margin: 0 0 0 1.2rem; }}
-table {{ border-collapse: collapse; width: 100%; font-size: .86rem; line-height: 1.4; }}
-th {{ text-align: left; border-bottom: 2px solid #c4c9d0; padding: .4rem .6rem; }}
-td {{ vertical-align: top; border-bottom: 1px solid {GRID}; padding: .45rem .6rem; }}
-.holds, .holds_only_if, .does_not_hold {{ border-left: 4px solid; min-width: 13rem; }}
-.holds {{ border-left-color: #00798c; }} .holds_only_if {{ border-left-color: #edae49; }}
-.does_not_hold {{ border-left-color: #d1495b; }}
-.test {{ font: .72rem/1.4 ui-monospace, monospace; overflow-wrap: anywhere; color: {MUTED}; }}
-figcaption {{ color: {MUTED}; font-size: .9rem; }} figcaption b {{ color: {INK}; }}
+body {{ font: 16px/1.55 system-ui, sans-serif; color: {INK}; max-width: 68rem;
+       margin: 2rem auto; padding: 0 1rem; }}
+table {{ border-collapse: collapse; font-size: .86rem; display: block; overflow-x: auto; }}
+th, td {{ text-align: left; vertical-align: top; border-bottom: 1px solid {GRID}; padding: .4rem; }}
+.holds {{ border-left: 4px solid #00798c; }} .holds_only_if {{ border-left: 4px solid #edae49; }}
+.does_not_hold {{ border-left: 4px solid #d1495b; }}
 figure {{ margin: 1.5rem 0; }} img {{ max-width: 100%; height: auto; }}
-pre {{ background: #f5f7fa; padding: .8rem; white-space: pre-wrap; font-size: .8rem;
-      line-height: 1.45; overflow-wrap: anywhere; }}
-@media (max-width: 44rem) {{
-  body {{ margin: 1rem auto; padding: 0 .9rem; }} h1 {{ font-size: 1.35rem; }}
-  thead {{ position: absolute; left: -100rem; }}
-  table, tbody, tr, td {{ display: block; }} table {{ font-size: .95rem; }}
-  tr {{ border-bottom: 2px solid #c4c9d0; padding: .5rem 0; }}
-  td {{ border-bottom: 0; padding: .15rem .6rem; }} td:empty {{ display: none; }}
-  td[data-head]::before {{ content: attr(data-head) ": "; color: {MUTED}; }}
-  .test {{ font-size: .8rem; }}
-}}
-@media print {{ body {{ max-width: none; margin: 0; }} figure, tr {{ break-inside: avoid; }} }}
+figcaption {{ color: {MUTED}; font-size: .9rem; }}
+pre {{ background: #f5f7fa; padding: .8rem; white-space: pre-wrap; overflow-wrap: anywhere; }}
 """
-
-
 _SYMBOLS = (
     ("x, x̂", "the states and their estimates; y is measured, u is known"),
     ("ω (f in Example 2)", "what disturbs the outputs, and may be anything; in Example 3 noise"),
@@ -110,7 +89,7 @@ class PaperReport:
         output: The folder.
         claims: The table of claims.
         numbers: What was measured, by example, as plain data.
-        figures: The figures; each has a narrow twin.
+        figures: The figures.
         seconds: Computing time [s].
     """
 
@@ -156,7 +135,7 @@ def make_paper_report(
     """
     if seeds < 1:
         raise ModelError(f"seeds: expected at least 1, got {seeds!r}")
-    names = [f"paper.{kind}" for kind in ("html", "md", "json")]
+    names = [f"paper.{kind}" for kind in ("html", "json")]
     require_new([*map(output.joinpath, names), *output.glob("example_*.png")], force=force)
     started = time.perf_counter()
     examples = first, second, arm = example_1(), example_2(), example_3()
@@ -170,52 +149,31 @@ def make_paper_report(
         verdict = check_stability(arm.system.A, arm.alpha)
         claims = tuple(judge(runs, verdict, check_printed(first, arm), comparison))
     with written_whole(output, force=force) as folder:
-        figures = {name: draw_example(run, folder) for name, run in runs.items()}
-        figures[arm.name] = draw_arm(comparison, folder)
-        parts = _parts(claims, runs, comparison, "\n\n".join(map(_analysis, examples)), figures)
-        drawn = tuple(
-            one._replace(path=output / one.path.name, narrow=output / one.narrow.name)
-            for own in figures.values()
-            for one in own
-        )
+        drawn = [one for run in runs.values() for one in draw_example(run, folder)]
+        drawn += draw_arm(comparison, folder)
+        kept = tuple(one._replace(path=output / one.path.name) for one in drawn)
         seconds = time.perf_counter() - started
-        report = PaperReport(output, claims, _numbers(runs, comparison), drawn, seconds)
-        page, table, data = (folder / name for name in names)
-        page.write_text(html_page(parts), encoding="utf-8")
-        table.write_text(markdown(parts), encoding="utf-8")
+        report = PaperReport(output, claims, _numbers(runs, comparison), kept, seconds)
+        analysis = "\n\n".join(map(_analysis, examples))
+        parts = [
+            f"<h1>{_TITLE}</h1>",
+            *_elements("p", conclusion(claims, comparison)),
+            *_elements("p", [_INTRODUCTION]),
+            "<h2>Symbols</h2>",
+            *_elements("p", [f"{symbol}: {meaning}" for symbol, meaning in _SYMBOLS]),
+            *map(_figure, drawn),
+            "<h2>Claims</h2>",
+            _claims_table(claims),
+            *_errors(runs),
+            *_observers(comparison),
+            "<h2>Analysis</h2>",
+            *_elements("pre", [analysis]),
+        ]
+        page, data = (folder / name for name in names)
+        page.write_text(_html(parts), encoding="utf-8")
         text = json.dumps(report.as_mapping(), indent=2, ensure_ascii=False)
         data.write_text(text + "\n", encoding="utf-8")
     return report
-
-
-def _parts(
-    claims: Sequence[Claim],
-    runs: Mapping[str, ExampleRun],
-    comparison: ArmComparison,
-    analysis: str,
-    figures: Mapping[str, Iterable[Drawn]],
-) -> list[tuple[str, Any]]:
-    """Return the page as (kind, content) pairs, for `markdown` and `html_page`."""
-    rows = [(each.claim, each.judgement, each.number, each.test) for each in claims]
-    parts: list[tuple[str, Any]] = [
-        ("title", _TITLE),
-        ("short", conclusion(claims, comparison)),
-        ("text", _INTRODUCTION),
-        ("heading", "Symbols"),
-        ("terms", _SYMBOLS),
-    ]
-    for name, drawn in figures.items():
-        parts.append(("heading", f"Example {name[-1]}"))
-        parts += [("figure", each) for each in drawn]
-    return [
-        *parts,
-        ("heading", "Claims"),
-        ("table", (("claim", "verdict", "number", "test"), rows)),
-        *_errors(runs),
-        *_observers(comparison),
-        ("heading", "Analysis"),
-        ("code", analysis),
-    ]
 
 
 def conclusion(claims: Sequence[Claim], comparison: ArmComparison) -> list[str]:
@@ -261,99 +219,40 @@ def conclusion(claims: Sequence[Claim], comparison: ArmComparison) -> list[str]:
     return lines
 
 
-def markdown(parts: Iterable[tuple[str, Any]]) -> str:
-    """Return a page's parts as Markdown; figures are links to files in its own folder."""
-    texts = []
-    for kind, content in parts:
-        match kind:
-            case "table":
-                head, rows = content
-                lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-                for row in rows:
-                    cells = (cell.replace("|", "\\|") for cell in row)
-                    lines.append("| " + " | ".join(cells) + " |")
-                texts.append("\n".join(lines))
-            case "figure":
-                name = content.path.name
-                texts.append(f"![{content.path.stem}]({name})")
-                texts.append(f"**{content.label}.** {content.caption}")
-            case "short":
-                texts.append("\n".join(f"> {line}" for line in content))
-            case "terms":
-                texts.append("\n".join(f"- **{term}**: {meaning}" for term, meaning in content))
-            case "code":
-                texts.append(f"```\n{content}\n```")
-            case _:
-                texts.append({"title": "# ", "heading": "## "}.get(kind, "") + content)
-    return "\n\n".join(texts) + "\n"
-
-
-def html_page(parts: Iterable[tuple[str, Any]]) -> str:
-    """Return a page's parts as one HTML file that needs no other."""
-    body, tags = [], {"title": "h1", "heading": "h2", "code": "pre"}
-    for kind, content in parts:
-        match kind:
-            case "table":
-                body.append(_html_table(*content))
-            case "figure":
-                body.append(_html_figure(content))
-            case "short":
-                lines = "\n".join(f"<p>{html.escape(line)}</p>" for line in content)
-                body.append(f'<section class="short" aria-label="In short">\n{lines}\n</section>')
-            case "terms":
-                terms = (map(html.escape, pair) for pair in content)
-                lines = "\n".join(f"<dt>{term}</dt><dd>{text}</dd>" for term, text in terms)
-                body.append(f"<dl>\n{lines}\n</dl>")
-            case _:
-                tag = tags.get(kind, "p")
-                body.append(f"<{tag}>{html.escape(content)}</{tag}>")
-    content = "\n".join(body)
+def _html(parts: Iterable[str]) -> str:
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{html.escape(_TITLE)}</title>\n<style>{_STYLE}</style>\n</head>\n"
-        f"<body>\n{content}\n</body>\n</html>\n"
+        f"<title>{_TITLE}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
+        + "\n".join(parts)
+        + "\n</body>\n</html>\n"
     )
 
 
-def _html_figure(drawn: Drawn) -> str:
-    """Return a figure, with its narrow twin on narrow pages."""
-    wide, narrow = (
-        f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
-        for path in (drawn.path, drawn.narrow)
-    )
-    name = html.escape(drawn.path.stem.replace("_", " "))
+def _elements(tag: str, texts: Iterable[str]) -> list[str]:
+    return [f"<{tag}>{html.escape(text)}</{tag}>" for text in texts]
+
+
+def _figure(drawn: Drawn) -> str:
+    image = base64.b64encode(drawn.path.read_bytes()).decode("ascii")
     label, caption = html.escape(drawn.label), html.escape(drawn.caption)
     return (
-        f'<figure>\n<picture><source media="(max-width: 44rem)" srcset="{narrow}">'
-        f'<img alt="{name}" src="{wide}"></picture>\n'
+        f'<figure>\n<img alt="{drawn.path.stem}" src="data:image/png;base64,{image}">\n'
         f"<figcaption><b>{label}.</b> {caption}</figcaption>\n</figure>"
     )
 
 
-def _html_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    cells = "".join(f"<th>{html.escape(each)}</th>" for each in head)
-    lines = ["<table>", f"<thead><tr>{cells}</tr></thead>", "<tbody>"]
-    for row in rows:
-        cells = "".join(
-            f"<td{_class(each)}{_head(name)}>{html.escape(each)}</td>"
-            for name, each in zip(head, row, strict=True)
-        )
-        lines.append(f"<tr>{cells}</tr>")
-    return "\n".join([*lines, "</tbody>", "</table>"])
+def _claims_table(claims: Iterable[Claim]) -> str:
+    rows = [
+        f'<tr class="{each.verdict.name.lower()}">'
+        + "".join(_elements("td", (each.claim, each.judgement, each.number, each.test)))
+        for each in claims
+    ]
+    return _table(("claim", "verdict", "number", "test"), rows)
 
 
-def _head(name: str) -> str:
-    """Return the attribute that names a cell on narrow pages, which have no head."""
-    return f' data-head="{html.escape(name)}"' if name not in ("", "claim", "verdict") else ""
-
-
-def _class(cell: str) -> str:
-    # "holds only if" begins with "holds" and must be tried before it.
-    for verdict in (Verdict.HOLDS_ONLY_IF, Verdict.DOES_NOT_HOLD, Verdict.HOLDS):
-        if cell == verdict.value or cell.startswith((f"{verdict.value} ", f"{verdict.value}:")):
-            return f' class="{verdict.name.lower()}"'
-    return ' class="test"' if cell.startswith("test/") else ""
+def _table(head: Sequence[str], rows: Iterable[str]) -> str:
+    return "\n".join(["<table>", "<tr>" + "".join(_elements("th", head)), *rows, "</table>"])
 
 
 def _analysis(example: PaperExample) -> str:
@@ -362,7 +261,7 @@ def _analysis(example: PaperExample) -> str:
     return f"Example {example.name[-1]}\n{analysis}"
 
 
-def _errors(runs: Mapping[str, ExampleRun]) -> list[tuple[str, Any]]:
+def _errors(runs: Mapping[str, ExampleRun]) -> list[str]:
     head = ("", "adaptation", "ΔA", "RMS of x − x̂", "largest |x − x̂|", "largest |ω − ω̂|")
     rows = []
     for name, run in runs.items():
@@ -371,30 +270,31 @@ def _errors(runs: Mapping[str, ExampleRun]) -> list[tuple[str, Any]]:
             for case in (0, 1):
                 largest, rms = run.settled_error(variant, case), run.settled_rms(variant, case)
                 numbers = [_row(each) for each in (rms, largest[:n], largest[n:])]
-                rows.append([f"Example {name[-1]}", label, f"λ = {case}", *numbers])
-    remark = (
-        "λ = 0 is the system without uncertainty, λ = 1 with the printed ΔA. x̂̄(0) = 0, 20 s, "
-        "step 4 ms."
-    )
-    return [("heading", "Errors from 10 s on"), ("table", (head, rows)), ("text", remark)]
+                cells = [f"Example {name[-1]}", label, f"λ = {case}", *numbers]
+                rows.append("<tr>" + "".join(_elements("td", cells)))
+    remark = "x̂̄(0) = 0, 20 s, step 4 ms."
+    return ["<h2>Errors from 10 s on</h2>", _table(head, rows), *_elements("p", [remark])]
 
 
-def _observers(comparison: ArmComparison) -> list[tuple[str, Any]]:
+def _observers(comparison: ArmComparison) -> list[str]:
     head = ("observer", "θ [1/s]", "RMSE of x₃ [rad/s²]", "normalised RMSE of all states")
     rows = []
     for each in comparison.observers:
         theta = "" if np.isnan(each.theta) else f"{each.theta:.3g}"
-        spreads = [
-            f"{errors.mean():.4f} ± {_deviation(errors):.4f}"
-            for errors in (each.motor_angle, each.normalised)
+        errors = [
+            f"{values.mean():.4f} ± {_deviation(values):.4f}"
+            for values in (each.motor_angle, each.normalised)
         ]
-        rows.append([LABELS[each.name].replace("\n", " "), theta, *spreads])
+        cells = [LABELS[each.name].replace("\n", " "), theta, *errors]
+        rows.append("<tr>" + "".join(_elements("td", cells)))
     remark = (
         f"Mean ± standard deviation over {len(comparison.observers[0].rmse)} runs, from "
         f"{WINDOW_START:g} s to the end; PO and PIO at the θ of the grid that is best for x₃. The "
-        f"EKFs are plain, without gates or health logic."
+        "EKFs are plain, without gates or health logic."
     )
-    return [("heading", "Example 3 on the same noise"), ("table", (head, rows)), ("text", remark)]
+    return [
+        "<h2>Example 3 on the same noise</h2>", _table(head, rows), *_elements("p", [remark]),
+    ]  # fmt: skip
 
 
 def _numbers(runs: Mapping[str, ExampleRun], comparison: ArmComparison) -> dict[str, Any]:

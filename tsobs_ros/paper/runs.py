@@ -21,6 +21,7 @@ from tsobs_ros.estimation.baselines import high_gain, proportional_integral
 from tsobs_ros.estimation.estimator import Estimator, State, certified_estimator
 from tsobs_ros.estimation.options import CertifiedGain, GainMode
 from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
+from tsobs_ros.paper.augmentation import blend
 from tsobs_ros.paper.examples import PaperExample
 from tsobs_ros.paper.observer import AugmentedObserver, paper_observer, runge_kutta
 from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
@@ -213,8 +214,8 @@ def _simulate(example: PaperExample, period: float, duration: float) -> PlantRec
     for k in range(1, samples):
         states[k] = runge_kutta(rates, 2 * (k - 1), states[k - 1], period)
     premises: Array = states[..., :1] + disturbance[::2, np.newaxis, :1]
-    outputs = system.output(states, premises) + disturbance[::2, np.newaxis]
     weights = system.rule_base.weights(premises)
+    outputs = blend(system.rule_outputs, weights, states) + disturbance[::2, np.newaxis]
     return PlantRecord(times[::2], states, disturbance[::2], outputs, premises, weights)
 
 
@@ -225,15 +226,7 @@ def _observe(
     outputs: Array,
     starts: Array,
 ) -> list[EstimateRecord]:
-    """Run an observer over several records at once; its premises are the plant's for all.
-
-    Args:
-        example: The example, for its input.
-        observer: The observer.
-        plant: The plant, for its premises.
-        outputs: Measurements of each record, shape (samples, records, 2, p).
-        starts: x̂̄(0), shape (records, 2, n + p).
-    """
+    """Run an observer over records at once, by outputs (samples, records, 2, p) and starts."""
     fed: Array = outputs.copy()
     # ξ(0) = x̂̄(0) − E_L⁻¹L y(0): with a first sample of noise the observer would start elsewhere.
     fed[0] = plant.outputs[0]
@@ -349,7 +342,10 @@ def _run(observer: Estimator, runs: Trajectories, start: State | None = None) ->
 def _errors(
     name: str, runs: Trajectories, estimates: Array, theta: float = float("nan")
 ) -> ObserverErrors:
-    return ObserverErrors(name, _rmse(runs, estimates), theta, estimates[0])
+    settled = runs.times >= WINDOW_START
+    error = estimates[..., settled, :] - runs.states[:, settled]
+    rmse = np.asarray(np.sqrt(np.mean(error**2, axis=-2)))
+    return ObserverErrors(name, rmse, theta, estimates[0])
 
 
 def _best(name: str, runs: Trajectories, observers: Sequence[Estimator]) -> ObserverErrors:
@@ -359,9 +355,3 @@ def _best(name: str, runs: Trajectories, observers: Sequence[Estimator]) -> Obse
         for observer, theta in zip(observers, THETAS, strict=True)
     ]
     return min(found, key=lambda errors: float(errors.motor_angle.mean()))
-
-
-def _rmse(runs: Trajectories, estimates: Array) -> Array:
-    settled = runs.times >= WINDOW_START
-    error = estimates[..., settled, :] - runs.states[:, settled]
-    return np.asarray(np.sqrt(np.mean(error**2, axis=-2)))

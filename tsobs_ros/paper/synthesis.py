@@ -23,10 +23,10 @@ from tsobs_ros.checks import Array, as_matrix, non_negative
 from tsobs_ros.design.lyapunov import smallest_lyapunov, solver_version
 from tsobs_ros.design.record import SolverReport
 from tsobs_ros.errors import DesignError, DetectabilityError
+from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.paper.analysis import StabilityVerdict, check_stability
 from tsobs_ros.paper.augmentation import Augmentation, ConditionReport, check_conditions
 from tsobs_ros.paper.observer import INNOVATION_RATE, AugmentedObserver, checked_gamma
-from tsobs_ros.paper.systems import TSSystem
 
 # Remark 3's step of ε, relative, and the number of steps.
 _EPSILON_STEP = 1e-3
@@ -90,7 +90,7 @@ class AdaptiveDesign:
 
 
 def design_adaptive_observer(
-    system: TSSystem,
+    system: TSModel,
     alpha: ArrayLike,
     xi: ArrayLike,
     *,
