@@ -240,7 +240,7 @@ UNSYMMETRIC = GAMMA + np.eye(3, k=2)
     [
         ({"H1": H1[0]}, r"H₁: expected shape \(2, 6, 3\), got \(6, 3\)"),
         ({"M": M.T}, r"M: expected shape \(6, 3\), got \(3, 6\)"),
-        ({"Gamma": UNSYMMETRIC}, "Γ of rule 1: expected a symmetric one"),
+        ({"Gamma": UNSYMMETRIC}, "Γ of rule 1: expected a symmetric matrix"),
         ({"xi": [-1.0, 1.0]}, r"xi: expected bounds of at least 0, got \[-1"),
     ],
 )

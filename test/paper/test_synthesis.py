@@ -141,7 +141,7 @@ def test_rules_without_a_common_matrix_are_refused() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"Gamma": np.eye(3) + 0.5 * np.eye(3, k=1)}, "Γ of rule 1: expected a symmetric one"),
+        ({"Gamma": np.eye(3) + 0.5 * np.eye(3, k=1)}, "Γ of rule 1: expected a symmetric matrix"),
         ({"Gamma": np.diag([1.0, -1.0, 1.0])}, r"Γ of rule 1: .* positive definite.*value -1"),
         ({"Gamma": np.eye(2)}, r"Γ: expected shape \(2, 3, 3\), got \(2, 2, 2\)"),
         ({"alpha": [0.1, 0.1, 0.1]}, r"alpha: expected shape \(2,\), got \(3,\)"),
