@@ -23,7 +23,7 @@ from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_trac
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.replay.health import PROVED
-from tsobs_ros.replay.passes import Pass, Ticks
+from tsobs_ros.replay.loop import run_tracker
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.integrator import Friction, Payload
@@ -304,26 +304,21 @@ def estimate(
     u = _columns("torque", torque, len(times), len(design.request.input_names))
     stamps, tracker = _stamps(times), make_tracker(design, settings or ObserverSettings())
     count = len(stamps)
-    known, never = np.arange(1, count + 1), np.full(count, -1)
-    ticks = Ticks(stamps, np.maximum.accumulate(stamps), known, known, never, np.zeros((0, 8)))
-    series = Pass(tracker, stamps, y, u, ticks)
-    rows = series.new_rows(count)
-    for begin in range(0, count, _BLOCK):
-        end = min(begin + _BLOCK, count)
-        series.advance(begin, end, rows[begin:end])
-    rows[series.results.there == 0] = np.nan
+    known, none = np.arange(1, count + 1), np.zeros(count, np.int64)
+    ticks = (stamps, np.maximum.accumulate(stamps), known, none)
+    made = run_tracker(tracker, stamps, y, u, ticks)
     outputs_shape = y.shape[1:] if np.ndim(angle) == 2 else ()
-    used = np.isin(series.results.outcomes, CORRECTING)
+    used = np.isin(made.codes, CORRECTING)
     return Estimates(
         time=times,
-        innovation=series.results.innovations[used].reshape(-1, *outputs_shape),
+        innovation=made.innovations[used].reshape(-1, *outputs_shape),
         innovation_time=times[used],
-        **_columns_of(tracker.estimator.as_rows(rows), tracker.estimator, outputs_shape),
-        used=int((series.results.outcomes == USED).sum()),
+        **_columns_of(tracker.estimator.as_rows(made.rows), tracker.estimator, outputs_shape),
+        used=int((made.codes == USED).sum()),
         rejected={
             reason.value: count
             for code, reason in enumerate(REASONS)
-            if reason is not None and (count := int((series.results.outcomes == code).sum()))
+            if reason is not None and (count := int((made.codes == code).sum()))
         },
     )
 
@@ -459,26 +454,19 @@ def _observers(
 
 
 def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
-    table, own = run.table, run.signals[joint]
-    plant, p, t = map(len, (own.states, own.outputs, own.torques))
-    outputs: slice | int = slice(p) if p > 1 else 0
-    innovations = table.innovations[:, joint, :p]
+    table, p = run.table, len(run.signals[joint].outputs)
+    estimator = run.loop.estimators[joint]
+    outputs_shape = (p,) if p > 1 else ()
+    innovations = table.innovations[joint]
     used = np.isfinite(innovations).any(axis=1)
+    estimated = run.window.ticks.estimated
     return Estimates(
-        time=run.schedule.stamps / NANOSECONDS,
-        state=table.states[:, joint, :plant],
-        state_bound=table.state_bounds[:, joint, :plant],
-        disturbance=table.disturbances[:, joint, outputs],
-        disturbance_bound=table.disturbance_bounds[:, joint, outputs],
-        torque_disturbance=table.torques[:, joint, :t],
-        torque_disturbance_bound=table.torque_bounds[:, joint, :t],
-        innovation=innovations[used][:, outputs],
-        innovation_time=run.samples.stamps[used] / NANOSECONDS,
-        parameters=table.parameters[:, joint],
-        parameter_bound=table.parameter_bounds[:, joint],
-        **_conditions(lambda name: table.conditions[name][:, joint]),
+        time=run.window.ticks.stamps[estimated] / NANOSECONDS,
+        innovation=innovations[used].reshape(-1, *outputs_shape),
+        innovation_time=run.window.samples.stamps[used] / NANOSECONDS,
+        **_columns_of(table.rows[joint][estimated], estimator, outputs_shape),
         used=int(used.sum()),
-        rejected={reason.value: n for reason, n in run.replay.rejected.items()},
+        rejected={reason.value: n for reason, n in run.loop.rejected.items()},
     )
 
 

@@ -20,6 +20,7 @@ from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from staging.stamps import to_nanoseconds
+from std_msgs.msg import Int64MultiArray
 from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import BagReader
@@ -41,8 +42,8 @@ ESTIMATES = (
     "/observer/disturbance_bound",
 )
 INNOVATION = "/observer/innovation"
-RESTARTS, HEALTH = "/observer/restarts", "/observer/health"
-TOPICS = (MEASUREMENTS, *TRUTH, *ESTIMATES, INNOVATION, RESTARTS, HEALTH)
+RESTARTS, HEALTH, TICKS = "/observer/restarts", "/observer/health", "/observer/ticks"
+TOPICS = (MEASUREMENTS, *TRUTH, *ESTIMATES, INNOVATION, RESTARTS, HEALTH, TICKS)
 SAMPLES = 701
 
 
@@ -70,7 +71,7 @@ def recording(ros: Any, tmp_path: Path) -> Recording:
     latched = QoSProfile(depth=5000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     profiles = dict.fromkeys(TOPICS, qos) | {MEASUREMENTS: best_effort, RESTARTS: latched}
     listening = {
-        topic: DrainedSubscription(node, JointState, topic, profile, raw=True)
+        topic: DrainedSubscription(node, type_of(topic), topic, profile, raw=True)
         for topic, profile in profiles.items()
     }
     received: dict[str, list[bytes]] = {topic: [] for topic in TOPICS}
@@ -123,7 +124,13 @@ def recording(ros: Any, tmp_path: Path) -> Recording:
     return Recording(recording.path, received, used, rejected, recording.statistics.lost)
 
 
-def bits(message: Any) -> tuple[int, list[str], bytes]:
+def type_of(topic: str) -> Any:
+    return Int64MultiArray if topic == TICKS else JointState
+
+
+def bits(message: Any) -> Any:
+    if hasattr(message, "data"):
+        return [int(number) for number in message.data]
     stamp = message.header.stamp
     numbers = np.array([*message.position, *message.velocity, *message.effort], dtype=np.float64)
     return stamp.sec * 10**9 + stamp.nanosec, list(message.name), numbers.tobytes()
@@ -138,7 +145,7 @@ def interpolated(truth: list[JointState], stamps: NDArray[np.int64]) -> NDArray[
 
 def check_independent_readers(run: Recording) -> None:
     expected = {
-        topic: [bits(deserialize_message(data, JointState)) for data in messages]
+        topic: [bits(deserialize_message(data, type_of(topic))) for data in messages]
         for topic, messages in run.received.items()
     }
     with AnyReader([run.bag]) as reader:
@@ -183,7 +190,7 @@ def check_estimates_after_the_fact(run: Recording, design: Design) -> int:
     agreement = again.agreement()
     assert agreement is not None
     assert agreement.complete, agreement.text()
-    assert again.replay.used == run.used
+    assert again.loop.used == run.used
     came = by_topic(run.bag.with_name("again"))
     # What the estimates were made with, which was not recorded here.
     assert len(came.pop("/observer/design")) == 1
@@ -222,7 +229,7 @@ def check_errors(run: Recording) -> None:
     """After three seconds estimates are within four times their bounds of the truth."""
     messages = {
         topic: [deserialize_message(data, JointState) for data in run.received[topic]]
-        for topic in TOPICS
+        for topic in (*TRUTH, *ESTIMATES)
     }
     stamps = np.array([to_nanoseconds(m.header.stamp) for m in messages[ESTIMATES[0]]])
     last = to_nanoseconds(messages[TRUTH[0]][-1].header.stamp)

@@ -13,6 +13,7 @@ import pytest
 from tsobs_ros.bag import BagWriter
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.tick_log import TICK_LOG
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
@@ -26,7 +27,7 @@ PERIOD = 5_000_000
 LATENCY = 300_000
 JOINTS = ("elbow", "wrist")
 
-TYPES = {"design": STRING, "diagnostics": DIAGNOSTICS}
+TYPES = {"design": STRING, "diagnostics": DIAGNOSTICS, "ticks": TICK_LOG}
 
 Message = tuple[str, bytes, int]
 """Topic, data and log time, which is the publish time too."""

@@ -13,6 +13,7 @@ from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import BagReadError, BagWriteError
 from tsobs_ros.estimation.records import Measurement, RejectReason
 from tsobs_ros.methods import FILTERS, METHODS, ObserverSettings, make_tracker
+from tsobs_ros.replay.estimate import Run
 from tsobs_ros.replay.source import BagSource
 
 START, PERIOD, LATENCY = 1_700_000_000_000_000_000, 5_000_000, 300_000
@@ -34,6 +35,10 @@ def observed(bag: Path) -> list[tuple[str, bytes, int]]:
     ]
 
 
+def states(run: Run, joint: int = 0) -> np.ndarray:
+    return run.table.values(joint, "state")
+
+
 def test_estimates_at_the_measurements_are_those_of_a_tracker(
     arms, design, write_bag, estimate
 ) -> None:
@@ -45,11 +50,10 @@ def test_estimates_at_the_measurements_are_those_of_a_tracker(
         tracker.offer(Measurement(stamp, arms.y[k, :1], arms.u[k, :1]), stamp)
         one = tracker.estimate(stamp)
         assert one is not None
-        assert run.table.states[k, 0].tolist() == one.state.tolist()
-        assert run.table.state_bounds[k, 0].tolist() == one.state_bound.tolist()
-        assert run.table.disturbances[k, 0, 0] == one.disturbance[0]
-    assert run.replay.used == 300
-    assert not run.replay.rejected
+        for name in ("state", "state_bound", "disturbance"):
+            assert run.table.values(0, name)[k].tolist() == getattr(one, name).tolist()
+    assert run.loop.used == 300
+    assert not run.loop.rejected
 
 
 def test_a_tick_includes_only_what_has_arrived(arms, design, write_bag, estimate) -> None:
@@ -57,178 +61,124 @@ def test_a_tick_includes_only_what_has_arrived(arms, design, write_bag, estimate
 
     tracker = make_tracker(design, ObserverSettings())
     offered = 0
-    for k, stamp in enumerate(run.schedule.stamps.tolist()):
+    for k, stamp in enumerate(run.window.ticks.stamps[run.table.done].tolist()):
         assert stamp == START + LATENCY + k * 10_000_000
         while offered < 300 and START + offered * PERIOD + LATENCY <= stamp:
             sample = Measurement(START + offered * PERIOD, arms.y[offered, :1], arms.u[offered, :1])
             tracker.offer(sample, stamp)
             offered += 1
-        assert run.table.states[k, 0].tolist() == tracker.estimate(stamp).state.tolist()
+        assert states(run)[k].tolist() == tracker.estimate(stamp).state.tolist()
     assert offered == 299
-    assert run.replay.used == 300
+    # The last one is used without a tick.
+    assert run.loop.used == 300
 
 
 @pytest.mark.parametrize("rate", [None, 130.0])
 @pytest.mark.parametrize("joints", [1, 2])
 def test_a_recorded_run_is_reproduced(arms, write_bag, estimate, tmp_path, joints, rate) -> None:
-    messages = arms.messages(joints=joints)
-    late = messages.pop(100)
-    messages.insert(103, (*late[:2], messages[102][2] + 1))
+    """Blocks in reverse order, and among them late, doubled, unreadable and outlying messages."""
+    messages = arms.messages(310, joints=joints)
     for place in (50, 51, 120):
         messages[place] = outlier(messages[place])
-    estimate(write_bag(messages), output="live", rate=rate)
+    late = messages.pop(100)
+    messages.insert(103, (*late[:2], messages[102][2] + 1))
+    messages.insert(260, (*messages[250][:2], messages[259][2] + 1))
+    messages.insert(270, (messages[0][0], b"nothing", messages[269][2] + 1))
+    block = messages[200:250]
+    messages[200:250] = [(*one[:2], block[-1][2]) for one in block[::-1]]
+    live = estimate(write_bag(messages), output="live", rate=rate)
 
     again = estimate(tmp_path / "live", output="again")
 
     agreement = again.agreement()
-    assert agreement.complete, agreement.text()
-    assert agreement.recorded == len(again.schedule.stamps)
+    assert agreement.reproduced == agreement.recorded == live.estimates > 200, agreement.text()
+    assert agreement.not_received == agreement.not_recorded == 0
     data = [sorted(one[:2] for one in observed(tmp_path / name)) for name in ("live", "again")]
     assert data[0] == data[1]
-    assert again.replay.rejected[RejectReason.GATED] == 3 * joints
-    assert again.replay.rewinds == joints
+    for run in (live, again):
+        assert run.loop.rejected == {
+            RejectReason.GATED: 3 * joints,
+            RejectReason.DUPLICATE: joints,
+            RejectReason.WRONG_JOINT: joints,
+        }
+    assert again.loop.rewinds == live.loop.rewinds > 0
 
 
-def test_what_comes_together_is_used_by_its_stamps_and_reproduced(
-    arms, write_bag, estimate, tmp_path
-) -> None:
-    """Blocks in reverse order, an unreadable message in each; every tick finds a whole one."""
+def test_what_comes_together_is_used_by_its_stamps(arms, write_bag, estimate) -> None:
+    """Blocks in reverse order; every tick finds a whole one."""
     messages = arms.messages(310)
     backwards = messages[:50]
     for first in range(50, 300, 50):
         block = messages[first : first + 50]
-        unreadable = (block[0][0], JointStateEncoder(["elbow"])(START, [0.0], (), ()), 0)
-        arrival = block[-1][2]
-        for k, one in enumerate([*block[:0:-1], unreadable, block[0]]):
-            backwards.append((*one[:2], arrival + k))
+        backwards += [(*one[:2], block[-1][2] + k) for k, one in enumerate(block[::-1])]
     backwards += messages[300:]
 
-    live = estimate(write_bag(backwards), output="live", rate=100.0)
-    again = estimate(tmp_path / "live", output="again")
+    run = estimate(write_bag(backwards), rate=100.0)
 
-    for run in (live, again):
-        assert run.replay.used == 310
-        assert run.replay.rewinds == 0
-        assert run.replay.rejected == {RejectReason.WRONG_JOINT: 5}
-    assert again.agreement().complete, again.agreement().text()
-    data = [sorted(one[:2] for one in observed(tmp_path / name)) for name in ("live", "again")]
-    assert data[0] == data[1]
-    used = live.table.innovations[:, 0, 0]
-    in_order = estimate(write_bag(messages, "in_order"), rate=100.0).table.innovations[:, 0, 0]
-    assert sorted(used[~np.isnan(used)]) == sorted(in_order)
-
-
-def test_measurements_without_innovations_are_placed_by_what_they_did(
-    arms, write_bag, estimate, tmp_path
-) -> None:
-    messages = arms.messages(200)
-    for place in range(60, 90):
-        messages[place] = outlier(messages[place])
-    estimate(write_bag(messages), output="live", rate=77.0)
-    # As from a node on another core: its estimates come after measurements it did not know of.
-    shifted = [
-        (topic, data, time + (3_000_000 if "/observer/" in topic else 0))
-        for topic, data, time in [*messages, *observed(tmp_path / "live")]
-        if not topic.endswith("innovation")
-    ]
-    shifted.sort(key=lambda message: message[2])
-
-    agreement = estimate(write_bag(shifted, "shifted")).agreement()
-
-    assert agreement.complete, agreement.text()
-
-
-def test_publishers_that_overtake_each_other_are_put_in_the_order_of_use(
-    arms, write_bag, estimate, tmp_path
-) -> None:
-    single = []
-    for topic, data, time in arms.messages(100, joints=2):
-        stamp, names, position, _, effort, _ = DECODE(data)
-        for joint in (0, 1):
-            encode = JointStateEncoder(names[joint : joint + 1])
-            own = encode(stamp - joint, [position[joint]], (), [effort[joint]])
-            single.append((topic, own, time + joint))
-    estimate(write_bag(single), output="live")
-    # Each second joint's message was sent before the first's, and only arrived later.
-    sent = [
-        (topic, data, time - (2 if topic == "/joint_measurements" and time % 2 else 0))
-        for topic, data, time in [*single, *observed(tmp_path / "live")]
-    ]
-    assert sent != sorted(sent, key=lambda message: message[2])
-
-    agreement = estimate(write_bag(sorted(sent, key=lambda m: m[2]), "sent")).agreement()
-
-    assert agreement.complete, agreement.text()
-
-
-def test_a_restart_of_time_resets_the_observer(arms, write_bag, estimate, tmp_path) -> None:
-    once = arms.messages(250)
-    again = [(topic, data, time + 10**10) for topic, data, time in once]
-    run = estimate(write_bag([*once, *again]), output="looped")
-
-    assert run.replay.used == 500
-    assert np.array_equal(run.table.states[:250], run.table.states[250:])
-    assert estimate(tmp_path / "looped").agreement().complete
+    assert run.loop.used == 310
+    assert run.loop.rewinds == 0
 
 
 @pytest.mark.parametrize(
-    ("lost", "settings", "counts", "reason"),
+    ("lost", "settings", "reason"),
     [
-        ([40], {}, (1, 0), "the live observer used 1 measurement that the bag lacks"),
-        ([40, 60], {}, (2, 0), "used 2 measurements that the bag lacks"),
-        ([], {"method": "high_gain"}, (0, 0), "it had another design"),
+        ([40], {}, "the live observer used 1 measurement that the bag lacks"),
+        ([40, 41], {}, "used 2 measurements that the bag lacks"),
+        ([], {"method": "high_gain"}, "it had another design, other parameters"),
     ],
 )
 def test_the_reason_of_a_difference_is_named(
-    arms, write_bag, estimate, tmp_path, lost, settings, counts, reason
+    arms, write_bag, estimate, tmp_path, lost, settings, reason
 ) -> None:
     messages = arms.messages(100)
-    estimate(write_bag(messages), output="live")
-    recorded = [(m.topic, m.data, m.log_time) for m in BagReader(tmp_path / "live").messages()]
-    kept = [message for message in recorded if message not in [messages[k] for k in lost]]
+    estimate(write_bag(messages), output="live", **settings)
+    kept = [message for k, message in enumerate(messages) if k not in lost]
+    both = sorted([*kept, *observed(tmp_path / "live")], key=lambda message: message[2])
 
-    agreement = estimate(write_bag(kept, "other"), **settings).agreement()
+    agreement = estimate(write_bag(both, "other")).agreement()
 
-    assert not agreement.complete
-    assert (agreement.not_recorded, agreement.not_received) == counts
+    assert agreement.recorded == 100
+    assert agreement.reproduced < 100
     assert reason in agreement.text()
-    if not settings:
-        assert agreement.reproduced >= 39
+    assert agreement.not_recorded == len(lost)
+    if lost:
         assert agreement.first_difference == START + 40 * PERIOD
 
 
+def test_lost_messages_of_the_tick_log_are_named(arms, write_bag, estimate, tmp_path) -> None:
+    estimate(write_bag(arms.messages(100)), output="live")
+    made = observed(tmp_path / "live")
+    ticks = [one for one in made if one[0] == "/observer/ticks"]
+    made = [one for one in made if one not in ticks[50:52]]
+    bag = write_bag(sorted([*arms.messages(100), *made], key=lambda one: one[2]), "other")
+
+    agreement = estimate(bag).agreement()
+
+    assert (agreement.recorded, agreement.lost_ticks) == (100, 2)
+    assert agreement.reproduced < 100
+    assert "its tick log lacks 2 ticks" in agreement.text()
+
+
 @pytest.mark.parametrize("joints", [1, 2])
-@pytest.mark.parametrize(
-    ("unheard", "recorded_from", "counts"),
-    [
-        ([40], 0, (0, 1, 0)),
-        ([*range(30)], 0, (30, 0, 0)),
-        ([*range(30), 50, *range(70, 75), *range(90, 100)], 0, (30, 6, 10)),
-        # The recorder of the observer came later than that of the measurements.
-        ([], 30, (0, 0, 0)),
-        ([*range(10)], 30, (10, 0, 0)),
-    ],
-)
+@pytest.mark.parametrize("window", [None, 64])
 def test_what_the_live_observer_did_not_receive_is_left_out(
-    arms, write_bag, estimate, tmp_path, joints, unheard, recorded_from, counts
+    arms, write_bag, estimate, tmp_path, joints, window
 ) -> None:
+    unheard = [*range(30), 50, *range(70, 75), *range(90, 100)]
     messages = arms.messages(100, joints)
     messages[60] = outlier(messages[60])
     heard = [message for k, message in enumerate(messages) if k not in unheard]
     estimate(write_bag(heard), output="live")
-    later = [one for one in observed(tmp_path / "live") if one[2] >= messages[recorded_from][2]]
-    bag = write_bag(sorted([*messages, *later], key=lambda message: message[2]), "other")
+    made = observed(tmp_path / "live")
+    bag = write_bag(sorted([*messages, *made], key=lambda message: message[2]), "other")
 
-    run = estimate(bag, output="again")
+    run = estimate(bag, output="again", window=window)
 
     agreement = run.agreement()
-    assert agreement.complete, agreement.text()
-    assert (agreement.before_first, agreement.in_between, agreement.after_last) == counts
-    assert run.replay.used == (99 - len(unheard)) * joints
-    kinds = "from before the live observer's first", "that did not reach it", "from after its last"
-    for count, kind in zip(counts, kinds, strict=True):
-        plural = "s" * (count > 1)
-        assert (f"{count} measurement{plural} {kind}" in agreement.text()) == (count > 0)
+    assert agreement.reproduced == agreement.recorded == 54, agreement.text()
+    assert agreement.not_received == len(unheard)
+    assert run.loop.used == (99 - len(unheard)) * joints
+    assert f"without {len(unheard)} measurements that did not reach it" in agreement.text()
 
 
 def test_an_observer_that_had_run_before_is_recognised(arms, write_bag, estimate, tmp_path) -> None:
@@ -248,14 +198,30 @@ def test_an_observer_of_the_second_pass_of_a_loop_did_not_receive_the_first(
     arms, write_bag, estimate, tmp_path
 ) -> None:
     once = arms.messages(300)
-    again = [(topic, data, time + 2 * 10**9) for topic, data, time in once]
+    again = [(topic, data, time + 5 * 10**9) for topic, data, time in once]
     estimate(write_bag(again), output="live")
     both = sorted([*once, *again, *observed(tmp_path / "live")], key=lambda message: message[2])
 
-    agreement = estimate(write_bag(both, "both")).agreement()
+    for window in (None, 256):
+        agreement = estimate(write_bag(both, f"both_{window}"), window=window).agreement()
 
-    assert agreement.complete, agreement.text()
-    assert (agreement.recorded, agreement.before_first) == (300, 300)
+        assert agreement.reproduced == agreement.recorded == 300, agreement.text()
+        assert agreement.not_received == 300
+
+
+def test_without_a_tick_log_estimates_are_at_the_measurements_and_a_note_says_so(
+    arms, write_bag, estimate, tmp_path
+) -> None:
+    estimate(write_bag(arms.messages(100)), output="live", rate=77.0)
+    made = [one for one in observed(tmp_path / "live") if one[0] != "/observer/ticks"]
+    bag = write_bag(sorted([*arms.messages(100), *made], key=lambda one: one[2]), "other")
+
+    source = BagSource(bag)
+    run = estimate(source)
+
+    assert run.agreement() is None
+    assert run.window.ticks.stamps.tolist() == [START + k * PERIOD for k in range(100)]
+    assert [one for one in source.remarks if "no tick log" in one]
 
 
 def test_messages_of_one_joint_each_are_put_together(arms, write_bag, estimate) -> None:
@@ -269,8 +235,9 @@ def test_messages_of_one_joint_each_are_put_together(arms, write_bag, estimate) 
 
     run, together = estimate(write_bag(single)), estimate(write_bag(both, "both"))
 
-    assert run.replay.used == together.replay.used == 120
-    assert np.array_equal(run.table.states, together.table.states)
+    assert run.loop.used == together.loop.used == 120
+    for joint in (0, 1):
+        assert np.array_equal(states(run, joint), states(together, joint))
 
 
 @pytest.mark.parametrize("method", list(METHODS))
@@ -301,7 +268,7 @@ def test_what_cannot_be_used_is_counted(arms, write_bag, estimate) -> None:
     messages += [("/joint_measurements", data, time + k) for k, data in enumerate(bad, 1)]
 
     bag = write_bag(messages)
-    rejected = estimate(BagSource(bag, joints=["elbow"])).replay.rejected
+    rejected = estimate(BagSource(bag, joints=["elbow"])).loop.rejected
 
     assert rejected == {
         RejectReason.NON_FINITE: 1,
@@ -332,8 +299,8 @@ def test_damage_costs_only_what_comes_after_it(arms, write_bag, estimate, tmp_pa
     run = estimate(source, output="new")
 
     assert "damaged" in str(source.damage)
-    assert 0 < run.replay.used < 600
-    assert BagReader(tmp_path / "new").topics["/observer/joint_states"].count == run.replay.used
+    assert 0 < run.loop.used < 600
+    assert BagReader(tmp_path / "new").topics["/observer/joint_states"].count == run.loop.used
 
 
 @pytest.mark.parametrize(

@@ -180,7 +180,7 @@ def test_a_damaged_bag_is_copied_one_by_one_up_to_the_damage(
     assert topics[TRUTH].count in (100, 101)
     # Damage in the truth costs no estimates.
     used = 200 if topic == TRUTH else 100
-    assert run.replay.used == topics["/observer/joint_states"].count == used
+    assert run.loop.used == topics["/observer/joint_states"].count == used
 
 
 def test_damage_that_comes_while_a_bag_is_copied_ends_the_copy(

@@ -3,16 +3,17 @@
 """Recorded measurements: what each message holds of each joint, and where time restarts."""
 
 import numpy as np
-import pytest
 
-from tsobs_ros.bag.joint_series import JointSeries
+from tsobs_ros.bag.joint_series import JointSeries, RawMessages
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.signals import signals
-from tsobs_ros.replay.source import Samples, restarts, samples_of
+from tsobs_ros.replay.source import restarts, samples_of
 
 SECOND = 1_000_000_000
 NAN = float("nan")
 JOINTS = [signals(ArmRequest(), joint, alone=False) for joint in ("elbow", "wrist")]
+
+NO_BYTES = RawMessages(np.zeros(0, np.int64), np.zeros(0, np.int64), [])
 
 
 def series(values: list[list[list[float]]], named: list[list[bool]]) -> JointSeries:
@@ -35,10 +36,9 @@ def test_a_sample_needs_an_angle_and_a_torque_of_its_joint() -> None:
         [[True, True], [True, False], [True, True], [False, False]],
     )
 
-    samples = samples_of(recorded, JOINTS, assume_zero_torque=False)
+    samples = samples_of(recorded, NO_BYTES, JOINTS, assume_zero_torque=False)
     assert samples.complete.tolist() == [[True, True], [True, False], [False, True], [False] * 2]
-    assert samples.usable.tolist() == [True, True, True, False]
-    silent = samples_of(recorded, JOINTS, assume_zero_torque=True)
+    silent = samples_of(recorded, NO_BYTES, JOINTS, assume_zero_torque=True)
     assert silent.complete[2].all()
     assert silent.u[2].tolist() == [[0.0], [4.0]]
 
@@ -51,20 +51,3 @@ def test_restarts_are_told_from_stragglers() -> None:
     assert restarts([*first, *first, *first]) == [60, 120]
     assert restarts([*first[:50], 0, *first[50:]]) == []  # a zero stamp is no time at all
     assert restarts([*first, *(s - SECOND // 2 for s in first[56:])]) == []  # merely late
-
-
-@pytest.mark.parametrize(
-    ("offset", "expected"),
-    [
-        (1_000, [1_001, 1_021, 1_011, 1_041]),
-        (10**18, [1, 21, 21, 41]),  # another clock: only the order is known
-    ],
-)
-def test_arrivals_are_log_times_where_those_are_of_the_same_clock(offset, expected) -> None:
-    stamps = np.array([1, 21, 11, 41])
-    one = np.ones((4, 1))
-    numbers = one[..., np.newaxis]
-
-    samples = Samples(stamps, stamps + offset, stamps, numbers, numbers, one > 0, one > 0)
-
-    assert samples.arrivals.tolist() == expected

@@ -107,5 +107,5 @@ def test_windows_give_the_errors_of_the_whole(
         found += scores.errors()
     expected, of_windows = found
 
-    assert run.samples.count < source.count / 4
+    assert run.window.samples.count < source.count / 4
     assert of_windows.as_mapping() == approximately(expected.as_mapping())

@@ -93,9 +93,7 @@ class _Builder:
         """Return the messages in records that rows are of."""
         block = _empty(len(rows.sizes), self._wanted)
         block.log_times[:], block.publish_times[:] = rows.log_times, rows.publish_times
-        for size in np.unique(rows.sizes).tolist():
-            places = np.flatnonzero(rows.sizes == size)
-            data = _gather(rows.take(places), records, size)
+        for places, data in _raw(rows, records).groups:
             # What is malformed names nobody, and so is no sample of anybody.
             for group in self._decoder.decode_rows(places, data, {}):
                 self._place(group, block)
@@ -118,16 +116,32 @@ class _Builder:
                     block.given[rows, joint, at] = True
 
 
+class RawMessages(NamedTuple):
+    """A topic's messages as bytes, n of them.
+
+    Attributes:
+        log_times: When they were received, ns since the epoch, shape (n,).
+        publish_times: When they were published, ns since the epoch, shape (n,).
+        groups: Those of the same size, their places and their bytes, shapes (k,) and (k, size).
+    """
+
+    log_times: Times
+    publish_times: Times
+    groups: list[tuple[NDArray[np.intp], NDArray[np.uint8]]]
+
+
 class Block(NamedTuple):
     """A part of some topics.
 
     Attributes:
-        series: By the topics' names.
+        series: JointStates by the topics' names.
+        raw: Messages as bytes by the topics' names.
         horizon: Log time from which on messages of the next block may be [ns]; messages of this
             one go on for a third of its length beyond. Infinite in the last block.
     """
 
     series: dict[str, JointSeries]
+    raw: dict[str, RawMessages]
     horizon: float
 
 
@@ -136,6 +150,7 @@ def read_blocks(
     wanted: Mapping[str, Wanted],
     size: int | None = None,
     *,
+    raw: Sequence[str] = (),
     on_damage: Callable[[BagReadError], None] | None = None,
 ) -> Iterator[Block]:
     """Read some topics of a bag block by block.
@@ -143,6 +158,7 @@ def read_blocks(
     Args:
         reader: The bag.
         wanted: What to read of which topic.
+        raw: Topics of any type whose messages to return as bytes; some may be wanted too.
         size: Number of messages in a block, of all topics, divisible by 4; None for one block.
         on_damage: Told of damage to the bag, up to which everything is returned; else it is raised.
 
@@ -152,28 +168,31 @@ def read_blocks(
     for name in wanted:
         require_joint_states(reader, name)
     builders = [_Builder(each) for each in wanted.values()]
-    parts = until_damage(reader.rows(list(wanted)), on_damage)
+    names = list(dict.fromkeys([*wanted, *raw]))
+    parts = until_damage(reader.rows(names), on_damage)
     waiting, records, whole = Rows.of([]), dict[int, bytes](), False
     while not whole:
         found = [waiting]
         while size is None or sum(len(one.sizes) for one in found) < size:
             try:
-                rows, own = next(parts)
+                rows, new = next(parts)
             except StopIteration:
                 whole = True
                 break
             found.append(rows)
-            records |= own
+            records |= new
         waiting = Rows.of(found)
         block = waiting.take(slice(size))
         horizon = math.inf
         if not whole and size is not None:
             horizon = int(block.log_times[_behind(size) - 1])
+        own_rows = [block.take(block.topics == place) for place in range(len(names))]
         series = {
-            name: builder.decode(block.take(block.topics == place), records)
-            for place, (name, builder) in enumerate(zip(wanted, builders, strict=True))
+            name: builder.decode(rows, records)
+            for name, builder, rows in zip(wanted, builders, own_rows, strict=False)
         }
-        yield Block(series, horizon)
+        found_raw = {name: _raw(own_rows[names.index(name)], records) for name in raw}
+        yield Block(series, found_raw, horizon)
         waiting = waiting.take(slice(len(block.sizes), None))
         records = {key: records[key] for key in np.unique(waiting.chunks).tolist()}
 
@@ -216,6 +235,14 @@ def _empty(count: int, wanted: Wanted) -> JointSeries:
         given=np.zeros(shape, np.bool_),
         other_names=(),
     )
+
+
+def _raw(rows: Rows, records: Mapping[int, bytes]) -> RawMessages:
+    groups = []
+    for size in np.unique(rows.sizes).tolist():
+        places = np.flatnonzero(rows.sizes == size)
+        groups.append((places, _gather(rows.take(places), records, size)))
+    return RawMessages(rows.log_times, rows.publish_times, groups)
 
 
 def _gather(rows: Rows, records: Mapping[int, bytes], size: int) -> NDArray[np.uint8]:

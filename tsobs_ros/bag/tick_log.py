@@ -10,7 +10,6 @@ neither estimates nor measurements is left out, and not counted.
 
 import struct
 from collections.abc import Iterable
-from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -45,26 +44,6 @@ _BEGIN = _FRONT.size + -(_FRONT.size - 4) % 8
 _FIXED = 3
 
 
-class TickRecord(NamedTuple):
-    """Ticks of an observer, m of them, with n measurement messages.
-
-    Attributes:
-        stamps: Times on the observer's clock [ns], shape (m,).
-        numbers: Places since the restart, from 1, shape (m,).
-        estimated: Whether there were estimates, shape (m,).
-        counts: Numbers of measurement messages taken, shape (m,).
-        checksums: CRC-32 of these messages, tick by tick, shape (n,).
-        log_times: Of the ticks' messages [ns], shape (m,).
-    """
-
-    stamps: NDArray[np.int64]
-    numbers: NDArray[np.int64]
-    estimated: NDArray[np.bool_]
-    counts: NDArray[np.int64]
-    checksums: NDArray[np.int64]
-    log_times: NDArray[np.int64]
-
-
 def encode_tick(stamp: int, number: int, estimated: bool, messages: Iterable[bytes]) -> bytes:
     """Return the message of a tick.
 
@@ -78,6 +57,20 @@ def encode_tick(stamp: int, number: int, estimated: bool, messages: Iterable[byt
     count = len(values)
     front = _FRONT.pack(b"\0\1\0\0", 1, len(_LABEL), _LABEL, count, count, 0, count)
     return struct.pack(f"<{_BEGIN}s{count}q", front, *values)
+
+
+def encode_ticks(values: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return messages of ticks with as many measurements each.
+
+    Args:
+        values: Stamp, number, whether estimated and checksums, a row each, shape (n, 3 + count).
+
+    Returns:
+        Their bytes, shape (n, size).
+    """
+    front = encode_tick(0, 0, False, [b""] * (values.shape[1] - _FIXED))[:_BEGIN]
+    fronts = np.tile(np.frombuffer(front, np.uint8), (len(values), 1))
+    return np.hstack([fronts, values.astype("<i8").view(np.uint8)])
 
 
 def decode_ticks(messages: NDArray[np.uint8]) -> NDArray[np.int64]:

@@ -80,7 +80,7 @@ def _record(campaign: Campaign, run: int, bag: Path) -> None:
         for name, (places, values) in topics.items():
             writer.add_topic(f"/{name}", JOINT_STATE, [QosProfile()])
             there = measured if name == "joint_measurements" else np.ones(len(stamps), np.bool_)
-            data = Layout([places]).encode(stamps[there], values[there][:, np.newaxis])
+            data = Layout(places).encode(stamps[there], values[there])
             for stamp, message in zip(stamps[there].tolist(), data, strict=True):
                 messages.append((f"/{name}", JOINT_STATE, message, stamp, stamp))
         writer.write_all(sorted(messages, key=lambda message: message[3]))

@@ -175,7 +175,7 @@ def estimate(
     if source.damage is not None:
         complain(f"{source.damage}; estimated up to there")
     if not any(run.estimates for run in runs):
-        reasons = {reason.value for run in runs for reason in run.replay.rejected}
+        reasons = {reason.value for run in runs for reason in run.loop.rejected}
         complain(f"no estimate was made; rejected: {', '.join(sorted(reasons)) or 'none'}")
         return 1
     return 0 if source.damage is None else 1
@@ -279,10 +279,10 @@ def _result(
     ]
     width = max(len(run.observer.name) for run in runs)
     for run in runs:
-        rejected = ", ".join(f"{n:,} {reason.value}" for reason, n in run.replay.rejected.items())
+        rejected = ", ".join(f"{n:,} {reason.value}" for reason, n in run.loop.rejected.items())
         lines.append(
             f"{run.observer.name:<{width}}  {run.estimates:,} estimates from "
-            f"{run.replay.used:,} measurements; rejected: {rejected or 'none'}"
+            f"{run.loop.used:,} measurements; rejected: {rejected or 'none'}"
         )
         lines += [f"{'':<{width}}  {line}" for line in _about_outputs(run, source.joints)]
         if run.observer.settings.method == "certified":
@@ -307,11 +307,11 @@ def _result(
                 "name": run.observer.name,
                 "method": run.observer.settings.method,
                 "estimates": run.estimates,
-                "used": run.replay.used,
-                "rejected": {r.value: n for r, n in run.replay.rejected.items()},
+                "used": run.loop.used,
+                "rejected": {r.value: n for r, n in run.loop.rejected.items()},
                 "outputs": run.outputs(),
-                "rewinds": run.replay.rewinds,
-                "failures": run.replay.failures,
+                "rewinds": run.loop.rewinds,
+                "failures": run.loop.failures,
                 "health": {joint: one.as_mapping() for joint, one in run.health().items()},
                 **map_events(run.events(), begin),
             }

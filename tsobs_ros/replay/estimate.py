@@ -2,17 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Observers over a recording, many in one pass, and a new bag of their estimates.
 
-The messages are those of the observer node, byte for byte; made a block at a time they cost a tenth
-of what they cost one by one.
+The messages are those of the observer node, byte for byte; made a window at a time they cost a
+tenth of what they cost one by one.
 """
 
+import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,32 +22,32 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import encode_text
 from tsobs_ros.bag.container import MAGIC
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.bag.joint_series import JointSeries, Times
+from tsobs_ros.bag.joint_series import RawMessages, Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
+from tsobs_ros.bag.tick_log import DEFINITION, TICK_LOG, encode_ticks
 from tsobs_ros.bag.writer import Message, MessageSeries, whole_bag
-from tsobs_ros.checks import Array, Flags
+from tsobs_ros.checks import Flags
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagWriteError, LogError, ModelError
+from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.replay.designs import STRING
-from tsobs_ros.replay.fit import check_unit_of_angles
 from tsobs_ros.replay.health import EventFinder, Health, HealthSum, JointEvent
+from tsobs_ros.replay.live import COMPARED, Agreement, LiveComparison
 from tsobs_ros.replay.log import LogSource
+from tsobs_ros.replay.loop import Loop, Table
 from tsobs_ros.replay.output import EstimateBag
-from tsobs_ros.replay.places import Layout, Places, places_of
-from tsobs_ros.replay.replay import Replay
-from tsobs_ros.replay.schedule import Schedule
-from tsobs_ros.replay.source import BagSource, Samples, Source
-from tsobs_ros.replay.table import Agreement, AgreementCount, EstimateTable
+from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, Times3, places_of
+from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.replay.windows import Window, Windows
 
 _OF_BAGS = (".mcap", ".yaml", ".db3")
-
-_BLOCK = 4096
 _LATCHED = QosProfile(durability="transient_local", depth=1)
+_STRING = MessageDefinition(STRING, "string data\n", "")
+_TICK_LOG = MessageDefinition(TICK_LOG, DEFINITION, "")
 
 
 @dataclass(frozen=True)
@@ -110,22 +111,15 @@ class Run:
         observer: The observer.
         windows: The recording's.
         signals: The places of each joint's signals.
-        replay: Its counts.
+        loop: Its counts.
         estimates: Number of ticks with an estimate.
-        samples: The measurements of the window.
-        schedule: The ticks of the window.
-        table: The estimates and innovations of the window.
-        made: The ticks of the window that were made, and the messages that were used by then.
-        horizon: Smallest log time of what follows the window [ns].
+        window: The last window.
+        table: The estimates and innovations of this window.
         topics: The topics of JointStates that there may be messages of.
-        record_topic: The topic of its record.
     """
 
-    samples: Samples
-    schedule: Schedule
-    table: EstimateTable
-    made: tuple[slice, slice]
-    horizon: float
+    window: Window
+    table: Table
 
     def __init__(self, observer: Observer, source: Source, windows: Windows) -> None:
         self.observer, self.windows = observer, windows
@@ -137,29 +131,26 @@ class Run:
             one = make_tracker(design, observer.settings, estimators.get(id(design)))
             estimators[id(design)] = one.estimator
             trackers.append(one)
-        self.replay = Replay(trackers, observer.settings.stale_after)
-        self._shapes = [each.estimator.shape for each in trackers]
+        self.loop = Loop(trackers, observer.settings.stale_after)
         self.signals = source.signals_of([design.request for design in observer.designs])
-        alone = len(source.joints) == 1
-        prefix = f"{source.namespace}/{observer.name}/"
+        self._prefix = f"{source.namespace}/{observer.name}/"
         each = zip(source.joints, self.signals, observer.designs, trackers, strict=True)
-        self._publisher = _Publisher(
-            prefix,
+        self._encoder = EstimateEncoder(
+            self._prefix,
             [
                 places_of(
                     joint,
                     own,
-                    alone=alone,
+                    alone=len(source.joints) == 1,
                     learnt=observer.settings.learnt(design),
                     rated="disturbance_rate" not in tracker.estimator.lacking,
                 )
                 for joint, own, design, tracker in each
             ],
         )
-        self.record_topic = prefix + topics.DESIGN
-        self.topics = self._publisher.topics
+        self.topics = self._encoder.topics
         self._parameters_due, self._health_due = _Due(), _Due()
-        self._agreement = AgreementCount()
+        self._comparison = LiveComparison(windows.counts) if windows.as_live else None
         self._health = {joint: HealthSum() for joint in source.joints}
         self._events = EventFinder(
             source.joints,
@@ -167,124 +158,131 @@ class Run:
             observer.settings.stale_after,
             same_clock=source.same_clock,
         )
-        # Numbers of restarts: published, until now, and before the last health.
-        self._told, self._restarts, self._restarts_before = 0, 0, 0
+        # Numbers of restarts: until now, and before the last health; and of ticks since the last.
+        self._restarts, self._restarts_before, self._ticks = 0, 0, 0
+        self._is_first = True
 
-    def record(self) -> Message:
-        """Return the message of its record."""
+    def record(self) -> list[Message]:
+        """Return the message of what it runs."""
         observer, source = self.observer, self._source
         parameters = observer.settings.as_parameters()
         text = record_text(source.topic, source.joints, observer.files, parameters)
         begin, _ = source.span
-        return self.record_topic, STRING, encode_text(text), begin, begin
+        return [(self._prefix + topics.DESIGN, STRING, encode_text(text), begin, begin)]
 
-    def enter(self, window: Window, dropped: int) -> None:
-        """Go on with a window.
+    def own_topics(self) -> list[tuple[str, str, QosProfile, MessageDefinition]]:
+        """Return name, type, QoS and definition of its topics that are no JointStates."""
+        return [
+            (self._prefix + topics.DESIGN, STRING, _LATCHED, _definition(_STRING)),
+            (self._prefix + topics.TICKS, TICK_LOG, QosProfile(), _definition(_TICK_LOG)),
+        ]
+
+    def run(self, window: Window, *, encode: bool) -> list[MessageSeries]:
+        """Run the observer over a window, and return the messages.
 
         Args:
             window: The window.
-            dropped: Number of the last window's samples that it is without.
-        """
-        self.samples, self.schedule = window.samples, window.schedule
-        count = window.schedule.count
-        self.table = EstimateTable(count, window.samples.count, self._shapes)
-        self.replay.enter(self.samples, self.schedule, self.table, window.recorded, dropped)
-
-    def restarts(self, window: Window) -> list[MessageSeries]:
-        """Return the messages of the start and of the restarts, those recorded if there are any."""
-        if window.restarts is not None:
-            at, numbers = _Times.of(window.restarts), window.restarts.values
-            return self._publisher.messages(topics.RESTARTS, at, numbers)
-        ticks = np.flatnonzero(self.schedule.reset_after[: window.ticks] >= 0)
-        if not self._told:
-            ticks = np.union1d(ticks, [0])[: window.ticks]
-        shape = (len(ticks), len(self.observer.designs), 1)
-        numbers = self._told + np.arange(float(shape[0])).reshape(-1, 1, 1)
-        self._told += len(ticks)
-        at = _Times.of(self.schedule).take(ticks)
-        return self._publisher.messages(topics.RESTARTS, at, np.broadcast_to(numbers, shape))
-
-    def blocks(
-        self, window: Window, progress: Callable[[int], None], *, encode: bool
-    ) -> Iterator[list[MessageSeries]]:
-        """Run the observer block by block of a window's ticks, and yield the messages of each.
-
-        Args:
-            window: The window, which has been entered.
-            progress: Called with the number of measurements taken since its last call.
             encode: Whether there are to be messages.
         """
-        begun = self.replay.taken
-        for begin in range(0, max(1, window.ticks), _BLOCK):
-            ticks = slice(begin, min(begin + _BLOCK, window.ticks))
-            taken = self.replay.advance(ticks.stop)
-            if ticks.stop == window.ticks:
-                taken = slice(taken.start, self._use_rest(window, taken.stop))
-            progress(taken.stop - taken.start)
-            yield self._published(ticks, taken, encode=encode)
-        messages = slice(begun, self.replay.taken)
-        self.made, self.horizon = (slice(0, window.ticks), messages), window.horizon
-        self._agreement.began(self.replay.began_without_past)
-        if window.recorded is not None:
-            ticks = self.made[0]
-            same = window.recorded.same(self.table, ticks)
-            self._agreement.add_ticks(self.schedule.stamps[ticks], same)
-            self._agreement.add_messages(window.recorded.innovations, self.table, messages)
-            self._agreement.add_not_recorded(window.not_recorded)
+        self.window, self.table = window, self.loop.run(window)
+        ticks, done = window.ticks, self.table.done
+        self.estimates += int(done.sum())
+        at = Times3(ticks.stamps, ticks.log_times, ticks.publish_times)
+        joints = range(len(self.observer.designs))
+        made: list[MessageSeries] = []
+        if encode:
+            made += self._restart_messages(window.live.get(topics.RESTARTS), at)
+            made += self._tick_messages()
+            of_tick = np.searchsorted(ticks.known, np.arange(window.samples.count), side="right")
+            of_use = Times3(window.samples.stamps, at.log_times[of_tick], at.publish_times[of_tick])
+            made += self._encoder.messages(topics.INNOVATION, of_use, self.table.innovations)
+        if encode or self._comparison:
+            for topic in COMPARED:
+                values = [self.table.values(joint, *ESTIMATES[topic]) for joint in joints]
+                messages = self._encoder.messages(topic, at, values)
+                made += messages
+                if self._comparison:
+                    self._comparison.add_made(topic, messages)
+        if self._comparison:
+            for topic in COMPARED:
+                if topic in window.live:
+                    self._comparison.add_recorded(topic, window.live[topic])
+            if window.is_whole:
+                self._comparison.settle(window.horizon)
+        made += self._slow_messages(at, encode=encode)
+        return made if encode else []
 
-    def _use_rest(self, window: Window, taken: int) -> int:
-        """Use what no tick takes, and return the number of samples that were taken."""
-        if window.is_last:
-            return int(self.replay.use(window.samples.count).stop)
-        # Of a long time without ticks, all but the end.
-        waiting = window.known - taken
-        if 2 * waiting > window.samples.count:
-            return int(self.replay.use(taken + waiting // 2).stop)
-        return taken
+    def _restart_messages(self, recorded: RawMessages | None, at: Times3) -> list[MessageSeries]:
+        """Return the messages of the start and of the restarts, those recorded if there are any."""
+        name = self._prefix + topics.RESTARTS
+        if recorded is not None:
+            logs, sent = recorded.log_times, recorded.publish_times
+            return [
+                MessageSeries(name, JOINT_STATE, logs[places], sent[places], data)
+                for places, data in recorded.groups
+            ]
+        resets = self.window.ticks.resets.astype(np.bool_)
+        starts = resets.copy()
+        starts[: int(self._is_first)] = True
+        self._is_first = self._is_first and not len(resets)
+        numbers = (self._restarts + np.cumsum(resets))[starts].astype(np.float64)[:, np.newaxis]
+        each = [numbers] * len(self.observer.designs)
+        return self._encoder.messages(topics.RESTARTS, at.take(starts), each)
 
-    def _published(self, ticks: slice, taken: slice, *, encode: bool) -> list[MessageSeries]:
-        """Return the messages of some ticks, and of the innovations of the samples taken there."""
-        table = self.table
-        publish = self._publisher.messages if encode else _no_messages
-        at = _Times.of(self.schedule).take(ticks)
-        messages = publish(topics.INNOVATION, self._times_of_use(taken), table.innovations[taken])
-        for topic, values in table.of_topics.items():
-            messages += publish(topic, at, values[ticks])
-        valid = table.conditions["parameters_valid"][ticks] == 1.0
-        due = self._parameters_due.among(at.stamps, valid.any(axis=1))
-        for topic, values in (
-            (topics.PARAMETERS, table.parameters[ticks]),
-            (topics.PARAMETER_BOUNDS, table.parameter_bounds[ticks]),
-        ):
-            if len(due):
-                known = np.where(valid[due, :, None], values[due], np.nan)
-                messages += publish(topic, at.take(due), known)
-        self.estimates += int(table.done[ticks].sum())
-        conditions = table.health(ticks)
-        for joint, health in enumerate(self._health.values()):
-            health.add(conditions[:, joint])
-        due = self._health_due.among(at.stamps, table.done[ticks])
-        restarts = self._restarts + np.cumsum(self.schedule.reset_after[ticks] >= 0)
+    def _tick_messages(self) -> list[MessageSeries]:
+        """Return the messages of the tick log."""
+        ticks, done = self.window.ticks, self.table.done
+        counts = np.diff(ticks.known, prepend=0)
+        logged = done | (counts > 0)
+        numbers = self._ticks + np.cumsum(logged)
+        for place in np.flatnonzero(ticks.resets).tolist():
+            before = int(numbers[place]) - int(logged[place])
+            numbers[place:] -= before
+        self._ticks = int(numbers[-1]) if len(numbers) else self._ticks
+        # Without an estimate there is no stamp, and the clock decides what is from the future.
+        stamps = np.where(done, ticks.stamps, ticks.now)
+        found = []
+        for count in np.unique(counts[logged]).tolist():
+            rows = np.flatnonzero(logged & (counts == count))
+            places = (ticks.known[rows] - count)[:, np.newaxis] + np.arange(count)
+            front = [one[rows, np.newaxis] for one in (stamps, numbers, done)]
+            data = encode_ticks(np.hstack([*front, self.window.samples.checksums[places]]))
+            times = ticks.log_times[rows], ticks.publish_times[rows]
+            found.append(MessageSeries(self._prefix + topics.TICKS, TICK_LOG, *times, data))
+        return found
+
+    def _slow_messages(self, at: Times3, *, encode: bool) -> list[MessageSeries]:
+        """Note what the estimates are worth; return the messages that come now and then."""
+        ticks, table, made = self.window.ticks, self.table, list[MessageSeries]()
+        joints = range(len(self.observer.designs))
+        valid: Flags = np.array([table.rows[joint]["parameters_valid"] == 1.0 for joint in joints])
+        due = self._parameters_due.among(at.stamps, np.asarray(valid.any(axis=0)))
+        if encode and len(due):
+            for topic in topics.PARAMETER_TOPICS:
+                values = [table.values(joint, *ESTIMATES[topic])[due] for joint in joints]
+                known = [
+                    np.where(valid[joint, due, None], values[joint], np.nan) for joint in joints
+                ]
+                made += self._encoder.messages(topic, at.take(due), known)
+        conditions = [table.values(joint, *HEALTH) for joint in joints]
+        for health, own in zip(self._health.values(), conditions, strict=True):
+            health.add(own)
+        due = self._health_due.among(at.stamps, table.done)
+        restarts = self._restarts + np.cumsum(ticks.resets)
         if len(due):
-            messages += publish(topics.HEALTH, at.take(due), conditions[due])
+            chosen = [own[due] for own in conditions]
+            if encode:
+                made += self._encoder.messages(topics.HEALTH, at.take(due), chosen)
             restarted = np.diff(restarts[due], prepend=self._restarts_before) > 0
-            self._events.add(at.stamps[due], at.log_times[due], conditions[due], restarted)
+            together = np.stack(chosen, axis=1)
+            self._events.add(at.stamps[due], at.log_times[due], together, restarted)
             self._restarts_before = int(restarts[due[-1]])
         self._restarts = int(restarts[-1]) if len(restarts) else self._restarts
-        return messages
-
-    def _times_of_use(self, taken: slice) -> "_Times":
-        """Return the times of innovations, which are published at the tick that uses the sample."""
-        at = _Times.of(self.samples).take(taken)
-        of_use = self.table.times_of_use[taken]
-        there = of_use[:, 0] >= 0
-        for own, theirs in zip(at[1:], of_use.T, strict=True):
-            own[there] = theirs[there]
-        return at
+        return made
 
     def outputs(self) -> dict[str, dict[str, dict[str, int]]]:
         """Return how often each output was gated and missing, of joints that have several."""
-        each = zip(self._source.joints, self.observer.designs, self.replay.outputs, strict=True)
+        each = zip(self._source.joints, self.observer.designs, self.loop.outputs, strict=True)
         return {
             joint: {
                 name: {"gated": int(gated), "missing": int(missing)}
@@ -306,8 +304,32 @@ class Run:
         return {joint: one for joint, one in found.items() if one is not None}
 
     def agreement(self) -> Agreement | None:
-        """Return the comparison with the recorded estimates, if the run was made by them."""
-        return self._agreement.result() if self.windows.as_live else None
+        """Return the comparison with the recorded estimates, if there is a tick log."""
+        return None if self._comparison is None else self._comparison.result()
+
+
+class _Due:
+    """Finds the ticks at which a node publishes what changes slowly."""
+
+    def __init__(self) -> None:
+        self._last = -topics.SLOW_PERIOD
+
+    def among(self, stamps: Times, there: Flags) -> NDArray[np.intp]:
+        """Return the places of those among the next ticks that have something to publish."""
+        due = []
+        for place in np.flatnonzero(there).tolist():
+            stamp = int(stamps[place])
+            if not 0 <= stamp - self._last < topics.SLOW_PERIOD:
+                due.append(place)
+                self._last = stamp
+        return np.array(due, np.intp)
+
+
+def _definition(known: MessageDefinition) -> MessageDefinition:
+    try:
+        return find_definition(known.type)
+    except BagWriteError:  # there need not be a ROS
+        return known
 
 
 def is_log(path: Path) -> bool:
@@ -382,7 +404,7 @@ def make_runs(
     for observer in observers:
         source.observe([design.request for design in observer.designs])
     if isinstance(source, LogSource) and observers:
-        check_unit_of_angles(source, observers[0].settings, observers[0].designs)
+        source.check_unit_of_angles(observers[0].settings, observers[0].designs)
     windows = Windows(source, rate, as_live, window)
     return [Run(observer, source, windows) for observer in observers]
 
@@ -403,18 +425,30 @@ def run_all(
         runs: From `make_runs`.
         output: Folder of the new bag, which must not exist; None to write none.
         estimates_only: Leave out the measurements, and the truth of a simulation.
-        progress: Called with the number of measurements that an observer has taken since.
+        progress: Called with the number of measurements that the observers have taken since.
         after_window: Called when all observers have made a window's ticks.
 
     Raises:
         BagWriteError: The folder exists, the definition of JointStates is not to be found, or the
             bag cannot be written.
     """
+
+    def windows(write: Callable[[list[MessageSeries], float], None] | None) -> None:
+        # The core runs for several observers at once.
+        with ThreadPoolExecutor(min(len(runs), os.cpu_count() or 1)) as pool:
+            for window in runs[0].windows:
+
+                def run(one: Run, window: Window = window) -> list[MessageSeries]:
+                    return one.run(window, encode=write is not None)
+
+                made = list(chain.from_iterable(pool.map(run, runs)))
+                if write is not None:
+                    write(made, window.horizon)
+                progress(window.samples.count * len(runs))
+                after_window()
+
     if output is None:
-        for window in runs[0].windows.over(runs):
-            for _ in _blocks(runs, window, progress, encode=False):
-                pass
-            after_window()
+        windows(None)
         return
     own = (topic.definition for topic in source.topics if topic.type == JOINT_STATE)
     definition = next(own, None) or find_definition(JOINT_STATE)
@@ -422,128 +456,15 @@ def run_all(
         bag = EstimateBag(source, writer, estimates_only=estimates_only)
         for name in chain.from_iterable(run.topics for run in runs):
             writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)
-        for run in runs:
-            writer.add_topic(run.record_topic, STRING, [_LATCHED], definition=_text_definition())
+        for name, type_, qos, known in chain.from_iterable(run.own_topics() for run in runs):
+            writer.add_topic(name, type_, [qos], definition=known)
         # First of all, so that they come first among the messages of their time.
-        writer.write_all([run.record() for run in runs])
-        for window in runs[0].windows.over(runs):
-            bag.add(chain.from_iterable(run.restarts(window) for run in runs))
-            for horizon, made in _blocks(runs, window, progress, encode=True):
-                bag.add(made)
-                bag.write(horizon)
-            after_window()
+        writer.write_all([message for run in runs for message in run.record()])
 
+        def write(made: list[MessageSeries], horizon: float) -> None:
+            bag.add(made)
+            bag.write(horizon)
 
-def _text_definition() -> MessageDefinition:
-    try:
-        return find_definition(STRING)
-    except BagWriteError:  # there need not be a ROS
-        return MessageDefinition(STRING, "string data\n", "")
-
-
-def _blocks(
-    runs: Sequence[Run], window: Window, progress: Callable[[int], None], *, encode: bool
-) -> Iterator[tuple[float, list[MessageSeries]]]:
-    """Yield the messages of all runs in a window block by block.
-
-    Each comes with the log time that the messages of later blocks have at least [ns].
-    """
-    times = window.schedule.log_times
-    own = [run.blocks(window, progress, encode=encode) for run in runs]
-    # The core runs for several observers at once.
-    with ThreadPoolExecutor(min(len(runs), os.cpu_count() or 1)) as pool:
-        together = iter(lambda: list(pool.map(_next, own)), [None] * len(own))
-        for number, blocks in enumerate(together, 1):
-            following = times[min(number * _BLOCK, window.ticks) :][:1].tolist()
-            made = [series for block in blocks for series in block or ()]
-            yield min([window.horizon, *following]), made
-
-
-def _next(blocks: Iterator[list[MessageSeries]]) -> list[MessageSeries] | None:
-    return next(blocks, None)
-
-
-def _no_messages(*_: object) -> list[MessageSeries]:
-    return []
-
-
-class _Times(NamedTuple):
-    """Header stamps, log times and publish times of m messages [ns], shape (m,) each."""
-
-    stamps: Times
-    log_times: Times
-    publish_times: Times
-
-    @classmethod
-    def of(cls, one: Schedule | Samples | JointSeries) -> "_Times":
-        return cls(one.stamps, one.log_times, one.publish_times)
-
-    def take(self, places: NDArray[np.intp] | slice) -> "_Times":
-        return _Times(*(array[places] for array in self))
-
-
-class _Due:
-    """Finds the ticks at which a node publishes what changes slowly."""
-
-    def __init__(self) -> None:
-        self._last = -topics.SLOW_PERIOD
-
-    def among(self, stamps: Times, there: Flags) -> NDArray[np.intp]:
-        """Return the places of those among the next ticks that have something to publish."""
-        due = []
-        for place in np.flatnonzero(there).tolist():
-            stamp = int(stamps[place])
-            if not 0 <= stamp - self._last < topics.SLOW_PERIOD:
-                due.append(place)
-                self._last = stamp
-        return np.array(due, np.intp)
-
-
-class _Publisher:
-    """Makes the messages of one observer from arrays.
-
-    Args:
-        prefix: Of the topics' names, with a slash at its end.
-        joints: The places of each joint's numbers.
-    """
-
-    def __init__(self, prefix: str, joints: Sequence[Places]) -> None:
-        self._prefix = prefix
-        optional = (*topics.TORQUE_TOPICS, *topics.PARAMETER_TOPICS)
-        there = {name for places in joints for name in optional if places[name]}
-        self._names = [*topics.TOPICS, *(name for name in optional if name in there)]
-        self._layouts = {name: Layout([one[name] for one in joints]) for name in self._names}
-
-    @property
-    def topics(self) -> tuple[str, ...]:
-        return tuple(self._prefix + name for name in self._names)
-
-    def messages(self, topic: str, at: _Times, values: Array) -> list[MessageSeries]:
-        """Return messages of the entries that have a number in each.
-
-        Args:
-            topic: One of `bag.estimate_topics`.
-            at: Times of the messages.
-            values: In the order of `places_of`, NaN for none, shape (m, J, width).
-        """
-        messages: list[MessageSeries] = []
-        if topic not in self._layouts:
-            return messages
-        layout = self._layouts[topic]
-        present = layout.present(values)
-        if topic != topics.INNOVATION:
-            # The first number of a joint decides on all of them.
-            present = present[:, layout.first]
-        for entries, rows in _alike(present):
-            chosen = at.take(rows)
-            data = layout.encode(chosen.stamps, values[rows], entries)
-            name, times = self._prefix + topic, chosen[1:]
-            messages.append(MessageSeries(name, JOINT_STATE, *times, data))
-        return messages
-
-
-def _alike(present: NDArray[np.bool_]) -> Iterator[tuple[list[int], NDArray[np.intp]]]:
-    """Yield each set of entries that messages have, and the places of those messages."""
-    for pattern in np.unique(present, axis=0):
-        if pattern.any():
-            yield np.flatnonzero(pattern).tolist(), np.flatnonzero((present == pattern).all(axis=1))
+        windows(write)
+        if runs[0].window.horizon < math.inf:
+            bag.write(math.inf)

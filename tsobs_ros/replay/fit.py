@@ -3,6 +3,7 @@
 """The unit of a log's angles, judged by the arm that they are to be of."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,6 @@ from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.history import USED
 from tsobs_ros.methods import ObserverSettings, make_ekf
 from tsobs_ros.replay.columns import UNITS
-from tsobs_ros.replay.log import LogSource
 
 _DEGREE = UNITS["angle"]["deg"]
 # Of 112 simulated runs with the arm's own design, those in rad were at most 1.9, those in degrees
@@ -23,7 +23,7 @@ _MIN_USED = 50
 
 
 def check_unit_of_angles(
-    source: LogSource, settings: ObserverSettings, designs: tuple[Design, ...]
+    source: Any, settings: ObserverSettings, designs: tuple[Design, ...]
 ) -> None:
     """Refuse angles without a unit that fit the arm in degrees, and do not at all in radians.
 

@@ -9,8 +9,10 @@ from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
+from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.joint_series import Times
@@ -19,10 +21,13 @@ from tsobs_ros.bag.metadata import QosProfile, TopicInfo
 from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.bag.writer import MessageSeries
 from tsobs_ros.checks import Array
+from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import LogError
+from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.cells import Row, TextTable, is_nothing, plain_number
 from tsobs_ros.replay.columns import UNITS, Column, Columns, is_unit, misread
+from tsobs_ros.replay.fit import check_unit_of_angles
 from tsobs_ros.replay.places import Layout
 from tsobs_ros.replay.source import MEASUREMENTS, Part, Samples, Source, restarts
 from tsobs_ros.replay.times import LATEST, NO_TIME, TimeReader, check_period
@@ -189,6 +194,9 @@ class LogSource(Source):
         units = UNITS[quantity]
         self._cells.append(_Cell(column, units[column.unit or next(iter(units))], *where))
 
+    def check_unit_of_angles(self, settings: ObserverSettings, designs: Sequence[Design]) -> None:
+        check_unit_of_angles(self, settings, tuple(designs))
+
     def _survey(self) -> None:
         """Read the whole log for what must be known before the first line is used."""
         clock, spread = _LogClock(NO_TIME), -1.0
@@ -283,7 +291,19 @@ class LogSource(Source):
         stamps = np.where(there, block.stamps + np.where(there, self.moved_by, 0), 0)
         times = clock.times(np.where(there, stamps, NO_TIME))
         there = np.ones(block.y.shape[:2], np.bool_)
-        return Samples(stamps, times, times, block.y, block.u, there, there, self.same_clock)
+        data = self._encoded(stamps, block.y, block.u)
+        checksums = np.array([crc32(row) for row in data], np.int64)
+        return Samples(stamps, times, block.y, block.u, there, there, checksums)
+
+    def _encoded(self, stamps: Times, y: Array, u: Array) -> NDArray[np.uint8]:
+        """Return the messages of measurements, shape (n, size)."""
+        places = [place for own in self.signals for place in (*own.outputs, *own.inputs)]
+        values = [
+            part[:, joint, : len(names)]
+            for joint, own in enumerate(self.signals)
+            for part, names in ((y, own.outputs), (u, own.inputs))
+        ]
+        return Layout(places).encode(stamps, np.hstack(values))
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:  # type: ignore[override]
@@ -293,7 +313,7 @@ class LogSource(Source):
             TopicInfo(f"/{MEASUREMENTS}", JOINT_STATE, qos_profiles=qos, definition=definition),
         )
 
-    def parts(self, size: int | None = None, with_live: bool = True) -> Iterator[Part]:
+    def parts(self, size: int | None = None, with_live: bool = False) -> Iterator[Part]:
         clock = _LogClock(self._first)
         blocks = (self._part(block, clock) for block in self._sorted or self._lines())
         together = None if size is None else max(1, size // _BLOCK)
@@ -301,20 +321,11 @@ class LogSource(Source):
         while part := following:
             following = list(islice(blocks, together))
             samples = part[0].followed_by(*part[1:])
-            # Whether time restarts at a line shows in the next ones.
-            horizon = samples.log_times[-samples.count // 4] if following else math.inf
-            yield Part(samples, {}, float(horizon))
+            yield Part(samples, {}, float(samples.log_times[-1]) if following else math.inf)
 
     def messages(self) -> Iterator[BagMessage]:
-        layout = Layout([(*own.outputs, *own.inputs) for own in self.signals])
-        widths = [(len(own.outputs), len(own.inputs)) for own in self.signals]
         for samples, _, _ in self.parts(_BLOCK):
-            y, u = samples.y, samples.u
-            values = np.full((len(y), len(widths), y.shape[2] + u.shape[2]), np.nan)
-            for joint, (p, m) in enumerate(widths):
-                own = y[:, joint, :p], u[:, joint, :m]
-                values[:, joint, : p + m] = np.hstack(own)
-            times, data = samples.log_times, layout.encode(samples.stamps, values)
+            times, data = samples.log_times, self._encoded(samples.stamps, samples.y, samples.u)
             series = MessageSeries(f"/{MEASUREMENTS}", JOINT_STATE, times, times, data)
             yield from map(BagMessage._make, series.messages())
 

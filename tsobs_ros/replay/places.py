@@ -2,14 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The places of joints' numbers in the topics of an observer and of a simulator."""
 
-from collections.abc import Mapping, Sequence
-from typing import TypeAlias
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.joint_states import JointStateEncoder
+from tsobs_ros.bag.joint_series import Times
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.writer import MessageSeries
 from tsobs_ros.checks import Array
 from tsobs_ros.design.signals import Field, Place, Signals, positions
 from tsobs_ros.estimation.records import HEALTH
@@ -17,11 +19,27 @@ from tsobs_ros.estimation.records import HEALTH
 Places: TypeAlias = Mapping[str, Sequence[Place]]
 """The places of a joint's numbers by topic."""
 
+ESTIMATES: Mapping[str, tuple[str, ...]] = {
+    topics.STATES: ("state",),
+    topics.STATE_BOUNDS: ("state_bound",),
+    topics.DISTURBANCE: ("disturbance", "disturbance_rate"),
+    topics.DISTURBANCE_BOUND: ("disturbance_bound",),
+    topics.TORQUE_DISTURBANCE: ("torque_disturbance",),
+    topics.TORQUE_DISTURBANCE_BOUND: ("torque_disturbance_bound",),
+    topics.PARAMETERS: ("parameters",),
+    topics.PARAMETER_BOUNDS: ("parameter_bound",),
+    topics.HEALTH: HEALTH,
+}
+"""Fields of an `Estimate` by the topic that has them, in the order of `places_of`."""
+
+FIELDS: tuple[Field, ...] = ("position", "velocity", "effort")
+"""Fields of a JointState."""
+
 
 def places_of(
     joint: str, signals: Signals, *, alone: bool, learnt: tuple[str, ...] = (), rated: bool = True
 ) -> Places:
-    """Return the places of a joint's numbers, in the order of `EstimateTable`.
+    """Return the places of a joint's numbers, those of an estimate in the order of `ESTIMATES`.
 
     Args:
         joint: The joint's name.
@@ -49,84 +67,121 @@ def places_of(
     }
 
 
-ESTIMATES: Mapping[str, tuple[str, ...]] = {
-    topics.STATES: ("state",),
-    topics.STATE_BOUNDS: ("state_bound",),
-    topics.DISTURBANCE: ("disturbance", "disturbance_rate"),
-    topics.DISTURBANCE_BOUND: ("disturbance_bound",),
-    topics.TORQUE_DISTURBANCE: ("torque_disturbance",),
-    topics.TORQUE_DISTURBANCE_BOUND: ("torque_disturbance_bound",),
-    topics.PARAMETERS: ("parameters",),
-    topics.PARAMETER_BOUNDS: ("parameter_bound",),
-    topics.HEALTH: HEALTH,
-}
-"""Fields of an `Estimate` by the topic that has them, in the order of `places_of`."""
-
-FIELDS: tuple[Field, ...] = ("position", "velocity", "effort")
-"""Fields of a JointState."""
-
-
 class Layout:
-    """The entries of messages about J joints, made of arrays.
+    """The entries of messages made of columns of numbers.
 
     Args:
-        joints: The places of each joint's numbers.
-
-    Attributes:
-        first: For each entry, the first one of its joint.
+        places: The place of each column.
     """
 
-    def __init__(self, joints: Sequence[Sequence[Place]]) -> None:
-        self._names: list[str] = []
-        self._columns: dict[Field, list[tuple[int, int] | None]] = {one: [] for one in FIELDS}
-        first: list[int] = []
-        for joint, places in enumerate(joints):
-            begin = len(self._names)
-            for column, (name, field) in enumerate(places):
-                if name not in self._names[begin:]:
-                    self._names.append(name)
-                    first.append(begin)
-                    for each in self._columns.values():
-                        each.append(None)
-                self._columns[field][self._names.index(name, begin)] = joint, column
-        self.first = np.array(first, np.intp)
+    def __init__(self, places: Sequence[Place]) -> None:
+        self._names = list(dict.fromkeys(place.name for place in places))
+        self._columns: dict[Field, dict[int, int]] = {field: {} for field in FIELDS}
+        for column, (name, field) in enumerate(places):
+            self._columns[field][self._names.index(name)] = column
         self._encoders: dict[tuple[int, ...], JointStateEncoder] = {}
 
-    def present(self, values: Array) -> NDArray[np.bool_]:
-        """Return whether each entry has a number, shape (m, entries).
+    def entries_of(self, columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return whether each entry has any of some columns, shape (m, entries).
 
         Args:
-            values: In the order of the places, NaN for none, shape (m, J, width).
+            columns: Whether each column is there, shape (m, k).
         """
-        every = range(len(self._names))
-        there = np.zeros((len(values), len(self._names)), np.bool_)
-        for field in FIELDS:
-            numbers = self._numbers(field, every, values)
-            there |= np.isfinite(numbers) if numbers.shape[1] else False
+        there = np.zeros((len(columns), len(self._names)), np.bool_)
+        for chosen in self._columns.values():
+            there[:, list(chosen)] |= columns[:, list(chosen.values())]
         return there
 
     def encode(
-        self, stamps: NDArray[np.int64], values: Array, entries: Sequence[int] | None = None
+        self, stamps: Times, values: Array, entries: Sequence[int] | None = None
     ) -> NDArray[np.uint8]:
         """Return messages of some entries, a row each; fields in which none has a place are empty.
 
         Args:
             stamps: Of the headers [ns], shape (m,).
-            values: In the order of the places, NaN for none, shape (m, J, width).
+            values: In the order of the places, NaN for none, shape (m, k).
             entries: Which ones; all if None.
         """
         chosen = tuple(range(len(self._names)) if entries is None else entries)
         if chosen not in self._encoders:
             self._encoders[chosen] = JointStateEncoder([self._names[entry] for entry in chosen])
-        numbers = (self._numbers(field, chosen, values) for field in FIELDS)
+        numbers = []
+        for columns in self._columns.values():
+            own = np.full((len(values), len(chosen)), np.nan)
+            there = [k for k, entry in enumerate(chosen) if entry in columns]
+            own[:, there] = values[:, [columns[chosen[k]] for k in there]]
+            numbers.append(own if there else own[:1, :0])
         return self._encoders[chosen].encode_rows(stamps, *numbers)
 
-    def _numbers(self, field: Field, entries: Sequence[int], values: Array) -> Array:
-        columns = [self._columns[field][entry] for entry in entries]
-        if all(column is None for column in columns):
-            return np.zeros((1, 0))
-        found = np.full((len(values), len(columns)), np.nan)
-        for place, column in enumerate(columns):
-            if column is not None:
-                found[:, place] = values[:, column[0], column[1]]
+
+class Times3(NamedTuple):
+    """Header stamps, log times and publish times of m messages [ns], shape (m,) each."""
+
+    stamps: Times
+    log_times: Times
+    publish_times: Times
+
+    def take(self, places: NDArray[np.intp] | NDArray[np.bool_] | slice) -> "Times3":
+        """Return some of them."""
+        return Times3(*(array[places] for array in self))
+
+
+class EstimateEncoder:
+    """Makes the messages of one observer from arrays, byte for byte those of the node.
+
+    Args:
+        prefix: Of the topics' names, with a slash at its end.
+        joints: The places of each joint's numbers.
+    """
+
+    def __init__(self, prefix: str, joints: Sequence[Places]) -> None:
+        self._prefix = prefix
+        optional = (*topics.TORQUE_TOPICS, *topics.PARAMETER_TOPICS)
+        there = {name for places in joints for name in optional if places[name]}
+        names = [*topics.TOPICS, *(name for name in optional if name in there)]
+        self._layouts = {n: Layout([place for one in joints for place in one[n]]) for n in names}
+        self._widths = {name: [len(one[name]) for one in joints] for name in names}
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Full names of the topics."""
+        return tuple(self._prefix + name for name in self._layouts)
+
+    def messages(self, topic: str, at: Times3, values: Sequence[Array]) -> list[MessageSeries]:
+        """Return messages of what there is.
+
+        Args:
+            topic: One of `bag.estimate_topics`.
+            at: Times of the messages.
+            values: Of each joint in the order of `places_of`, NaN for none, shape (m, width);
+                a joint without any may have fewer.
+        """
+        if topic not in self._layouts:
+            return []
+        layout, found = self._layouts[topic], []
+        widths = self._widths[topic]
+        padded = [np.full((len(at.stamps), width), np.nan) for width in widths]
+        columns = []
+        for own, given, width in zip(padded, values, widths, strict=True):
+            own[:, : given.shape[1]] = given[:, :width]
+            is_there = np.isfinite(own)
+            if topic != topics.INNOVATION and width:
+                # The first number of a joint decides on all of them.
+                is_there = np.repeat(is_there[:, :1], width, axis=1)
+            columns.append(is_there)
+        numbers = np.hstack(padded)
+        for entries, rows in _alike(layout.entries_of(np.hstack(columns))):
+            chosen = at.take(rows)
+            data = layout.encode(chosen.stamps, numbers[rows], entries)
+            found.append(MessageSeries(self._prefix + topic, JOINT_STATE, *chosen[1:], data))
         return found
+
+
+def _alike(present: NDArray[np.bool_]) -> Iterator[tuple[list[int], NDArray[np.intp]]]:
+    """Yield each set of entries that messages have, and the places of those messages."""
+    if len(present) and present.all():
+        yield list(range(present.shape[1])), np.arange(len(present))
+        return
+    for pattern in np.unique(present, axis=0):
+        if pattern.any():
+            yield np.flatnonzero(pattern).tolist(), np.flatnonzero((present == pattern).all(axis=1))

@@ -1,16 +1,15 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded measurements of some joints, in order of arrival, and the bags that hold them."""
+"""Recorded measurements of some joints, in the order of recording, and the bags that hold them."""
 
 import math
 from abc import ABC, abstractmethod
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.copying import ChunkCopy
 from tsobs_ros.bag.joint_series import (
     JointSeries,
+    RawMessages,
     Times,
     Wanted,
     read_blocks,
@@ -28,6 +28,7 @@ from tsobs_ros.bag.joint_series import (
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
+from tsobs_ros.bag.tick_log import TICK_LOG
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
@@ -44,115 +45,59 @@ UNNAMED_SYSTEM = "system"
 _RESTART = NANOSECONDS
 RESTART_MESSAGES = 10
 """So many messages in a row must lie back: one straggler is no restart."""
-SAME_CLOCK = NANOSECONDS
-"""Clocks that differ by this or more are not the same clock [ns]."""
+_SAME_CLOCK = NANOSECONDS
 _FIRST_MESSAGES = 1000
 _SURVEYED = 2**15
-UNKNOWN = np.iinfo(np.int64).max
-"""Time of use of a measurement without innovation [ns], later than all others."""
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Messages with measurements of J joints, n of them in order of arrival.
+    """Messages with measurements of J joints, n of them.
 
     Attributes:
         stamps: Sampling times of the angles [ns], shape (n,).
         log_times: Recording times of the messages, ns since the epoch, shape (n,).
-        publish_times: Publishing times, ns since the epoch, shape (n,).
         y: Outputs, NaN of one that is missing or that a joint does not have, shape (n, J, p).
         u: Inputs and scheduled signals, 0 of one that a joint does not have, shape (n, J, m).
         named: Whether the message has an entry of the joint, shape (n, J).
         complete: Whether it has an output and all inputs of it, shape (n, J).
-        clock: Whether stamps and log times are of the same clock; None to judge by these messages.
-        newest: Largest stamp before these messages since time restarted [ns].
+        checksums: CRC-32 of the messages, shape (n,).
     """
 
     stamps: Times
     log_times: Times
-    publish_times: Times
     y: Array
     u: Array
     named: Flags
     complete: Flags
-    clock: bool | None = None
-    newest: int = 0
+    checksums: NDArray[np.int64]
 
     @property
     def count(self) -> int:
         """The number of messages."""
         return len(self.stamps)
 
-    @cached_property
-    def passes(self) -> list[tuple[int, int]]:
-        """The begin and end of each pass of time; the first may be empty, or go on."""
-        return passes(self.stamps, self.newest)
-
-    @property
-    def usable(self) -> Flags:
-        """Whether an observer may use a message of any joint, shape (n,)."""
-        numbers = np.isfinite(self.y).any(axis=2) & np.isfinite(self.u).all(axis=2)
-        return np.asarray((self.complete & numbers).any(axis=1) & (self.stamps > 0))
-
-    @cached_property
-    def same_clock(self) -> bool:
-        """Whether stamps and log times seem to be of the same clock."""
-        if self.clock is not None or not self.count:
-            return self.clock is not False
-        return abs(float(np.median(self.log_times - self.stamps))) < SAME_CLOCK
-
-    @cached_property
-    def arrivals(self) -> Times:
-        """Arrival times on the clock of the stamps [ns], or the best guess at them."""
-        if self.same_clock:
-            return self.log_times
-        # Log times of another clock give the order only: each arrives when it is sampled.
-        latest = [np.maximum.accumulate(self.stamps[a:b]) for a, b in self.passes]
-        np.maximum(latest[0], self.newest, out=latest[0])
-        return np.concatenate(latest)
-
-    def take(self, places: NDArray[np.intp] | slice) -> "Samples":
+    def take(self, places: NDArray[np.intp] | Flags | slice) -> "Samples":
         """Return some of the messages, or all of them in another order."""
-        return replace(self, **{name: getattr(self, name)[places] for name in _ARRAYS})
+        return Samples(*(getattr(self, field.name)[places] for field in fields(Samples)))
 
     def followed_by(self, *others: "Samples") -> "Samples":
         """Return these messages and others behind them."""
-        joined: dict[str, Any] = {
-            name: np.concatenate([getattr(one, name) for one in (self, *others)])
-            for name in _ARRAYS
-        }
-        return replace(self, **joined)
-
-    def newest_before(self, message: int) -> int:
-        """Return the largest stamp before a message, since time restarted [ns]."""
-        begins = [begin for begin, _ in self.passes if begin < message]
-        if not begins:
-            return self.newest
-        stamps = self.stamps[begins[-1] : message]
-        return int(stamps.max(initial=self.newest if len(begins) == 1 else 0))
-
-    def in_order_of_publishing(self) -> "Samples":
-        """Return them as a subscriber receives them: each publisher's come in its order."""
-        return self.take(np.argsort(self.publish_times, kind="stable"))
+        names = [field.name for field in fields(Samples)]
+        return Samples(
+            *(np.concatenate([getattr(one, name) for one in (self, *others)]) for name in names)
+        )
 
 
-_ARRAYS = [field.name for field in fields(Samples) if field.name not in ("clock", "newest")]
-
-
-def wanted_measurements(joints: Sequence[Signals]) -> Wanted:
-    """Return the places of the joints' outputs, of their inputs, and of those instead of these."""
-    return [
-        *(one.outputs for one in joints),
-        *(one.inputs for one in joints),
-        *(one.other_inputs for one in joints),
-    ]
-
-
-def samples_of(series: JointSeries, joints: Sequence[Signals], assume_zero_torque: bool) -> Samples:
+def samples_of(
+    series: JointSeries, raw: RawMessages, joints: Sequence[Signals], assume_zero_torque: bool
+) -> Samples:
     """Return the measurements in a topic's messages.
 
     Args:
-        series: With the places of `wanted_measurements`.
+        series: With the places of each joint's outputs, then of each one's inputs, then of those
+            instead of these.
+        raw: The same messages.
         joints: The places of the signals of J joints.
         assume_zero_torque: Take messages without a number of an input as 0.
     """
@@ -171,14 +116,17 @@ def samples_of(series: JointSeries, joints: Sequence[Signals], assume_zero_torqu
         there[:, joint] |= silent
         u[:, joint][silent] = 0.0
     named: Flags = np.asarray(series.named.reshape(len(u), 3, count).any(axis=1))
+    checksums = np.zeros(len(u), np.int64)
+    for places, data in raw.groups:
+        checksums[places] = [crc32(row) for row in data]
     return Samples(
         series.stamps,
         series.log_times,
-        series.publish_times,
         np.ascontiguousarray(y),
         u,
         named,
         np.asarray(outputs & there.all(axis=2)),
+        checksums,
     )
 
 
@@ -209,19 +157,6 @@ def passes(stamps: Sequence[int] | Times, highest: int = 0) -> list[tuple[int, i
     return list(pairwise([0, *restarts(stamps, highest), len(stamps)]))
 
 
-@dataclass(frozen=True)
-class Live:
-    """The recorded output of a running observer.
-
-    Attributes:
-        states: States of every joint.
-        others: Its other recorded topics, by the names in `estimate_topics`.
-    """
-
-    states: JointSeries
-    others: dict[str, JointSeries]
-
-
 class Truth(NamedTuple):
     """The recorded truth of a simulation; None where there is none.
 
@@ -241,13 +176,13 @@ class Part(NamedTuple):
 
     Attributes:
         samples: Measurements in the order of recording.
-        others: Output of the observer that ran during the recording, by the names in
-            `estimate_topics`.
+        live: Output of the observer that ran during the recording, by the names in
+            `estimate_topics`; empty without a tick log.
         horizon: Log time from which on messages of the next part may be [ns]; infinite in the last.
     """
 
     samples: Samples
-    others: dict[str, JointSeries]
+    live: dict[str, RawMessages]
     horizon: float = math.inf
 
 
@@ -265,9 +200,11 @@ class Source(ABC):
         count: Number of messages with measurements.
         span: Smallest and largest log time of them, ns since the epoch.
         same_clock: Whether stamps and log times seem to be of the same clock.
+        without_input: Number of messages with an output of a joint, but without its inputs.
         topic: Name of the measurements' topic, or of the log's file.
         namespace: Begin of the topics' names: empty, or with a slash at its front only.
         was_observed: Whether there is output of an observer that ran during the recording.
+        has_ticks: Whether there is its tick log, too.
         damage: The error that ended reading early.
         remarks: Notes for the user.
         guessed: Whether the joints are those of the first messages, for want of anything better.
@@ -281,9 +218,11 @@ class Source(ABC):
     count: int
     span: tuple[int, int]
     same_clock: bool
+    without_input = 0
     topic: str
     namespace = ""
     was_observed = False
+    has_ticks = False
     damage: BagReadError | None = None
     remarks: tuple[str, ...] = ()
     guessed = False
@@ -339,22 +278,13 @@ class Source(ABC):
         """Decide what is read, and survey it."""
 
     @abstractmethod
-    def parts(self, size: int | None = None, with_live: bool = True) -> Iterator[Part]:
+    def parts(self, size: int | None = None, with_live: bool = False) -> Iterator[Part]:
         """Yield the recording in parts.
 
         Args:
             size: Number of messages in a part, divisible by 4; None for a single part.
-            with_live: Whether to read the live observer's output besides the innovations.
+            with_live: Whether to read the recorded observer's output.
         """
-
-    def in_order(self, samples: Samples, others: Mapping[str, JointSeries]) -> Samples:
-        """Return measurements in the order in which an observer uses them.
-
-        Args:
-            samples: In the order of recording.
-            others: Output of the observer that ran during the recording.
-        """
-        return samples
 
     @abstractmethod
     def messages(self) -> Iterator[BagMessage]:
@@ -412,11 +342,16 @@ class BagSource(Source):
         )
         if assume_zero_torque is None:
             assume_zero_torque = self.ran.settings().assume_zero_torque
-        names = [n for n in (*topics.TOPICS, *topics.TORQUE_TOPICS) if n != topics.HEALTH]
-        self._live = self._there({name: f"{observer}/{name}" for name in names})
+        self._assume_zero_torque = assume_zero_torque
+        known = (*topics.TOPICS, *topics.TORQUE_TOPICS, *topics.PARAMETER_TOPICS)
+        self._live = self._there({name: f"{observer}/{name}" for name in known})
         states = self._live.get(topics.STATES)
         self.was_observed = states is not None and self._reader.topics[states].count > 0
-        self._assume_zero_torque = assume_zero_torque
+        ticks = f"{self.namespace}/{observer}/{topics.TICKS}"
+        info = self._reader.topics.get(ticks)
+        self.has_ticks = info is not None and info.type == TICK_LOG and info.count > 0
+        if self.has_ticks:
+            self._live[topics.TICKS] = ticks
         shown = self.topic, *self._there({n: n for n in topics.TRUTH}).values()
         self.topics = tuple(self._reader.topics[name] for name in shown)
 
@@ -426,29 +361,32 @@ class BagSource(Source):
 
     def _observe(self) -> None:
         self.signals = self.signals_of(self._requests)
-        each = zip(self.joints, self.signals, strict=True)
-        self._places = [places_of(joint, own, alone=self.alone) for joint, own in each]
         self._survey()
         if not self.same_clock:
             self.remarks = (
                 "note: the bag's stamps and log times are of different clocks, so each measurement "
                 "is taken to have arrived when it was sampled",
             )
+        if self.was_observed and not self.has_ticks:
+            self.remarks += (
+                f"note: the bag has no tick log (topic {topics.TICKS} of the observer): estimates "
+                "are made at the measurements' stamps, and not compared with the live ones",
+            )
         if self._reader.unchecked:
             self.remarks += (f"note: {UNCHECKED}",)
 
-    def parts(self, size: int | None = None, with_live: bool = True) -> Iterator[Part]:
-        live = {n: f for n, f in self._live.items() if with_live or n == topics.INNOVATION}
-        wanted = {self.topic: self._wanted(MEASUREMENTS)}
-        wanted |= {full: self._wanted(name) for name, full in live.items()}
-        for series, horizon in read_blocks(self._reader, wanted, size, on_damage=self._damaged):
-            samples = samples_of(series[self.topic], self.signals, self._assume_zero_torque)
-            others = {name: series[full] for name, full in live.items()}
-            yield Part(replace(samples, clock=self.same_clock), others, horizon)
-
-    def in_order(self, samples: Samples, others: Mapping[str, JointSeries]) -> Samples:
-        samples, innovations = samples.in_order_of_publishing(), others.get(topics.INNOVATION)
-        return samples if innovations is None else in_order_of_use(samples, innovations)
+    def parts(self, size: int | None = None, with_live: bool = False) -> Iterator[Part]:
+        wanted = {self.topic: self._wanted()}
+        live = self._live if with_live else {}
+        raw = [self.topic, *live.values()]
+        for block in read_blocks(self._reader, wanted, size, raw=raw, on_damage=self._damaged):
+            samples = samples_of(
+                block.series[self.topic],
+                block.raw[self.topic],
+                self.signals,
+                self._assume_zero_torque,
+            )
+            yield Part(samples, {name: block.raw[n] for name, n in live.items()}, block.horizon)
 
     def messages(self) -> Iterator[BagMessage]:
         names = [topic.name for topic in self.topics]
@@ -461,12 +399,21 @@ class BagSource(Source):
 
     def truth(self, size: int | None = None) -> Iterator[Truth]:
         there = self._there({name: name for name in topics.TRUTH})
-        wanted = {full: self._wanted(name) for name, full in there.items()}
-        for series, _ in read_blocks(self._reader, wanted, size, on_damage=self._damaged):
-            yield Truth(*(series.get(there.get(name, "")) for name in topics.TRUTH))
+        each = zip(self.joints, self.signals, strict=True)
+        places = [places_of(joint, own, alone=self.alone) for joint, own in each]
+        wanted = {full: [own[name] for own in places] for name, full in there.items()}
+        for block in read_blocks(self._reader, wanted, size, on_damage=self._damaged):
+            yield Truth(*(block.series.get(there.get(name, "")) for name in topics.TRUTH))
 
     def _damaged(self, error: BagReadError) -> None:
         self.damage = error
+
+    def _wanted(self) -> Wanted:
+        return [
+            *(one.outputs for one in self.signals),
+            *(one.inputs for one in self.signals),
+            *(one.other_inputs for one in self.signals),
+        ]
 
     def _there(self, names: dict[str, str]) -> dict[str, str]:
         """Return the full names of those topics in the namespace that the bag has."""
@@ -495,11 +442,6 @@ class BagSource(Source):
         what = "several topics end" if names else "no topic ends"
         raise BagReadError(f"{self.path}: {what} in {MEASUREMENTS}, choose one of: {has}")
 
-    def _wanted(self, topic: str) -> Wanted:
-        if topic == MEASUREMENTS:
-            return wanted_measurements(self.signals)
-        return [places[topic] for places in self._places]
-
     def _is_in(self, names: Sequence[str], joint: str) -> bool:
         """Return whether messages with some names may be about a joint of the live observer."""
         if len(self.ran.designs) == 1:
@@ -517,22 +459,25 @@ class BagSource(Source):
 
     def _survey(self) -> None:
         """Read the measurements for what must be known before the first of them is used."""
-        wanted = {self.topic: [own.outputs for own in self.signals]}
-        count, before, after = 0, 0, 0
+        count, apart_by = 0, np.zeros(2, np.int64)
         outputs = max((len(own.outputs) for own in self.signals), default=0)
         there = np.zeros((len(self.joints), outputs), np.bool_)
         named = np.zeros(len(self.joints), np.bool_)
         others, times = dict[str, None](), []
+        joints = slice(len(self.joints))
+        wanted = {self.topic: self._wanted()}
         for block in read_blocks(self._reader, wanted, _SURVEYED, on_damage=self._damaged):
             measured = block.series[self.topic]
             if measured.count:
                 times += [int(measured.log_times.min()), int(measured.log_times.max())]
             apart = measured.log_times - measured.stamps
             count += measured.count
-            before += int((apart <= -SAME_CLOCK).sum())
-            after += int((apart >= SAME_CLOCK).sum())
-            there |= measured.given.any(axis=0)
-            named |= measured.named.any(axis=0)
+            apart_by += [(apart <= -_SAME_CLOCK).sum(), (apart >= _SAME_CLOCK).sum()]
+            given = measured.given[:, joints, :outputs]
+            there |= given.any(axis=0)
+            named |= measured.named[:, joints].any(axis=0)
+            inputs = measured.given[:, joints.stop :].any(axis=(1, 2))
+            self.without_input += int((given.any(axis=(1, 2)) & ~inputs).sum())
             others |= dict.fromkeys(measured.other_names)
         if not count:
             raise self.damage or BagReadError(f"{self.path}: no message on {self.topic}")
@@ -551,7 +496,7 @@ class BagSource(Source):
         self._require_outputs(there, others)
         self.count, self.span = count, (min(times), max(times))
         # As of the median of the differences.
-        self.same_clock = 2 * max(before, after) < count
+        self.same_clock = bool(2 * apart_by.max() < count)
 
     def _require_outputs(self, there: Flags, others: Iterable[str]) -> None:
         """Raise `BagReadError` if no message has some output, which none lacks by chance."""
@@ -578,95 +523,3 @@ class BagSource(Source):
 def _is_motor(name: str, names: Sequence[str]) -> bool:
     """Return whether a name is that of the motor of another one's joint."""
     return any(name == topics.sides(other)[1] for other in names)
-
-
-def in_order_of_use(samples: Samples, innovations: JointSeries) -> Samples:
-    """Return the messages in the order in which a recorded observer used them.
-
-    Those of one publisher come in its order. Between publishers the innovations decide, since
-    messages may overtake each other. A message without innovation is taken to have been as long on
-    its way as the others of the same joints are, which is the best guess there is.
-
-    Args:
-        samples: In the order of publishing.
-        innovations: The recorded ones.
-    """
-    used_at = times_of_use(samples, innovations)
-    keys = np.zeros(samples.count, np.int64)
-    for joints in np.unique(samples.named, axis=0):
-        own = np.flatnonzero((samples.named == joints).all(axis=1))
-        keys[own] = _filled_in(used_at[own], samples.publish_times[own])
-    return samples.take(np.argsort(keys, kind="stable"))
-
-
-def _filled_in(used_at: Times, published: Times) -> Times:
-    """Return the times of use of one publisher's messages, the unknown ones estimated."""
-    known = used_at != UNKNOWN
-    if not known.any():
-        return published
-    usual = published + int(np.median(used_at[known] - published[known]))
-    after = np.maximum.accumulate(np.where(known, used_at, 0))
-    before = np.minimum.accumulate(used_at[::-1])[::-1]
-    return np.asarray(np.maximum.accumulate(np.clip(usual, after, before)))
-
-
-def times_of_use(samples: Samples, innovations: JointSeries) -> Times:
-    """Return the publishing time of each measurement's innovation [ns], shape (n,).
-
-    It is `UNKNOWN` of a measurement without innovation.
-    """
-    places = places_of_innovations(samples, innovations)
-    return np.append(innovations.publish_times, UNKNOWN)[places]
-
-
-def places_of_innovations(samples: Samples, innovations: JointSeries) -> NDArray[np.intp]:
-    """Return the place of each measurement's recorded innovation, -1 without, shape (n,)."""
-    found = np.full(samples.count, -1)
-    # Messages with the same stamp, each of another joint, have an innovation each.
-    for joints in np.unique(samples.named, axis=0):
-        own = np.flatnonzero((samples.named == joints).all(axis=1))
-        theirs = np.flatnonzero(innovations.named[:, joints].any(axis=1))
-        places = match(samples.take(own), innovations.take(theirs))
-        found[own[places >= 0]] = theirs[places[places >= 0]]
-    return found
-
-
-class Stamped(Protocol):
-    """What has stamps and publishing times [ns], shape (n,) each."""
-
-    @property
-    def stamps(self) -> Times: ...
-
-    @property
-    def publish_times(self) -> Times: ...
-
-
-def match(wanted: Stamped, there: Stamped) -> NDArray[np.intp]:
-    """Return the place of each stamp, -1 for none, and no place twice, shape (n,).
-
-    After a restart of time stamps occur again: those belong together that were published at about
-    the same time. Of those in the same pass of time it is the first.
-    """
-    found = np.full(len(wanted.stamps), -1)
-    stamps, inverse = np.unique(np.concatenate([wanted.stamps, there.stamps]), return_inverse=True)
-    own, others = inverse[: len(found)], inverse[len(found) :]
-    counts = [np.bincount(each, minlength=len(stamps)) for each in (own, others)]
-    single = (counts[0] == 1) & (counts[1] == 1)
-    place = np.full(len(stamps), -1)
-    place[others] = np.arange(len(others))
-    once = single[own]
-    found[once] = place[own[once]]
-    several = np.flatnonzero(~single[others] & (counts[0][others] > 0))
-    if not len(several):
-        return found
-    candidates: dict[int, list[int]] = defaultdict(list)
-    for row in np.flatnonzero(~once & (counts[1][own] > 0)).tolist():
-        candidates[own[row]].append(row)
-    begins = [begin for begin, _ in passes(wanted.stamps.tolist())]
-    pass_of = np.searchsorted(begins, np.arange(len(found)), side="right")
-    for row in several[np.argsort(there.publish_times[several], kind="stable")].tolist():
-        if rows := candidates[others[row]]:
-            apart = np.abs(wanted.publish_times[rows] - there.publish_times[row])
-            alike = pass_of[rows] == pass_of[rows[int(np.argmin(apart))]]
-            found[rows.pop(int(np.argmax(alike)))] = row
-    return found

@@ -1,29 +1,87 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A recording in windows of bounded size, each with the ticks that nothing behind it concerns.
+"""A recording in windows of bounded size: ticks of an observer, and the samples that each takes.
 
-What a window's ticks have not used comes again at the front of the next window. So memory does not
-grow with the recording, and estimates are those of a window that has all of it.
+The ticks are those of the recorded observer, as its tick log has them, or one for each measurement
+in the order of recording, or at a fixed rate.
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.joint_series import JointSeries
+from tsobs_ros.bag.joint_series import RawMessages, Times
+from tsobs_ros.bag.tick_log import decode_ticks
 from tsobs_ros.checks import Flags
-from tsobs_ros.replay.replay import Replay
-from tsobs_ros.replay.schedule import Past, Schedule, as_recorded, at_rate, at_samples
-from tsobs_ros.replay.source import Live, Samples, Source, places_of_innovations
-from tsobs_ros.replay.table import Recorded
+from tsobs_ros.errors import MessageError
+from tsobs_ros.replay.source import Part, Samples, Source, restarts
 from tsobs_ros.series import NANOSECONDS
 
 WINDOW = 2**15
-"""Number of messages in a window: some 25 s of a bag with live estimates at 200 Hz."""
+"""Number of messages that are read at once: some 25 s of a bag with live estimates at 200 Hz."""
+
+_MAX_TICKS = 4096
+# A tick's messages and measurements are recorded in another order than they were sent [ns].
+_GRACE = NANOSECONDS
+# Messages at the end of a part that are looked at again with the next one.
+_HELD = 64
+
+Bytes = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Ticks:
+    """Ticks of an observer, m of them.
+
+    Attributes:
+        stamps: Of the estimates [ns], shape (m,).
+        now: Times on the observer's clock, to recognise stamps from the future [ns], shape (m,).
+        known: Numbers of samples taken by the end of each, shape (m,).
+        resets: 1 if the observer forgets everything before it, else 0, shape (m,).
+        estimated: Whether there are estimates, shape (m,).
+        log_times: Of the estimates, ns since the epoch, shape (m,).
+        publish_times: Of the same, shape (m,).
+    """
+
+    stamps: Times
+    now: Times
+    known: Times
+    resets: Times
+    estimated: Flags
+    log_times: Times
+    publish_times: Times
+
+    @property
+    def count(self) -> int:
+        """The number of ticks."""
+        return len(self.stamps)
+
+    def take(self, places: NDArray[np.intp] | slice) -> "Ticks":
+        """Return some of the ticks."""
+        return Ticks(*(getattr(self, item.name)[places] for item in fields(Ticks)))
+
+
+@dataclass
+class LiveCounts:
+    """What the tick log tells of the recorded observer.
+
+    Attributes:
+        not_recorded: Number of measurements that it took, but the bag lacks.
+        not_received: Number of those in the bag that it did not take.
+        lost_ticks: Number of ticks that the log lacks.
+        ran_before: Whether it had estimated before the log begins.
+    """
+
+    not_recorded: int = 0
+    not_received: int = 0
+    lost_ticks: int = 0
+    ran_before: bool = False
 
 
 @dataclass(frozen=True)
@@ -32,37 +90,33 @@ class Window:
 
     Attributes:
         samples: Measurements in the order of use.
-        schedule: Ticks, also some that may change with what follows.
-        recorded: Output of the observer that ran during the recording, if the schedule is its.
-        restarts: Recorded restarts that were not in a window before.
-        ticks: Number of the schedule's ticks to make.
-        known: Number of the first samples among which no later one will come.
+        ticks: Which samples are taken when; of all that are used.
+        live: The recorded observer's messages by topic, in groups of the same size.
         horizon: Smallest log time of what follows [ns]; infinite in the last window.
-        not_recorded: Number of recorded innovations whose measurements neither it nor what follows
-            has.
+        at_samples: Whether there are only estimates at measurements that are in use.
+        is_whole: Whether the live messages of all ticks until now have come.
     """
 
     samples: Samples
-    schedule: Schedule
-    recorded: Recorded | None
-    restarts: JointSeries | None
-    ticks: int
-    known: int
-    horizon: float
-    not_recorded: int = 0
+    ticks: Ticks
+    live: dict[str, RawMessages] = field(default_factory=dict)
+    horizon: float = math.inf
+    at_samples: bool = False
+    is_whole: bool = True
 
-    @property
-    def is_last(self) -> bool:
-        """Whether nothing follows."""
-        return self.horizon == math.inf
-
-
-class User(Protocol):
-    """What runs over windows."""
-
-    replay: Replay
-
-    def enter(self, window: Window, dropped: int) -> None: ...
+    def pieces(self) -> Iterator["Window"]:
+        """Yield the window in parts with few ticks each; the first has the live messages."""
+        ticks, live = self.ticks, self.live
+        for begin in range(0, max(1, ticks.count), _MAX_TICKS):
+            own = ticks.take(slice(begin, begin + _MAX_TICKS))
+            following = ticks.log_times[begin + _MAX_TICKS :]
+            first = int(ticks.known[begin - 1]) if begin else 0
+            last = int(own.known[-1]) if own.count else 0
+            own = replace(own, known=own.known - first)
+            samples = self.samples.take(slice(first, last))
+            horizon = min(self.horizon, following.min(initial=2**62))
+            yield Window(samples, own, live, horizon, self.at_samples, not len(following))
+            live = {}
 
 
 class Windows:
@@ -72,106 +126,250 @@ class Windows:
         source: The recording.
         rate: Estimate at this rate [Hz]; None: at every measurement.
         as_live: Estimate, instead of both, when the recorded observer did.
-        size: Largest number of messages that a window has besides those of the one before,
-            divisible by 4; None for a single window.
+        size: Number of messages that are read at once, divisible by 4; None for all.
 
     Attributes:
-        as_live: Whether estimates are made when the recorded observer made its.
+        as_live: Whether the ticks are those of the tick log.
+        counts: What the tick log has told until now.
     """
 
     def __init__(
         self, source: Source, rate: float | None, as_live: bool, size: int | None = None
     ) -> None:
         self._source, self._rate, self._size = source, rate, size
-        self.as_live = as_live and source.was_observed
+        self.as_live = as_live and source.has_ticks
+        self.counts = LiveCounts()
 
-    def over(self, users: Sequence[User]) -> Iterator[Window]:
-        """Enter each window into all users, and yield it for them to make its ticks."""
-        past, dropped, frozen = Past(), 0, 0
-        kept: tuple[Samples, dict[str, JointSeries]] | None = None
-        for samples, others, horizon in self._source.parts(self._size, self.as_live):
-            restarts = others.get(topics.RESTARTS)
-            if kept is not None:
-                samples = kept[0].followed_by(samples)
-                others = {name: kept[1][name].followed_by(one) for name, one in others.items()}
-            if (states := others.get(topics.STATES)) is not None:
-                order = np.argsort(states.publish_times, kind="stable")
-                others[topics.STATES] = states.take(order)
-            # What was used already keeps its order.
-            used = samples.take(slice(0, frozen))
-            samples = used.followed_by(
-                self._source.in_order(samples.take(slice(frozen, None)), others)
-            )
-            window = self._window(samples, others, restarts, horizon, past)
-            for user in users:
-                user.enter(window, dropped)
-            yield window
-            if window.is_last:
-                return
-            dropped = min(user.replay.taken for user in users)
-            frozen = max(max(user.replay.reached for user in users) - dropped, 0)
-            past = past.after(window.schedule, window.ticks, samples, dropped)
-            newest = samples.newest_before(dropped)
-            rest = replace(samples.take(slice(dropped, None)), newest=newest)
-            kept = rest, self._rest(window, others, dropped)
+    def __iter__(self) -> Iterator[Window]:
+        parts = self._source.parts(self._size, with_live=self.as_live)
+        made = self._of_tick_log(parts) if self.as_live else self._of_samples(parts)
+        if self._size is None:
+            yield _together(list(made))
+        else:
+            for window in made:
+                yield from window.pieces()
+
+    def _of_samples(self, parts: Iterator[Part]) -> Iterator[Window]:
+        """Yield windows whose ticks are at samples, or at a rate, in the order of recording."""
+        waiting: Samples | None = None
+        highest = latest = 0
+        clock = _RateClock(self._rate) if self._rate else None
+        for samples, _, horizon in parts:
+            waiting = samples if waiting is None else waiting.followed_by(samples)
+            stamps, is_last = waiting.stamps, horizon == math.inf
+            # Whether time restarts at a message shows in the next ones.
+            count = waiting.count if is_last else max(0, waiting.count - _HELD)
+            begins = [begin for begin in restarts(stamps, highest) if begin < count]
+            arrivals = np.empty(count, np.int64)
+            times = waiting.log_times if self._source.same_clock else stamps
+            for number, (begin, end) in enumerate(pairwise([0, *begins, count])):
+                if number:
+                    highest = latest = 0
+                arrivals[begin:end] = np.maximum.accumulate(np.append(latest, times[begin:end]))[1:]
+                highest = int(stamps[begin:end].max(initial=highest))
+                latest = int(arrivals[begin:end].max(initial=latest))
+            taken = waiting.take(slice(count))
+            waiting = waiting.take(slice(count, None))
+            following = float(waiting.log_times.min()) if waiting.count else math.inf
+            if clock is None:
+                yield Window(taken, _at_samples(taken, arrivals, begins), {}, following, True)
+            else:
+                yield from clock.windows(taken, arrivals, begins, self._size, is_last=is_last)
+
+    def _of_tick_log(self, parts: Iterator[Part]) -> Iterator[Window]:
+        """Yield windows with the ticks of the recorded observer."""
+        log = _TickLog(self.counts)
+        pool: Samples | None = None
+        for samples, live, horizon in parts:
+            pool = samples if pool is None else pool.followed_by(samples)
+            log.add(live.pop(topics.TICKS))
+            ticks, checksums = log.take(horizon - _GRACE)
+            places = _match(checksums, pool.checksums)
+            there = places >= 0
+            self.counts.not_recorded += int((~there).sum())
+            ticks.known[:] = np.append(0, np.cumsum(there))[ticks.known]
+            used = pool.take(places[there])
+            yield Window(_in_order(used, ticks.known), ticks, live, horizon - _GRACE)
+            left = np.ones(pool.count, np.bool_)
+            left[places[there]] = False
+            keep = left & (pool.log_times >= horizon - 2 * _GRACE)
+            self.counts.not_received += int((left & ~keep).sum())
+            pool = pool.take(keep)
+
+
+def _together(windows: list[Window]) -> Window:
+    """Return one window of all that there is."""
+    if len(windows) == 1:
+        return windows[0]
+    samples = windows[0].samples.followed_by(*(one.samples for one in windows[1:]))
+    begins = np.cumsum([0, *(one.samples.count for one in windows)])
+    columns = {
+        item.name: np.concatenate([getattr(one.ticks, item.name) for one in windows])
+        for item in fields(Ticks)
+    }
+    counts = [one.ticks.count for one in windows]
+    columns["known"] += np.repeat(begins[:-1], counts)
+    return Window(samples, Ticks(**columns))
+
+
+def _at_samples(samples: Samples, arrivals: Times, begins: list[int]) -> Ticks:
+    """Return a tick for each message; messages in a row with the same stamp share one."""
+    last = np.append(samples.stamps[1:] != samples.stamps[:-1], samples.count > 0)
+    for begin in begins:
+        last[begin - 1 : begin] = True
+    messages = np.flatnonzero(last)
+    resets = np.zeros(len(messages), np.int64)
+    resets[np.searchsorted(messages, begins)] = 1
+    times = samples.log_times[messages]
+    return Ticks(
+        samples.stamps[messages], arrivals[messages], messages + 1, resets,
+        np.ones(len(messages), np.bool_), times, times.copy(),
+    )  # fmt: skip
+
+
+class _RateClock:
+    """Ticks at a fixed rate on the clock of the recording, from the first arrival on.
+
+    Args:
+        rate: Ticks a second [Hz].
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._period = NANOSECONDS / rate
+        self._begin: int | None = None
+        self._made = self._reset = self._latest = self._delay = 0
+        self._rest: tuple[Samples, Times] | None = None
+
+    def windows(
+        self, samples: Samples, arrivals: Times, begins: list[int], size: int | None, *,
+        is_last: bool,
+    ) -> Iterator[Window]:  # fmt: skip
+        """Yield windows up to the last arrival, or restart; what no tick takes comes later.
+
+        Args:
+            samples: The next ones.
+            arrivals: Of these [ns], shape (n,).
+            begins: Places at which time restarts.
+            size: The largest number of ticks at once; None for any.
+            is_last: Whether nothing follows.
+        """
+        for number, (begin, end) in enumerate(pairwise([0, *begins, samples.count])):
+            if number:
+                self._begin, self._made, self._reset = None, 0, 1
+            ends = is_last or number < len(begins)
+            part = samples.take(slice(begin, end))
+            yield from self._of_pass(part, arrivals[begin:end], size or 2**62, ends=ends)
+
+    def _of_pass(
+        self, samples: Samples, arrivals: Times, limit: int, *, ends: bool
+    ) -> Iterator[Window]:
+        if self._rest is not None:
+            rest, arrived = self._rest
+            samples, arrivals = rest.followed_by(samples), np.append(arrived, arrivals)
+            self._rest = None
+        if not len(arrivals):
+            return
+        if self._begin is None:
+            self._begin = int(arrivals[0])
+        # More samples may yet arrive at the time of the last one.
+        until = int(arrivals[-1]) + ends
+        count, taken = math.ceil((until - self._begin) / self._period), 0
+        delays = np.append(self._delay, samples.log_times - arrivals)
+        while self._made < count:
+            places = np.arange(self._made, min(count, self._made + limit))
+            stamps = self._begin + np.round(places * self._period).astype(np.int64)
+            known = np.searchsorted(arrivals, stamps, side="right")
+            times = stamps + delays[known]
+            yield self._window(samples.take(slice(taken, None)), stamps, known - taken, times)
+            self._made, taken = self._made + len(stamps), int(known[-1])
+        self._delay = int(delays[taken])
+        rest = samples.take(slice(taken, None))
+        if ends and rest.count:
+            # What no tick takes is used all the same.
+            stamps, known = arrivals[-1:], np.array([rest.count])
+            yield self._window(rest, stamps, known, rest.log_times[-1:], estimated=False)
+        elif rest.count:
+            self._rest = rest, arrivals[taken:]
 
     def _window(
-        self,
-        samples: Samples,
-        others: dict[str, JointSeries],
-        restarts: JointSeries | None,
-        horizon: float,
-        past: Past,
-    ) -> Window:
-        recorded, last = None, horizon == math.inf
-        states = others.get(topics.STATES) if self.as_live else None
-        if states is not None:
-            innovations = others.get(topics.INNOVATION)
-            schedule = as_recorded(samples, states, innovations, others.get(topics.RESTARTS), past)
-            live = {name: one for name, one in others.items() if name != topics.STATES}
-            recorded = Recorded(Live(states, live), schedule, samples)
-        elif self._rate is None:
-            schedule = at_samples(samples)
-        else:
-            schedule = at_rate(samples, self._rate, past, self._size)
-        known, ticks, lost = samples.count, schedule.count, 0
-        if not last:
-            known = _first(samples.log_times >= horizon)
-            ticks = _first((schedule.max_known > known) | (schedule.log_times >= horizon))
-        if recorded is not None and (innovations := others.get(topics.INNOVATION)) is not None:
-            since = _since(schedule, ticks, horizon)
-            lost = int((innovations.log_times[recorded.unmatched] < since).sum())
-        return Window(samples, schedule, recorded, restarts, ticks, known, horizon, lost)
-
-    def _rest(
-        self, window: Window, others: dict[str, JointSeries], dropped: int
-    ) -> dict[str, JointSeries]:
-        """Return what the next window needs of the recorded output."""
-        schedule, ticks = window.schedule, window.ticks
-        since = _since(schedule, ticks, window.horizon)
-        rest = {}
-        for name, series in others.items():
-            if name == topics.STATES:
-                keep = np.arange(series.count) >= ticks
-            elif name == topics.RESTARTS:
-                before = np.searchsorted(schedule.publish_times, series.publish_times)
-                keep = before >= ticks
-            elif name == topics.INNOVATION:
-                places = places_of_innovations(window.samples, series)
-                matched = np.full(series.count, -1)
-                matched[places[places >= 0]] = np.flatnonzero(places >= 0)
-                keep = (matched >= dropped) | ((matched < 0) & (series.log_times >= since))
-            else:
-                keep = series.log_times >= since
-            rest[name] = series.take(keep)
-        return rest
+        self, samples: Samples, stamps: Times, known: NDArray[np.int64], times: Times, *,
+        estimated: bool = True,
+    ) -> Window:  # fmt: skip
+        resets = np.zeros(len(stamps), np.int64)
+        resets[0], self._reset = self._reset, 0
+        times = np.maximum.accumulate(np.append(self._latest, times))[1:]
+        self._latest = int(times[-1])
+        flags = np.full(len(stamps), estimated)
+        ticks = Ticks(stamps, stamps, known, resets, flags, times, times)
+        return Window(
+            _in_order(samples.take(slice(int(known[-1]))), known), ticks, {}, self._latest
+        )
 
 
-def _since(schedule: Schedule, ticks: int, horizon: float) -> float:
-    """Return the log time from which on output of the ticks to come may have been recorded [ns]."""
-    following = schedule.log_times[ticks : ticks + 1].tolist()
-    # A tick's messages may have been recorded in another order than they were published.
-    return float(min([horizon, *following])) - NANOSECONDS
+def _in_order(samples: Samples, known: NDArray[np.int64]) -> Samples:
+    """Return samples in the order of their stamps within each tick."""
+    if (np.diff(samples.stamps) >= 0).all():
+        return samples
+    of_tick = np.searchsorted(known, np.arange(samples.count), side="right")
+    return samples.take(np.lexsort((samples.stamps, of_tick)))
+
+
+class _TickLog:
+    """The ticks of a tick log that are not due yet."""
+
+    def __init__(self, counts: LiveCounts) -> None:
+        self._counts = counts
+        self._rows: list[tuple[int, int, list[int]]] = []
+        self._number = 0
+        self._is_first = True
+
+    def add(self, messages: RawMessages) -> None:
+        """Take in messages; those that are none of a tick log count as lost."""
+        log_times, publish_times = messages.log_times.tolist(), messages.publish_times.tolist()
+        for places, data in messages.groups:
+            try:
+                values = decode_ticks(data).tolist()
+            except MessageError:
+                continue
+            self._rows += [
+                (log_times[place], publish_times[place], one)
+                for place, one in zip(places.tolist(), values, strict=True)
+            ]
+        # In the order of sending.
+        self._rows.sort(key=lambda row: row[1])
+
+    def take(self, until: float) -> tuple[Ticks, NDArray[np.int64]]:
+        """Return the ticks that were recorded before a log time, and their checksums."""
+        due = next((k for k, row in enumerate(self._rows) if row[0] >= until), len(self._rows))
+        rows, self._rows = self._rows[:due], self._rows[due:]
+        values = np.array([one[:3] for _, _, one in rows], np.int64).reshape(-1, 3)
+        resets = (values[:, 1] == 1).astype(np.int64)
+        for number in values[:, 1].tolist():
+            if self._is_first:
+                self._counts.ran_before, self._is_first = number > 1, False
+            elif number > self._number + 1:
+                self._counts.lost_ticks += number - self._number - 1
+            elif number <= self._number and number > 1:
+                self._counts.lost_ticks += number - 1
+            self._number = number
+        times = np.array([row[:2] for row in rows], np.int64).reshape(-1, 2)
+        known = np.cumsum([len(one) - 3 for _, _, one in rows]).astype(np.int64)
+        checksums = np.array([each for _, _, one in rows for each in one[3:]], np.int64)
+        stamps = values[:, 0]
+        ticks = Ticks(stamps, stamps, known, resets, values[:, 2] == 1, times[:, 0], times[:, 1])
+        return ticks, checksums
+
+
+def _match(wanted: NDArray[np.int64], there: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Return the place of each wanted number, -1 for none, and no place twice, shape (n,)."""
+    count = len(wanted)
+    if count <= len(there) and (wanted == there[:count]).all():
+        return np.arange(count)
+    places: dict[int, list[int]] = defaultdict(list)
+    for place in range(len(there) - 1, -1, -1):
+        places[int(there[place])].append(place)
+    found = [places[one].pop() if places.get(one) else -1 for one in wanted.tolist()]
+    return np.array(found, np.intp)
 
 
 def _first(flags: Flags) -> int:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from tsobs_ros.checks import Array
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import TSRequest
@@ -347,36 +348,37 @@ class _Kept:
         own = of.signals[joint]
         p, m, plant, t = map(len, (own.outputs, own.inputs, own.states, own.torques))
         self._fields = {
-            "states": ("states", plant),
-            "state_bounds": ("state_bounds", plant),
-            "disturbance": ("disturbances", p),
-            "disturbance_bounds": ("disturbance_bounds", p),
-            "torque": ("torques", t),
-            "torque_bounds": ("torque_bounds", t),
+            "states": ("state", plant),
+            "state_bounds": ("state_bound", plant),
+            "disturbance": ("disturbance", p),
+            "disturbance_bounds": ("disturbance_bound", p),
+            "torque": ("torque_disturbance", t),
+            "torque_bounds": ("torque_disturbance_bound", t),
         }
         self._estimates = Rows({name: width for name, (_, width) in self._fields.items()})
         self._measurements, self.innovations = Rows({"values": p + m}), Rows({"values": p})
 
     def add(self) -> None:
         """Add what the run has made of its window."""
-        ticks, messages = self.of.made
-        samples, table, joint = self.of.samples.take(messages), self.of.table, self.joint
-        there = np.flatnonzero(np.isfinite(table.states[ticks, joint, 0]))
-        schedule = self.of.schedule
+        samples, ticks = self.of.window.samples, self.of.window.ticks
+        table, joint = self.of.table, self.joint
+        there = np.flatnonzero(np.isfinite(table.values(joint, "state")[:, 0]))
+
+        def values(name: str, width: int) -> Array:
+            found = table.values(joint, name)[there]
+            return found if found.shape[1] else np.full((len(there), width), np.nan)
+
         self._estimates.add(
-            stamps=schedule.stamps[there],
-            log_times=schedule.log_times[there],
-            **{
-                key: getattr(table, name)[there, joint, :width]
-                for key, (name, width) in self._fields.items()
-            },
+            stamps=ticks.stamps[there],
+            log_times=ticks.log_times[there],
+            **{key: values(*each) for key, each in self._fields.items()},
         )
         p = self.innovations.widths["values"]
         m = self._measurements.widths["values"] - p
-        values = np.hstack([samples.y[:, joint, :p], samples.u[:, joint, :m]])
-        innovations = table.innovations[messages, joint, :p]
+        measured = np.hstack([samples.y[:, joint, :p], samples.u[:, joint, :m]])
+        innovations = table.innovations[joint]
         for rows, numbers, own in (
-            (self._measurements, values, samples.complete[:, joint]),
+            (self._measurements, measured, samples.complete[:, joint]),
             (self.innovations, innovations, np.isfinite(innovations).any(axis=1)),
         ):
             rows.add(
