@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.request import Request
+from tsobs_ros.design.problem import Request
 from tsobs_ros.errors import CertificateError
 from tsobs_ros.model.vertices import VertexSystem
 

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tsobs_ros.design.problem import Channel, Request
 from tsobs_ros.design.remedies import helpful, remedies_of_hidden_modes
-from tsobs_ros.design.request import ArmRequest, Channel, Request, TSRequest
+from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import DetectabilityError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY
 from tsobs_ros.model.detectability import (

@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from tsobs_ros.design.request import CLEAN, ArmRequest, DisturbanceTerm, Output, Request, Terms
+from tsobs_ros.design.problem import CLEAN, DisturbanceTerm, Request, Terms
+from tsobs_ros.design.request import ArmRequest, Output
 from tsobs_ros.model.flow import ProcessNoise
 
 _BIAS, _DECAYING = DisturbanceTerm("bias"), DisturbanceTerm("gauss_markov")

@@ -9,317 +9,47 @@ differ; then matrices whose hull holds the Jacobian of f on the domain, `slope_v
 error exactly. Without them only the blend of the rules is proved, and `TSRequest.claim` says so.
 """
 
-import inspect
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from itertools import chain, product
-from typing import Any, NamedTuple, Self, TypeAlias
+from functools import cached_property
+from itertools import product
+from typing import Any, Self
 
-import msgspec
 import numpy as np
+from msgspec import structs
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, finite, non_negative, positive, shown
 from tsobs_ros.design.names import NO_LABELS, Labels, checked_names, checked_units, labelled
+from tsobs_ros.design.problem import (
+    CLEAN,
+    Channel,
+    DisturbanceTerm,
+    Request,
+    Terms,
+    require_squares,
+    require_terms,
+)
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.options import TORQUE_RATE, TorqueLimits
 from tsobs_ros.model import disturbance as disturbances
 from tsobs_ros.model.arm import LINK_ANGLE, QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
-from tsobs_ros.model.prediction import Flow
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
 from tsobs_ros.model.vertices import VertexSystem, linear_directions
 
-"""The error system e⁺ = transition·e + noise at one vertex, and the vertex in words."""
 
-DISTURBANCE_KINDS: Mapping[str, Callable[..., DisturbanceModel]] = {
-    name: getattr(disturbances, name)
-    for name in ("clean", "arbitrary", "bias", "gauss_markov", "sinusoid", "ramp")
-}
+__all__ = ["ArmRequest", "DisturbanceTerm", "Output", "TSRequest", "TorqueDisturbance"]
 
 NO_LIMIT = 1e9
 """A torque [N m], or rate of it [N m/s], from which on any is plausible."""
 
 _MAX_MATRICES = 16
 """Vertex matrices; l of them make l² inequalities."""
-
-
-class DisturbanceTerm(dict[str, Any]):
-    """One term of the disturbance: its kind and its parameters, the rest filled with defaults.
-
-    Raises:
-        ModelError: The kind is unknown, or a parameter is not one of that kind or out of range.
-
-    >>> DisturbanceTerm("bias", {"density": 1e-4})
-    {'kind': 'bias', 'density': 0.0001, 'initial_std': 0.3}
-    """
-
-    def __init__(self, kind: str, parameters: Mapping[str, float] | None = None) -> None:
-        if not isinstance(kind, str) or kind not in DISTURBANCE_KINDS:
-            raise ModelError(
-                f"kind: expected one of {', '.join(DISTURBANCE_KINDS)}, got {shown(kind)}"
-            )
-        known = dict(inspect.signature(DISTURBANCE_KINDS[kind]).parameters)
-        known.pop("channels", None)
-        given = parameters or {}
-        for name in given:
-            if name not in known:
-                raise ModelError(
-                    f"{name}: no parameter of {kind}, expected some of {', '.join(known) or 'none'}"
-                )
-        super().__init__(kind=kind)
-        for name, parameter in known.items():
-            if parameter.default is inspect.Parameter.empty and name not in given:
-                raise ModelError(f"{name}: missing, {kind} has no default for it")
-            self[name] = finite(f"{kind} {name}", given.get(name, parameter.default))
-        self.model()
-
-    @classmethod
-    def from_mapping(cls, entries: Mapping[str, Any]) -> "DisturbanceTerm":
-        """Return the term that a file gives by its kind and parameters."""
-        parameters = dict(entries)
-        return cls(parameters.pop("kind", None), parameters)
-
-    @property
-    def kind(self) -> str:
-        """The name of the exosystem, one of `DISTURBANCE_KINDS`."""
-        return str(self["kind"])
-
-    def model(self) -> DisturbanceModel:
-        """Return the exosystem of this term."""
-        return DISTURBANCE_KINDS[self.kind](**{k: v for k, v in self.items() if k != "kind"})
-
-
-Terms: TypeAlias = tuple[DisturbanceTerm, ...]
-CLEAN: Terms = (DisturbanceTerm("clean"),)
-
-
-class Channel(NamedTuple):
-    """A disturbance: where it acts, in words, and its terms."""
-
-    name: str
-    terms: Terms
-
-    @property
-    def model(self) -> DisturbanceModel:
-        """The sum of the terms."""
-        models = [term.model() for term in self.terms] or [disturbances.clean()]
-        return sum(models[1:], start=models[0])
-
-
-def _require_terms(name: str, terms: Sequence[DisturbanceTerm]) -> None:
-    if not terms:
-        raise ModelError(f"{name}: expected at least one term, e.g. kind: clean")
-
-
-def _require_squares(name: str, values: Iterable[float]) -> None:
-    """Refuse what is not above zero, or leaves the range of numbers once squared, as filters do."""
-    for value in values:
-        if not 0.0 < positive(name, value) * value < math.inf:
-            raise ModelError(f"{name}: expected a number with a finite square, got {value!r}")
-
-
-class Request(ABC):
-    """The problem that synthesis, certificate and observer solve, whatever its model.
-
-    Attributes:
-        rate: Samples per second [Hz].
-        decay_rate: Rate ρ at which eᵀPe has to shrink without noise, as e^{−2ρt} [1/s].
-        certify_uncertainty: Whether the certificate covers every θ within the bounds.
-        default_torque_rate: 1σ of the rate at which a torque may move in a gap [N m/s].
-    """
-
-    rate: float
-    decay_rate: float
-    certify_uncertainty: bool
-    default_torque_rate = 0.0
-
-    @property
-    def max_angle(self) -> float:
-        """Half width of the domain of an arm's link angle [rad], infinite if there is none."""
-        return math.inf
-
-    @property
-    def reach(self) -> Array | None:
-        """Largest states of an arm that are likely (rad, rad/s), shape (4,)."""
-        return None
-
-    @property
-    def torque_sides(self) -> tuple[str, ...]:
-        """The sides of an arm with a torque disturbance, "motor" before "link"."""
-        return ()
-
-    @property
-    def period(self) -> float:
-        """Sampling period T [s]."""
-        return 1.0 / self.rate
-
-    @property
-    @abstractmethod
-    def flow(self) -> Flow:
-        """The prediction model."""
-
-    @property
-    @abstractmethod
-    def channels(self) -> tuple[Channel, ...]:
-        """The disturbances of the outputs, then those of torques, with or without terms."""
-
-    @property
-    @abstractmethod
-    def disturbance_model(self) -> DisturbanceModel:
-        """The exosystem of the outputs' disturbances."""
-
-    @property
-    @abstractmethod
-    def uncertainty_model(self) -> Uncertainty:
-        """The uncertain parameters; their number is 0 if there are none."""
-
-    @property
-    @abstractmethod
-    def output_std(self) -> Array:
-        """1σ of one sample's noise of each output, shape (p,)."""
-
-    @property
-    @abstractmethod
-    def plant_std(self) -> Array:
-        """1σ of the plant's states before any measurement, in design coordinates."""
-
-    @property
-    @abstractmethod
-    def signal_names(self) -> Labels:
-        """The names of all signals, alone."""
-
-    @property
-    @abstractmethod
-    def signal_units(self) -> Labels:
-        """The units of all signals, empty texts if they are not known."""
-
-    @property
-    @abstractmethod
-    def headline(self) -> str:
-        """The problem in words, for reports."""
-
-    @property
-    @abstractmethod
-    def details(self) -> Mapping[str, Any]:
-        """What reports of this kind of problem have besides, as plain data."""
-
-    @property
-    @abstractmethod
-    def domain(self) -> str:
-        """The domain in words, after "for", e.g. "gravity slopes [0.7317, 1]"."""
-
-    @abstractmethod
-    def vertices(self, share: float = 1.0) -> Sequence[VertexSystem]:
-        """Return the error systems the certificate is about.
-
-        Args:
-            share: How much of the domain and of the certified uncertainty: 0 is its middle, of an
-                arm the nominal one hanging down; 1 is all that was asked for.
-        """
-
-    @abstractmethod
-    def starts(self) -> Sequence[VertexSystem]:
-        """Return systems whose Kalman filters are first guesses, the best first."""
-
-    @abstractmethod
-    def with_terms(self, place: int, terms: Terms) -> Self:
-        """Return the request with other terms at a place of `channels`."""
-
-    @abstractmethod
-    def with_rows(self, rows: Sequence[int]) -> Self | None:
-        """Return the request with some of its outputs; None if it cannot do without the others."""
-
-    @abstractmethod
-    def further_outputs(self) -> Iterator[tuple[str, Self]]:
-        """Yield the request with one more output, undisturbed, and the output in words."""
-
-    @abstractmethod
-    def on_share(self, share: float) -> tuple[str, Self] | None:
-        """Return the request on a share of its domain, in words too; None if it has none."""
-
-    @abstractmethod
-    def with_bounds(self, share: float) -> Self:
-        """Return the request with a share of its bounds of uncertainty."""
-
-    def torque_limits(self, limit: float = 0.0, rate_limit: float = 0.0) -> TorqueLimits | None:
-        """Return which torques a drive of the arm can have; None for a T–S system."""
-        return None
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """The names of the plant's states."""
-        return self.signal_names.states
-
-    @property
-    def state_units(self) -> tuple[str, ...]:
-        """The units of the plant's states, empty texts if they are not known."""
-        return self.signal_units.states
-
-    @property
-    def state_labels(self) -> tuple[str, ...]:
-        """The plant's states in words, with units if known."""
-        return labelled(self.state_names, self.state_units)
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The names of the p outputs."""
-        return self.signal_names.outputs
-
-    @property
-    def output_units(self) -> tuple[str, ...]:
-        """The units of the p outputs, empty texts if they are not known."""
-        return self.signal_units.outputs
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """The names of the inputs and then of the scheduled signals."""
-        return self.signal_names.inputs + self.signal_names.scheduled
-
-    @property
-    def disturbance_labels(self) -> list[str]:
-        """The disturbances' states in words."""
-        return [
-            f"disturbance of {channel.name}, state {i + 1}"
-            for channel in self.channels
-            for i in range(channel.model.state_count)
-        ]
-
-    @cached_property
-    def measurement_covariance(self) -> Array:
-        """R of one sample, diagonal, shape (p, p)."""
-        return np.diag(self.output_std**2)
-
-    @cached_property
-    def initial_covariance(self) -> Array:
-        """Error covariance before any measurement in design coordinates, shape (n, n)."""
-        flow = self.flow
-        std = [self.plant_std, flow.disturbance.initial_std]
-        if flow.torque_disturbance is not None:
-            std.append(flow.torque_disturbance.initial_std)
-        with np.errstate(over="ignore"):  # what is not finite is refused by the observer
-            return np.diag(np.concatenate(std) ** 2)
-
-    def _take(self, **checked: Any) -> None:
-        """Set fields of the frozen request to their checked values."""
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
-
-    def _require_no_alias(self) -> None:
-        """Refuse tones that look slower in samples than they are, in the limit like a bias."""
-        for term in chain.from_iterable(channel.terms for channel in self.channels):
-            if (frequency := term.get("frequency", 0.0)) >= math.pi * self.rate:
-                raise ModelError(
-                    f"{term.kind} frequency: expected less than half the measurement rate, "
-                    f"π·rate = {math.pi * self.rate:.6g} rad/s, got {frequency!r}; faster tones "
-                    f"look like slower ones in the samples"
-                )
 
 
 @dataclass(frozen=True)
@@ -345,10 +75,10 @@ class Output:
                 f"measures: expected one of {', '.join(QUANTITIES)}, got {shown(self.measures)}"
             )
         std = positive("measurement_std", self.measurement_std)
-        _require_squares("measurement_std", [std])
+        require_squares("measurement_std", [std])
         object.__setattr__(self, "measurement_std", std)
         object.__setattr__(self, "disturbance", tuple(self.disturbance))
-        _require_terms("disturbance", self.disturbance)
+        require_terms("disturbance", self.disturbance)
 
     @property
     def model(self) -> DisturbanceModel:
@@ -474,9 +204,9 @@ class ArmRequest(Request):
             degrees = f" rad; as degrees it would be {math.radians(self.x_max):.4g} rad"
             hint = degrees if math.pi < self.x_max <= 180.0 else ""
             raise ModelError(f"x_max: expected 0 < x_max <= π, got {self.x_max!r}{hint}")
-        _require_squares("measurement_std", [self.measurement_std])
-        _require_squares("initial_std", self.initial_std)
-        _require_terms("disturbance", self.disturbance)
+        require_squares("measurement_std", [self.measurement_std])
+        require_squares("initial_std", self.initial_std)
+        require_terms("disturbance", self.disturbance)
         self._require_no_alias()
         if self.certify_uncertainty:
             if not self.uncertainty:
@@ -728,7 +458,7 @@ class TSRequest(Request):
             ),
         )
         for name in ("measurement_std", "initial_std"):
-            _require_squares(name, getattr(self, name).tolist())
+            require_squares(name, getattr(self, name).tolist())
         _ = self.flow, self.signal_names, self.signal_units
         self._require_no_alias()
         if self.slope_vertices and self.model.premise_known:
@@ -770,7 +500,7 @@ class TSRequest(Request):
     def disturbance_model(self) -> DisturbanceModel:
         models = []
         for place, terms in enumerate(self.disturbance):
-            _require_terms(f"disturbance[{place}]", terms)
+            require_terms(f"disturbance[{place}]", terms)
             models.append(Channel("", tuple(terms)).model)
         joined = per_channel(models)
         return joined if self.D_s is None else joined.through(self.D_s)
@@ -896,57 +626,27 @@ class TSRequest(Request):
         each[place] = terms
         return replace(self, disturbance=each)
 
-    def with_rows(self, rows: Sequence[int]) -> Self | None:
-        if self.D_s is not None:
-            return None
-        names, units = (
-            tuple(labels.outputs[row] for row in rows) if labels.outputs else ()
-            for labels in (self.names, self.units)
-        )
-        return self._measuring(
-            lambda C: np.asarray(C[list(rows)]),
-            names,
-            units,
-            disturbance=[self.channels[row].terms for row in rows],
-            measurement_std=self.output_std[list(rows)],
-        )
-
     def further_outputs(self) -> Iterator[tuple[str, Self]]:
-        known = [np.flatnonzero(row).tolist() for row in np.asarray(self.model.C)]
-        unmeasured = [i for i in range(self.model.state_count) if [i] not in known]
-        for state in unmeasured:
+        model, names, units = self.model, self.names.outputs, self.units.outputs
+        known = [np.flatnonzero(row).tolist() for row in np.asarray(model.C)]
+        for state in range(model.state_count) if model.outputs is None else ():
+            if [state] in known:
+                continue
             name, unit = self.state_names[state], self.state_units[state]
             std = 0.1 * float(self.plant_std[state])
-            changes: dict[str, Any] = {"disturbance": [*self.disturbance, CLEAN]}
+            row = np.eye(model.state_count)[[state]]
+            channels: dict[str, Any] = {"disturbance": [*self.disturbance, CLEAN]}
             if self.D_s is not None:
-                changes = {"D_s": np.vstack([self.D_s, np.zeros((1, np.shape(self.D_s)[1]))])}
-            names, units = self.names.outputs, self.units.outputs
-            added = self._measuring(
-                partial(_stacked, below=np.eye(len(self.plant_std))[[state]]),
-                (*names, f"{name}_measured") if names else (),
-                (*units, unit) if units else (),
+                channels = {"D_s": np.vstack([self.D_s, np.zeros((1, np.shape(self.D_s)[1]))])}
+            added = replace(
+                self,
+                model=replace(model, C=np.vstack([model.C, row])),
                 measurement_std=np.append(self.output_std, std),
-                **changes,
+                names=structs.replace(self.names, outputs=names and (*names, f"{name}_measured")),
+                units=structs.replace(self.units, outputs=units and (*units, unit)),
+                **channels,
             )
             yield f"{labelled([name], [unit])[0]} with 1σ of {std:.3g}", added
-
-    def _measuring(
-        self,
-        change: Callable[[Array], Array],
-        names: tuple[str, ...],
-        units: tuple[str, ...],
-        **changes: Any,
-    ) -> Self:
-        """Return the request with changed output matrices, those of single rules too."""
-        each = self.model.outputs
-        outputs = None if each is None else np.array([change(C) for C in each])
-        return replace(
-            self,
-            model=replace(self.model, C=change(self.model.C), outputs=outputs),
-            names=msgspec.structs.replace(self.names, outputs=names),
-            units=msgspec.structs.replace(self.units, outputs=units),
-            **changes,
-        )
 
     def on_share(self, share: float) -> tuple[str, Self] | None:
         what = "slope vertices" if self.slope_vertices else "rules"
@@ -964,7 +664,3 @@ class TSRequest(Request):
         known = self.uncertainty_model
         bounds = {name: share * bound for name, bound in known.bounds.items()}
         return replace(self, uncertainty=Uncertainty(bounds, known.directions))
-
-
-def _stacked(above: Array, below: Array) -> Array:
-    return np.vstack([above, below])

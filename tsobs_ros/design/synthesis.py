@@ -34,9 +34,10 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.certificate import check_certificate
 from tsobs_ros.design.feasibility import is_detectable, require_detectable
 from tsobs_ros.design.lyapunov import solver_version
+from tsobs_ros.design.problem import Request
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.remedies import helpful, remedies_of_gain
-from tsobs_ros.design.request import ArmRequest, Request, TSRequest
+from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import DesignError
 from tsobs_ros.model.vertices import VertexSystem
 
