@@ -56,14 +56,14 @@ def _record(path: Path, design: Design, seconds: float) -> None:
             truth = design.request.arm.to_physical(runs.states[0])
             stamps = (_START + np.round(runs.times * 1e9)).astype(np.int64)
             data = [
-                own.encode_all(stamps, runs.measurements[0], effort=runs.torques[0]),
-                arm.encode_all(stamps, truth[:, 0::2], truth[:, 1::2]),
-                own.encode_all(stamps, runs.disturbances[0]),
+                own.encode_rows(stamps, runs.measurements[0], effort=runs.torques[0]),
+                arm.encode_rows(stamps, truth[:, 0::2], truth[:, 1::2]),
+                own.encode_rows(stamps, runs.disturbances[0]),
             ]
             logs = (stamps + _LATENCY).tolist()
             writer.write_all(
                 [
-                    (topic, JOINT_STATE, one, log, log)
+                    (topic, JOINT_STATE, one.tobytes(), log, log)
                     for *row, log in zip(*data, logs, strict=True)
                     for topic, one in zip(_TOPICS, row, strict=True)
                 ]

@@ -13,7 +13,6 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
     Chunk,
@@ -32,12 +31,9 @@ from mcap.writer import CompressionType, Writer
 from tsobs_ros.bag.container import (
     MAGIC,
     MAX_SIZE,
-    RECORD,
     RecordError,
-    Span,
     chunk_records,
     parse_record,
-    read_span,
     read_summary,
     split_records,
 )
@@ -149,19 +145,3 @@ def test_a_summary_of_gigabytes_is_refused_unread(tmp_path: Path) -> None:
         stream.write(bytes_of(Footer(len(front), 0, 0)) + MAGIC)
     with pytest.raises(BagReadError, match="too many to read"):
         read_summary(path)
-
-
-@pytest.mark.parametrize(
-    ("content", "reason"),
-    [
-        (RECORD.pack(Opcode.MESSAGE, 41) + bytes(41), "there is no chunk"),
-        (RECORD.pack(Opcode.CHUNK, 41) + b"\xff" * 41, "two sizes|no chunk"),
-        (RECORD.pack(Opcode.CHUNK, 41) + bytes(10), "there is no chunk"),
-    ],
-)
-def test_what_is_no_chunk_is_refused(content: bytes, reason: str) -> None:
-    span = Span(0, 0, 0, 0, 50, True)
-    with pytest.raises(RecordError, match=reason):
-        read_span(BytesIO(content), span)
-    with pytest.raises(RecordError, match="too many to read"):
-        read_span(BytesIO(content), span._replace(size=MAX_SIZE + 1))

@@ -138,23 +138,6 @@ def check(source: Path, target: Path, topics: tuple[str, ...]) -> None:
     entries,
     st.sampled_from(["none", "lz4", "zstd"]),
     st.sampled_from([TOPICS, ("/a", "/c"), ("/b",)]),
-    st.integers(1, 12),
-)
-def test_readers_give_what_was_recorded(
-    written: list[Entry], compression: str, topics: tuple[str, ...], flush_every: int
-) -> None:
-    with TemporaryDirectory() as folder:
-        bag = write_bag(
-            Path(folder) / "bag", written, compression=compression, flush_every=flush_every
-        )
-        check(bag, copy(bag, Path(folder) / "new", topics), topics)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    entries,
-    st.sampled_from(["none", "lz4", "zstd"]),
-    st.sampled_from([TOPICS, ("/a", "/c"), ("/b",)]),
     st.integers(0, 2),
     st.integers(1, 400),
     st.booleans(),
@@ -217,35 +200,6 @@ def test_of_other_chunks_the_messages_are_picked_out(tmp_path: Path, kind: str) 
     new = copy(file, tmp_path / "new", topics)
     check(file, new, topics)
     assert stay(file, new) == expected
-
-
-def test_chunks_with_clashing_ids_are_copied_with_the_ids_of_the_new_bag(tmp_path: Path) -> None:
-    file = write_mcap(tmp_path / "other.mcap", WRITTEN)
-    reader = BagReader(file)
-    chunks = ChunkCopy(reader, TOPICS)
-    with BagWriter(tmp_path / "new") as writer:
-        for topic in reversed(TOPICS):
-            writer.add_topic(topic, BYTES, [QosProfile()])
-        writer.add_topic("/made", BYTES, [QosProfile()])
-        chunks.up_to(math.inf, writer)
-        writer.write("/made", message(0), 60, 60)
-    check(file, tmp_path / "new", TOPICS)
-    # That of the middle one is the same.
-    assert stay(file, tmp_path / "new")[1] < 10
-
-
-def test_two_channels_of_a_topic_become_one(tmp_path: Path) -> None:
-    file = write_mcap(tmp_path / "other.mcap", WRITTEN, topics=("/b", *TOPICS, "/a"))
-    new = copy(file, tmp_path / "new", TOPICS)
-    check(file, new, TOPICS)
-
-
-def test_several_files_are_copied_too(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", WRITTEN, max_duration_ns=20)
-    assert len(BagReader(bag).files) == 3
-    new = copy(bag, tmp_path / "new", TOPICS)
-    check(bag, new, TOPICS)
-    assert stay(bag, new) == (8, 8)
 
 
 def test_into_files_with_limits_messages_are_copied_one_by_one(tmp_path: Path) -> None:
@@ -313,21 +267,6 @@ def test_a_damaged_chunk_is_not_copied(
     assert [one.log_time for one in kept] == list(range(len(kept)))
     assert 20 < len(kept) <= 30
     assert verify(tmp_path / "new").holds
-
-
-def test_what_has_been_read_is_not_read_again_to_look_for_damage(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", [("/a", 1), ("/b", 2)], flush_every=1, compression="none")
-    file = bag / "bag_0.mcap"
-    data = bytearray(file.read_bytes())
-    data[data.index(message(1)) + 4] ^= 2
-    file.write_bytes(data)
-    assert not ChunkCopy(BagReader(file), TOPICS).is_sound("/a")
-    assert ChunkCopy(BagReader(file), TOPICS).is_sound("/b")
-
-
-def test_messages_outside_of_chunks_are_nothing_to_copy_by_chunks(tmp_path: Path) -> None:
-    file = write_mcap(tmp_path / "other.mcap", WRITTEN, use_chunking=False)
-    assert not ChunkCopy(BagReader(file), TOPICS).is_sound("/a")
 
 
 def test_times_that_cannot_be_stored_and_unknown_topics_are_refused(tmp_path: Path) -> None:

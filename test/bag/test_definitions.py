@@ -17,11 +17,7 @@ from tsobs_ros.errors import BagWriteError
 SEPARATOR = "=" * 80
 TYPES = [
     "sensor_msgs/msg/JointState",
-    "sensor_msgs/msg/PointCloud2",
     "diagnostic_msgs/msg/DiagnosticArray",
-    "geometry_msgs/msg/TwistWithCovarianceStamped",
-    "rosgraph_msgs/msg/Clock",
-    "rcl_interfaces/msg/ParameterEvent",
     "visualization_msgs/msg/InteractiveMarkerUpdate",
 ]
 
@@ -79,23 +75,6 @@ def test_each_dependency_comes_once_where_it_is_first_needed(tmp_path: Path) -> 
     )
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "# Foo foo\n  # Bar bar\nint32 x # Baz baz\n",
-        "string<=10 bounded\nstring[<=3] many\nbyte[] raw\n",
-        "uint8 KIND=1\nstring NAME='Foo foo'\n",
-        "int8 x\r\nfloat64[3] y\r\n",
-        "",
-    ],
-    ids=["comments", "bounds", "constants", "Windows line ends", "nothing"],
-)
-def test_a_text_without_dependencies_stays_as_it_is(tmp_path: Path, text: str) -> None:
-    write_package(tmp_path, "my_msgs", Plain=text)
-    found = find_definition("my_msgs/msg/Plain", [tmp_path])
-    assert (found.text, found.type_hash) == (text, "")
-
-
 @pytest.mark.parametrize("msgtype", TYPES)
 def test_a_definition_means_the_same_to_rosbags_and_mcap(msgtype: str) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -110,11 +89,6 @@ def test_a_definition_means_the_same_to_rosbags_and_mcap(msgtype: str) -> None:
     assert DecoderFactory().decoder_for("cdr", schema) is not None
 
 
-def services() -> list[str]:
-    paths = [path for folder in share_folders() for path in folder.glob("*/srv/*.srv")]
-    return sorted({f"{path.parts[-3]}/srv/{path.stem}" for path in paths})
-
-
 def rosbags_meaning(types: Any) -> Any:
     """Undo two things rosbags does to what it parses: names outside msg/, and char being uint8."""
     if isinstance(types, str):
@@ -126,7 +100,7 @@ def rosbags_meaning(types: Any) -> Any:
     return types
 
 
-@pytest.mark.parametrize("service", services())
+@pytest.mark.parametrize("service", ["std_srvs/srv/SetBool", "rcl_interfaces/srv/ListParameters"])
 def test_the_events_of_a_service_have_the_definition_their_hash_was_made_of(service: str) -> None:
     definition = find_definition(f"{service}_Event")
     store = get_typestore(Stores.EMPTY)
@@ -198,16 +172,9 @@ def test_an_uninstalled_type_or_part_is_named(tmp_path: Path) -> None:
     (tmp_path / "my_msgs" / "srv").mkdir()
     (tmp_path / "my_msgs" / "srv" / "Half.srv").write_text("int8 x\n")
     for name, reason in (
+        ("std_msgs/srv/Trigger", "is not a message type"),
         ("my_msgs/msg/Root", "other_msgs/msg/Gone is not installed"),
         ("my_msgs/srv/Half_Event", r"Half_Response: its \.srv file lacks that part"),
     ):
         with pytest.raises(BagWriteError, match=reason):
             find_definition(name, [tmp_path])
-
-
-@pytest.mark.parametrize(
-    "name", ["String", "", "std_msgs/srv/Trigger", "a/b/c", "std_msgs/msg/../String", "/x/msg/Y"]
-)
-def test_what_is_no_message_type_is_refused(name: str) -> None:
-    with pytest.raises(BagWriteError, match="is not a message type"):
-        find_definition(name)

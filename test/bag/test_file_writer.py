@@ -116,17 +116,6 @@ def test_arrays_of_messages_are_written_as_one_by_one(
     assert by_ours(compression, together) == by_library(compression, one_by_one)
 
 
-def test_some_of_a_series_are_a_series() -> None:
-    times = np.array([3, 4, 5])
-    one = MessageSeries(
-        "/t", "a/msg/B", times, times + 10, np.arange(6, dtype=np.uint8).reshape(3, 2)
-    )
-    assert one.take(times != 4).messages() == [
-        ("/t", "a/msg/B", b"\0\1", 3, 13),
-        ("/t", "a/msg/B", b"\4\5", 5, 15),
-    ]
-
-
 def test_descriptions_that_wait_for_a_message_stand_before_a_whole_chunk() -> None:
     times = np.ones((2, 1), np.int64)
     records = packed([(1, MessageSeries("/t", "a/msg/B", *times, np.zeros((1, 1), np.uint8)))])

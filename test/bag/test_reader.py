@@ -78,12 +78,6 @@ def test_messages_and_topics_are_those_of_all_files_in_log_order(bag: Path) -> N
     assert (reader.message_count, reader.start_time, reader.end_time) == (5, 3, 15)
 
 
-def test_a_single_file_is_a_bag_too(bag: Path) -> None:
-    reader = BagReader(bag / "bag_1.mcap")
-    assert [m.log_time for m in reader.messages()] == [12, 14, 15]
-    assert reader.metadata is None
-
-
 @pytest.mark.parametrize(
     ("time", "topics", "depth", "expected"),
     [
@@ -201,15 +195,6 @@ def test_what_is_not_there_is_named(bag: Path, tmp_path: Path) -> None:
         BagReader(tmp_path)
     (bag / "bag_1.mcap").unlink()
     with pytest.raises(BagReadError, match=r"bag_1\.mcap: cannot read it"):
-        BagReader(bag)
-
-
-@pytest.mark.parametrize("content", [None, b"", b"rosbag2_bagfile_information:\n  version: 9\n"])
-def test_files_without_their_metadata_can_be_recovered(bag: Path, content: bytes | None) -> None:
-    (bag / "metadata.yaml").unlink()
-    if content is not None:
-        (bag / "metadata.yaml").write_bytes(content)
-    with pytest.raises(BagReadError, match=r"metadata\.yaml.*; 'tsobs bag recover' makes"):
         BagReader(bag)
 
 

@@ -4,7 +4,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from threading import Event, get_ident
 from typing import Any
 
 import pytest
@@ -118,17 +117,6 @@ def test_snapshots_hold_the_last_seconds_and_what_is_latched(folder: Path) -> No
     assert stored(folder) == first + second
 
 
-def test_a_large_snapshot_is_written_bit_by_bit_and_to_the_end(folder: Path) -> None:
-    recording = begin(folder, snapshot=SnapshotBuffer(10**9, 10**8))
-    for time in range(1, 12_001):
-        recording.record(message("/a", time))
-    assert recording.take_snapshot() == 12_000
-    assert recording.take_snapshot() == 0
-    assert recording.write_pending()
-    recording.close()
-    assert len(stored(folder)) == 12_000
-
-
 def test_a_disk_that_fails_to_sync_ends_the_recording(tmp_path: Path, monkeypatch) -> None:
     recording = begin(tmp_path / "bag", sync_period=0.001)
     recording.record(message("/a", 1))
@@ -195,19 +183,6 @@ def test_no_publishers_last_messages_are_missing_however_they_take_turns(
     assert needed <= set(kept(depth, *arrivals))
 
 
-def test_what_is_logged_later_is_not_repeated_and_what_a_pause_hid_is_logged_once() -> None:
-    latched = LatchedMessages(depth=1)
-    latched.keep(message("/x", 10), Latch(1, 2))
-    latched.keep(message("/x", 20), Latch(1, 2), logged=False)
-    latched.keep(message("/y", 50), ONE)
-    hidden = message("/x", 20)._replace(log_time_ns=30)
-    assert latched.before(10) == [hidden._replace(log_time_ns=10)]
-    assert latched.log(30) == [hidden]
-    assert latched.log(31) == []
-    assert [m.publish_time_ns for m in latched.before(30)] == [10]
-    assert latched.before(31) == [m._replace(log_time_ns=31) for m in (message("/x", 10), hidden)]
-
-
 MESSAGE_SIZE = 256  # of an empty one in a snapshot
 buffered = st.lists(st.tuples(st.integers(0, 1000), st.integers(0, 600)), max_size=60)
 
@@ -242,26 +217,6 @@ def test_a_snapshot_holds_the_longest_end_that_fits(
     for time in (100, 105, 3, 4):
         buffer.add(message("/x", time))
     assert (len(buffer), buffer.duration_ns) == (4, 0)
-
-
-def test_a_disk_is_synced_again_and_again_in_another_thread_until_it_fails() -> None:
-    threads: list[int] = []
-    failed = Event()
-
-    def sync() -> None:
-        threads.append(get_ident())
-        if len(threads) == 3:
-            failed.set()
-            raise BagWriteError("disk failed")
-
-    background = BackgroundSync(sync, period=0.001)
-    assert failed.wait(LIMIT)
-    background.stop()
-    background.stop()
-    assert len(threads) == 3
-    assert get_ident() not in threads
-    assert str(background.error) == "disk failed"
-    assert 0.0 <= background.age < LIMIT
 
 
 def test_syncing_while_a_bag_is_written_split_and_closed_does_no_harm(tmp_path: Path) -> None:

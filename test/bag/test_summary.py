@@ -6,14 +6,12 @@ from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.writer import IndexType, Writer
+from mcap.writer import Writer
 
 from tsobs_ros.bag import BagReader, BagWriter
 from tsobs_ros.bag.summary import summarise
-from tsobs_ros.errors import BagReadError
 
 STRING = "std_msgs/msg/String"
 
@@ -38,20 +36,6 @@ def test_gaps_are_those_of_all_messages(written: list[tuple[str, int]], chunk: i
         gaps = [later - earlier for earlier, later in pairwise(times)]
         assert topic.count == len(times)
         assert summary.largest_gaps_ns.get(topic.name) == (max(gaps) if gaps else None)
-
-
-def test_without_message_indexes_the_gap_is_unknown(tmp_path: Path) -> None:
-    path = tmp_path / "x.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream, index_types=IndexType.CHUNK)
-        writer.start(profile="ros2")
-        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
-        channel = writer.register_channel("/a", "cdr", schema)
-        for time in (1, 2, 5):
-            writer.add_message(channel, time, b"", 0)
-        writer.finish()
-    summary = summarise(path)
-    assert (summary.topics[0].count, summary.largest_gaps_ns) == (3, {})
 
 
 def test_the_last_time_there_is_and_an_empty_bag_are_told(tmp_path: Path) -> None:
@@ -79,12 +63,3 @@ def test_chunks_that_overlap_in_any_way_are_looked_at_in_a_few_steps(tmp_path: P
     assert summarise(tmp_path / "x.mcap").largest_gaps_ns == {"/a": 10**9 - 9_998}
     times = [message.log_time for message in BagReader(tmp_path / "x.mcap").messages()]
     assert times == sorted(times)
-
-
-def test_another_profile_stays_refused(tmp_path: Path) -> None:
-    with (tmp_path / "x.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="ros1")
-        writer.finish()
-    with pytest.raises(BagReadError, match="its profile is 'ros1', expected 'ros2'"):
-        summarise(tmp_path / "x.mcap")

@@ -154,21 +154,6 @@ def test_chunks_are_as_large_as_rosbag2s_and_checked(tmp_path: Path) -> None:
     assert all(chunk.uncompressed_crc for chunk in chunks)
 
 
-def test_a_bag_is_described_from_the_moment_it_is_opened(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "deep" / "run.1", custom_data={"design": "elastic joint"})
-    metadata = read_metadata(writer.path)
-    assert [file.path for file in metadata.files] == ["run.1_0.mcap"]
-    assert metadata.custom_data == {"design": "elastic joint"}
-    assert sorted(item.name for item in writer.path.iterdir()) == ["metadata.yaml", "run.1_0.mcap"]
-    assert (writer.path / "run.1_0.mcap").stat().st_size > 0
-    writer.add_topic("/a", STRING)
-    assert read_metadata(writer.path).topics == ()
-    writer.sync()
-    assert [topic.name for topic in read_metadata(writer.path).topics] == ["/a"]
-    writer.close()
-    assert list(BagReader(writer.path).messages()) == []
-
-
 def test_qos_is_the_first_and_what_is_flushed_can_be_read_unfinished(tmp_path: Path) -> None:
     offers = [QosProfile(), QosProfile(reliability="best_effort")]
     with BagWriter(tmp_path / "bag") as writer:
@@ -198,36 +183,6 @@ def test_a_split_bag_is_one_bag_of_whole_files(tmp_path: Path, options: dict[str
     assert whole == [(entry.data, entry.log_time) for entry in written]
     with RosbagsReader(path) as reader:
         assert [data for _, _, data in reader.messages()] == [entry.data for entry in written]
-
-
-def test_a_split_on_demand_leaves_a_whole_file_at_once(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "bag")
-    writer.add_topic("/a", STRING)
-    writer.split()
-    writer.write("/a", b"one", 1, 1)
-    writer.split()
-    writer.split()
-    assert [m.data for m in BagReader(tmp_path / "bag" / "bag_0.mcap").messages()] == [b"one"]
-    writer.sync()
-    assert [file.path for file in read_metadata(tmp_path / "bag").files] == [
-        "bag_0.mcap",
-        "bag_1.mcap",
-    ]
-    writer.write("/a", b"two", 2, 2)
-    writer.close()
-    assert [m.data for m in BagReader(tmp_path / "bag").messages()] == [b"one", b"two"]
-
-
-def test_a_file_that_cannot_be_begun_leaves_the_bag_closed_and_whole(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "bag")
-    writer.add_topic("/a", STRING)
-    writer.write("/a", b"one", 1, 1)
-    (tmp_path / "bag" / "bag_1.mcap").write_text("in the way")
-    with pytest.raises(BagWriteError, match=r"bag_1\.mcap: cannot write it"):
-        writer.split()
-    with pytest.raises(BagWriteError, match="the bag is closed"):
-        writer.write("/a", b"two", 2, 2)
-    assert [m.data for m in BagReader(tmp_path / "bag").messages()] == [b"one"]
 
 
 def test_what_cannot_be_a_new_bag_is_refused_and_nothing_is_touched(tmp_path: Path) -> None:
@@ -332,9 +287,3 @@ def test_a_bag_on_a_full_disk_takes_no_more_and_gives_back_what_was_flushed(
         BagReader(tmp_path / "bag")
     recover(tmp_path / "bag", tmp_path / "recovered")
     assert [m.log_time for m in BagReader(tmp_path / "recovered").messages()] == list(range(9))
-
-
-def test_a_bag_cannot_be_begun_on_a_full_disk(tmp_path: Path) -> None:
-    refusal = r"bag_0\.mcap: cannot write it: .* too large"
-    with no_room_beyond(100), pytest.raises(BagWriteError, match=refusal):
-        BagWriter(tmp_path / "bag")

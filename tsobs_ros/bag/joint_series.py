@@ -95,7 +95,7 @@ class _Builder:
         block.log_times[:], block.publish_times[:] = rows.log_times, rows.publish_times
         for places, data in _raw(rows, records).groups:
             # What is malformed names nobody, and so is no sample of anybody.
-            for group in self._decoder.decode_rows(places, data, {}):
+            for group in self._decoder.decode_rows(places, data):
                 self._place(group, block)
         return replace(block, other_names=tuple(self._others))
 

@@ -8,7 +8,7 @@ microsecond, a tenth of what a ROS message object costs; and many at once cost l
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tsobs_ros.bag.cdr import HEADER, CdrReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import MessageError
+from tsobs_ros.series import NANOSECONDS, Stamps
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
@@ -26,9 +27,7 @@ _HEADER = b"\x00\x01\x00\x00"
 # rclpy.serialize_message() reserves the alignment of empty arrays, and leaves what was there.
 _LARGEST_TAIL = 16
 _MOST_TEMPLATES = 64
-
-NANOSECONDS = 1_000_000_000
-CONSTANT = HEADER + 8
+_CONSTANT = HEADER + 8
 """Where what comes after the stamp begins."""
 
 Places = NDArray[np.intp]
@@ -69,22 +68,16 @@ class JointStates(NamedTuple):
 
     places: Places
     names: tuple[str, ...]
-    stamps: NDArray[np.int64]
+    stamps: Stamps
     position: Array
     velocity: Array
     effort: Array
 
 
 class _Template:
-    """What messages with the same names and lengths have in common.
+    """What messages with the same names and lengths (of position, velocity, effort) share.
 
-    Args:
-        header: The encapsulation header.
-        constant: The bytes between the stamp and the positions.
-        lengths: Of position, velocity and effort.
-        order: The byte order, as `struct` writes it.
-        names: The joints, as `constant` has them.
-        frame_id: Of the message's header, as `constant` has it.
+    `constant` are the bytes between the stamp and the positions, `order` is that of bytes.
     """
 
     def __init__(
@@ -97,32 +90,39 @@ class _Template:
         frame_id: str,
     ) -> None:
         self._header, self._constant, self._lengths = header, constant, lengths
-        self._order, self._names, self._frame_id = order, names, frame_id
-        layout, self._starts = f"{order}4siI{len(constant)}s", []
-        end = CONSTANT + len(constant)
-        for place, length in enumerate(lengths):
-            if place:
+        self._names, self._frame_id = names, frame_id
+        layout = f"{order}4siI{len(constant)}s"
+        fields: dict[str, tuple[Any, int]] = {
+            "header": (f"V{HEADER}", 0),
+            "sec": (f"{order}i4", HEADER),
+            "nanosec": (f"{order}u4", HEADER + 4),
+            "constant": (f"V{len(constant)}", _CONSTANT),
+        }
+        end = _CONSTANT + len(constant)
+        for name, length in zip(("position", "velocity", "effort"), lengths, strict=True):
+            if name != "position":
                 # A count, and padding only before an array that is not empty.
                 padding = -(end + 4 - HEADER) % 8 if length else 0
                 layout += f"I{padding}x"
+                fields[f"{name} count"] = (f"{order}u4", end)
                 end += 4 + padding
             layout += f"{length}d"
-            self._starts.append(end)
+            fields[name] = ((f"{order}f8", (length,)), end)
             end += 8 * length
         self._struct = struct.Struct(layout)
+        self._dtype = {
+            "names": list(fields),
+            "formats": [form for form, _ in fields.values()],
+            "offsets": [offset for _, offset in fields.values()],
+        }
         first = 4 + lengths[0]
         self._position, self._velocity = slice(4, first), slice(first + 1, first + 1 + lengths[1])
         self._effort = slice(self._velocity.stop + 1, None)
 
-    def pack(
-        self,
-        stamp: int,
-        position: Sequence[float],
-        velocity: Sequence[float],
-        effort: Sequence[float],
-    ) -> bytes:
-        """Return the message with these numbers, as many as the lengths say."""
+    def pack(self, stamp: int, *numbers: Sequence[float]) -> bytes:
+        """Return the message with position, velocity and effort, as many as the lengths say."""
         sec, nanosec = divmod(stamp, NANOSECONDS)
+        position, velocity, effort = numbers
         _, velocities, efforts = self._lengths
         return self._struct.pack(
             self._header,
@@ -155,12 +155,13 @@ class _Template:
             self._frame_id,
         )
 
-    def unpack_all(self, places: Places, data: NDArray[np.uint8]) -> JointStates:
+    def unpack_rows(self, places: Places, data: NDArray[np.uint8]) -> JointStates:
         """Return those of the messages, a row each, that fit the template."""
-        rows = np.ascontiguousarray(data).view(self._dtype(data.shape[1]))[:, 0]
-        fits = (rows["header"] == np.frombuffer(self._header, np.uint8)).all(axis=1)
-        fits &= (rows["constant"] == np.frombuffer(self._constant, np.uint8)).all(axis=1)
-        fits &= (rows["velocities"] == self._lengths[1]) & (rows["efforts"] == self._lengths[2])
+        rows = self._rows(np.ascontiguousarray(data))
+        fits = rows["header"] == np.void(self._header)
+        fits &= rows["constant"] == np.void(self._constant)
+        fits &= rows["velocity count"] == self._lengths[1]
+        fits &= rows["effort count"] == self._lengths[2]
         if not fits.all():
             places, rows = places[fits], rows[fits]
         return JointStates(
@@ -170,42 +171,20 @@ class _Template:
             *(rows[name].astype(np.float64) for name in ("position", "velocity", "effort")),
         )
 
-    def pack_all(
-        self, stamps: NDArray[np.int64], position: Array, velocity: Array, effort: Array
-    ) -> NDArray[np.uint8]:
+    def pack_rows(self, stamps: Stamps, *numbers: Array) -> NDArray[np.uint8]:
         """Return many messages, a row each, of as many numbers as the lengths say."""
-        size = self._struct.size
-        rows = np.zeros(len(stamps), self._dtype(size))
-        rows["header"] = np.frombuffer(self._header, np.uint8)
+        data = np.zeros((len(stamps), self._struct.size), np.uint8)
+        rows = self._rows(data)
+        rows["header"], rows["constant"] = np.void(self._header), np.void(self._constant)
         rows["sec"], rows["nanosec"] = np.divmod(stamps, NANOSECONDS)
-        rows["constant"] = np.frombuffer(self._constant, np.uint8)
-        rows["velocities"], rows["efforts"] = self._lengths[1:]
-        rows["position"], rows["velocity"], rows["effort"] = position, velocity, effort
-        return rows.view(np.uint8).reshape(len(rows), size)
+        rows["velocity count"], rows["effort count"] = self._lengths[1:]
+        rows["position"], rows["velocity"], rows["effort"] = numbers
+        return data
 
-    def _dtype(self, size: int) -> np.dtype[Any]:
-        integer, unsigned, double = (self._order + kind for kind in ("i4", "u4", "f8"))
-        positions, velocities, efforts = self._lengths
-        position, velocity, effort = self._starts
-        fields: dict[str, tuple[Any, int]] = {
-            "header": (("u1", (HEADER,)), 0),
-            "sec": (integer, HEADER),
-            "nanosec": (unsigned, HEADER + 4),
-            "constant": (("u1", (len(self._constant),)), CONSTANT),
-            "position": ((double, (positions,)), position),
-            "velocities": (unsigned, position + 8 * positions),
-            "velocity": ((double, (velocities,)), velocity),
-            "efforts": (unsigned, velocity + 8 * velocities),
-            "effort": ((double, (efforts,)), effort),
-        }
-        return np.dtype(
-            {
-                "names": list(fields),
-                "formats": [form for form, _ in fields.values()],
-                "offsets": [offset for _, offset in fields.values()],
-                "itemsize": size,
-            }
-        )
+    def _rows(self, data: NDArray[np.uint8]) -> NDArray[Any]:
+        kind: Any = {**self._dtype, "itemsize": data.shape[1]}
+        rows: NDArray[Any] = data.view(np.dtype(kind))[:, 0]
+        return rows
 
 
 class JointStateEncoder:
@@ -245,14 +224,14 @@ class JointStateEncoder:
         except struct.error as error:
             raise MessageError(f"stamp {stamp} ns, {lengths} numbers: {error}") from error
 
-    def encode_all(
+    def encode_rows(
         self,
-        stamps: NDArray[np.int64],
+        stamps: Stamps,
         position: Array = _NO_VALUES,
         velocity: Array = _NO_VALUES,
         effort: Array = _NO_VALUES,
-    ) -> list[bytes]:
-        """Return m messages, each as if encoded on its own.
+    ) -> NDArray[np.uint8]:
+        """Return m messages, each as if encoded on its own, as rows of bytes, shape (m, size).
 
         Args:
             stamps: Of the headers, ns since the epoch, shape (m,).
@@ -263,29 +242,13 @@ class JointStateEncoder:
         Raises:
             MessageError: A stamp does not fit into a message.
         """
-        rows = self.encode_rows(stamps, position, velocity, effort)
-        data, size = rows.tobytes(), rows.shape[1]
-        return [data[begin : begin + size] for begin in range(0, len(data), size)]
-
-    def encode_rows(
-        self,
-        stamps: NDArray[np.int64],
-        position: Array = _NO_VALUES,
-        velocity: Array = _NO_VALUES,
-        effort: Array = _NO_VALUES,
-    ) -> NDArray[np.uint8]:
-        """Return the messages of `encode_all` as rows of bytes, shape (m, size).
-
-        Raises:
-            MessageError: A stamp does not fit into a message.
-        """
         seconds = stamps // NANOSECONDS
         wrong = (seconds < -_SECONDS) | (seconds >= _SECONDS)
         if wrong.any():
             raise MessageError(f"stamp {stamps[wrong][0]} ns: its seconds do not fit into 32 bits")
         lengths = (position.shape[1], velocity.shape[1], effort.shape[1])
         template = self._templates.get(lengths) or self._template(lengths)
-        return template.pack_all(stamps, position, velocity, effort)
+        return template.pack_rows(stamps, position, velocity, effort)
 
     def _template(self, lengths: tuple[int, int, int]) -> _Template:
         constant = _constant(self._frame_id, self._names, lengths[0])
@@ -316,34 +279,12 @@ class JointStateDecoder:
             self._templates[len(data)] = template
         return message
 
-    def decode_all(
-        self, messages: Sequence[bytes]
-    ) -> tuple[list[JointStates], dict[int, MessageError]]:
-        """Decode many messages at once.
-
-        Returns:
-            The messages, those of the same names and lengths together; and by its place each
-            that is none, with the reason.
-        """
-        found: list[JointStates] = []
-        malformed: dict[int, MessageError] = {}
-        sizes = np.fromiter(map(len, messages), np.intp, len(messages))
-        for size in np.unique(sizes).tolist():
-            places = np.flatnonzero(sizes == size)
-            data = b"".join([messages[place] for place in places.tolist()])
-            rows = np.frombuffer(data, np.uint8).reshape(len(places), size)
-            found += self.decode_rows(places, rows, malformed)
-        return found, malformed
-
-    def decode_rows(
-        self, places: Places, rows: NDArray[np.uint8], malformed: dict[int, MessageError]
-    ) -> list[JointStates]:
-        """Decode messages of one size.
+    def decode_rows(self, places: Places, rows: NDArray[np.uint8]) -> list[JointStates]:
+        """Decode messages of one size; those that are none are left out.
 
         Args:
             places: Numbers of the messages, ascending, shape (m,).
             rows: Their bytes, shape (m, size).
-            malformed: Takes each that is none, with the reason.
 
         Returns:
             The messages, those of the same names and lengths together.
@@ -353,17 +294,30 @@ class JointStateDecoder:
             first = rows[0].tobytes()
             try:
                 self(first)
-            except MessageError as error:
-                malformed[int(places[0])] = error
+            except MessageError:
                 places, rows = places[1:], rows[1:]
                 continue
-            one = self._templates[len(first)].unpack_all(places, rows)
-            found.append(one)
-            left = np.isin(places, one.places, assume_unique=True, invert=True)
-            if not left.any():
-                break
+            found.append(self._templates[len(first)].unpack_rows(places, rows))
+            left = np.isin(places, found[-1].places, assume_unique=True, invert=True)
             places, rows = places[left], rows[left]
         return found
+
+
+def joint_names(messages: Iterable[bytes]) -> tuple[str, ...]:
+    """Return the names in some messages, each once.
+
+    Raises:
+        MessageError: Some are no JointStates, and the others have no names.
+    """
+    decode, names, problem = JointStateDecoder(), dict[str, None](), None
+    for message in messages:
+        try:
+            names |= dict.fromkeys(decode(message).names)
+        except MessageError as error:
+            problem = problem or error
+    if problem and not names:
+        raise problem
+    return tuple(names)
 
 
 def _constant(frame_id: str, names: tuple[str, ...], positions: int) -> bytes:
@@ -401,10 +355,9 @@ def _parse(data: bytes) -> tuple[JointState, _Template]:
     velocity, effort = reader.doubles("velocity"), reader.doubles("effort")
     if reader.left > _LARGEST_TAIL:
         raise MessageError(f"{reader.left} bytes are left at {reader.place}, after the effort")
-    stamp = sec * NANOSECONDS + nanosec
-    message = JointState(stamp, names, position, velocity, effort, frame_id)
+    message = JointState(sec * NANOSECONDS + nanosec, names, position, velocity, effort, frame_id)
     lengths = (len(position), len(velocity), len(effort))
     # Padding may hold anything, but is usually the same in the next message.
-    constant = bytes(data[CONSTANT:begin])
+    constant = bytes(data[_CONSTANT:begin])
     header = bytes(data[:HEADER])
     return message, _Template(header, constant, lengths, reader.order, names, frame_id)

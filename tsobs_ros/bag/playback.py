@@ -7,14 +7,12 @@ Every deadline is computed from the last change of pace, so that no error adds u
 due is returned in the order of its deadlines, however late the caller comes.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from operator import attrgetter
-from typing import Generic, NamedTuple, Self, TypeVar
+from typing import NamedTuple
 
 from tsobs_ros.bag.reader import BagMessage, BagReader
-
-T = TypeVar("T")
 
 NEVER = 2**62
 # A player that was held up for longer continues from there instead of catching up in one burst.
@@ -284,13 +282,15 @@ class Playback:
 class BagSource:
     """Part of a bag, with what is latched where reading starts, for `Playback`.
 
+    A thread reads ahead, a batch at a time.
+
     Args:
         reader: The bag.
         topics: The topics to read.
         latched: How many messages of each latched topic from before the start come first.
         start: Log time at which a pass starts [ns].
         end: Log time at which a pass ends; messages of that time are still read [ns].
-        read_ahead: How much to read ahead [bytes].
+        read_ahead: How much to read ahead [bytes]; a single message may be larger.
     """
 
     def __init__(
@@ -302,12 +302,10 @@ class BagSource:
         end: int,
         read_ahead: int,
     ) -> None:
-        self._reader = reader
-        self._topics = topics
-        self._latched = latched
+        self._reader, self._topics, self._latched = reader, topics, latched
         self._start, self._end = start, end
-        self._read_ahead = read_ahead
-        self._ahead: ReadAhead[BagMessage | None] | None = None
+        self._max_batch = read_ahead // 2
+        self._stop: Callable[[], None] = lambda: None
 
     def read(self, time: int, again: bool) -> Iterator[BagMessage | None]:
         """Read from a log time to the end, and give up what was being read.
@@ -321,14 +319,14 @@ class BagSource:
             each pass. The iterator raises a BagReadError where the bag is damaged.
         """
         self.close()
-        self._ahead = ReadAhead(self._passes(time, again), _size, self._read_ahead)
-        return self._ahead
+        batches = _batches(self._passes(time, again), self._max_batch)
+        thread = ThreadPoolExecutor(1, thread_name_prefix="read ahead")
+        self._stop = thread.shutdown
+        return _ahead(batches, thread)
 
     def close(self) -> None:
         """Stop reading; safe to call twice."""
-        if self._ahead is not None:
-            self._ahead.close()
-            self._ahead = None
+        self._stop()
 
     def _passes(self, time: int, again: bool) -> Iterator[BagMessage | None]:
         while True:
@@ -345,66 +343,33 @@ class BagSource:
             time = self._start
 
 
-class ReadAhead(Generic[T]):
-    """An iterator over items of another one, which a thread reads a batch ahead.
-
-    Args:
-        items: What to iterate over; only the thread touches it. An error it raises is raised here
-            once all items before it have been taken.
-        size_of: The size of an item [bytes].
-        limit: How much may be read and not taken [bytes]; a single item may be larger.
-    """
-
-    def __init__(self, items: Iterable[T], size_of: Callable[[T], int], limit: int) -> None:
-        self._items = iter(items)
-        self._size_of = size_of
-        self._max_batch = limit // 2
-        self._batch_size = 1  # grows: the first batches are small, so that playing can start soon
-        self._error: Exception | None = None
-        self._batch: Iterator[T] = iter(())
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="read ahead")
-        self._closed = False
-        self._next_batch = self._thread.submit(self._read_batch)
-
-    def __iter__(self) -> Self:
-        """Return the iterator itself."""
-        return self
-
-    def __next__(self) -> T:
-        """Return the next item; wait for it if it has not been read yet."""
-        for item in self._batch:
-            return item
-        if self._closed or not (batch := self._next_batch.result()):
-            raise StopIteration
-        self._next_batch = self._thread.submit(self._read_batch)
-        self._batch = iter(batch)
-        return next(self._batch)
-
-    def close(self) -> None:
-        """Stop reading and wait for the thread; safe to call twice."""
-        self._closed = True
-        self._thread.shutdown()
-        self._batch = iter(())
-
-    def _read_batch(self) -> list[T]:
-        """Read items of a size; none at the end, and at an error those before it."""
-        if self._error is not None:
-            raise self._error
-        batch: list[T] = []
-        size = 0
+def _ahead(
+    batches: Iterator[list[BagMessage | None]], thread: ThreadPoolExecutor
+) -> Iterator[BagMessage | None]:
+    """Yield what is in some batches, of which a thread reads the next one already."""
+    following = thread.submit(next, batches, None)
+    while (batch := following.result()) is not None:
         try:
-            for item in self._items:
-                batch.append(item)
-                size += self._size_of(item)
-                if size >= self._batch_size or self._closed:
-                    break
-        except Exception as error:
-            if not batch:
-                raise
-            self._error = error
-        self._batch_size = min(4 * self._batch_size, self._max_batch)
-        return batch
+            following = thread.submit(next, batches, None)
+        except RuntimeError:  # it was closed
+            return
+        yield from batch
 
 
-def _size(message: BagMessage | None) -> int:
-    return _OVERHEAD + (0 if message is None else len(message.data))
+def _batches(
+    messages: Iterator[BagMessage | None], max_size: int
+) -> Iterator[list[BagMessage | None]]:
+    """Yield messages in batches of a size [bytes]; the first ones are small, to start soon."""
+    batch: list[BagMessage | None] = []
+    size, batch_size = 0, 1
+    try:
+        for message in messages:
+            batch.append(message)
+            size += _OVERHEAD + (0 if message is None else len(message.data))
+            if size >= batch_size:
+                yield batch
+                batch, size, batch_size = [], 0, min(4 * batch_size, max_size)
+    except Exception:
+        yield batch  # what is before the error is played
+        raise
+    yield batch

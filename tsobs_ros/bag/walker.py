@@ -216,7 +216,7 @@ class FileWalker:
             del content  # it may be large
             return self._read_damaged_chunk(at, end, chunk, reason)
         again = head, zlib.crc32(content.data)
-        if self.summary is None and head[0] < head[1] and again in self._seen:
+        if self.summary is None and again in self._seen:
             return None, self._lose(at, "a chunk that was there already", end)
         self._seen.add(again)
         self._follows_damage = False

@@ -25,14 +25,14 @@ from tsobs_ros.bag.joint_series import (
     require_joint_states,
     until_damage,
 )
-from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
+from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
 from tsobs_ros.bag.tick_log import TICK_LOG
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
-from tsobs_ros.errors import BagReadError, ModelError
+from tsobs_ros.errors import BagReadError, MessageError, ModelError
 from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
 from tsobs_ros.replay.places import places_of
 from tsobs_ros.series import NANOSECONDS
@@ -451,11 +451,11 @@ class BagSource(Source):
 
     def _first_names(self) -> tuple[str, ...]:
         messages = until_damage(self._reader.messages([self.topic]), self._damaged)
-        first = list(islice(messages, _FIRST_MESSAGES))
-        groups, malformed = JointStateDecoder().decode_all([message.data for message in first])
-        if malformed and not groups:
-            raise BagReadError(f"{self.path}: {self.topic}: {next(iter(malformed.values()))}")
-        return tuple(dict.fromkeys(name for group in groups for name in group.names))
+        first = islice(messages, _FIRST_MESSAGES)
+        try:
+            return joint_names(message.data for message in first)
+        except MessageError as error:
+            raise BagReadError(f"{self.path}: {self.topic}: {error}") from error
 
     def _survey(self) -> None:
         """Read the measurements for what must be known before the first of them is used."""

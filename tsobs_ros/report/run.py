@@ -18,7 +18,7 @@ from scipy.interpolate import CubicHermiteSpline
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.diagnostics import DIAGNOSTICS, RecordedStatus, read_statuses
 from tsobs_ros.bag.joint_series import Wanted, read_blocks
-from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
+from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest, TSRequest
@@ -263,8 +263,7 @@ def find_observer(
         if names["measurements"] is None and info is not None and info.type == JOINT_STATE:
             names["measurements"] = info.name
         messages = islice(reader.messages([names["states"]]), _FIRST_MESSAGES)
-        groups, _ = JointStateDecoder().decode_all([message.data for message in messages])
-        entries = tuple(dict.fromkeys(name for group in groups for name in group.names))
+        entries = joint_names(message.data for message in messages)
     return FoundObserver(reader, ends, names, ran, entries)
 
 
