@@ -16,11 +16,10 @@ from tsobs_ros import core
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.design.file import load_design
-from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.faults import new_watches
 from tsobs_ros.estimation.history import REASONS
 from tsobs_ros.estimation.state import Shape, new_model, types_of_model
-from tsobs_ros.estimation.tracker import Checkpoint, Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.prediction import flow_record, scratch_size
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
@@ -273,19 +272,6 @@ def test_a_place_outside_of_the_ring_is_refused(field: str, values: tuple[int, .
         one.memory[field] = value
         with pytest.raises(ValueError, match="history_estimate: memory: expected"):
             one.estimate(10**9)
-
-
-def test_a_checkpoint_with_another_estimators_numbers_is_refused() -> None:
-    one, other = tracker(), tracker()
-    one.follow(10**9 * np.arange(1, COUNT + 1), zeros(COUNT, 1), zeros(COUNT, 1))
-    memory, ring = one.checkpoint()
-    ring["hypotheses"]["kind"][:COUNT] = 10**6
-    with pytest.raises(ModelError, match="expected the numbers of this estimator"):
-        other.restore(Checkpoint(memory, ring))
-    memory["length"] = 10**6
-    with pytest.raises(ModelError, match="expected the numbers of this estimator"):
-        other.restore(Checkpoint(memory, ring))
-    assert other.newest is None
 
 
 def test_the_types_of_records_are_made_from_the_sizes_in_the_model() -> None:

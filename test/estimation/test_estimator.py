@@ -79,7 +79,7 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 DIGESTS = {
     "supervised arm": "270a9e9055457825",
-    "supervised arm, bad": "5c60099322925c74",
+    "supervised arm, bad": "e05d1708eac22a8f",
     "gyroscope": "bf21d2faf22f22e6",
     "gyroscope, bad": "80ab258c548b6b7f",
     "proportional": "d2bf1fd306894563",

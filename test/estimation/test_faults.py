@@ -287,8 +287,8 @@ def test_innovations_are_averaged_over_a_second_of_stamps() -> None:
     assert monitor.innovation_status().level is Level.OK
     innovate(monitor, 7 * SECOND, 3.0)
     assert monitor.square == 1.0  # a first one has no time to count for
-    innovate(monitor, 8 * SECOND, -3.0)
-    assert monitor.square == pytest.approx(9.0 - 8.0 * math.exp(-1.0))
+    innovate(monitor, 15 * SECOND // 2, -3.0)
+    assert monitor.square == pytest.approx(1.0 + 0.5 * 8.0)
     assert monitor.innovation_status().level is Level.WARN
     assert monitor.innovation_status().values == {
         "normalised innovation squared": f"{monitor.square:.3g}"

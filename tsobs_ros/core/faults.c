@@ -20,44 +20,11 @@ static const double MEMORY = 1.0, OUTLIER_MEMORY = 5.0, CLIP = 5.0;
 /* Length of a block, the longest gap in a history [ns], and blocks after a sensor was stuck. */
 static const int64_t BLOCK = 100000000, LONGEST_GAP = 1000000000, RECOVERY_BLOCKS = 100;
 
-/* Return exp(x) - 1 for x <= 0, to the last bit or so: a product of powers of 2 and a rational
- * approximation on |r| <= ln 2 / 2 (the polynomial of Sun's fdlibm) in a fixed order of sums. */
-static double exponential_less_one(double x)
+/* Return the share that a time since the last sample [ns] has in an average over a time [s]. */
+static double share_of(int64_t elapsed, double time)
 {
-    static const double LN2_HIGH = 6.93147180369123816490e-01;
-    static const double LN2_LOW = 1.90821492927058770002e-10;
-    double whole = 0.0, lost = 0.0, half, z, z2, r, t, e;
-    if (x <= -38.816225051879883) {
-        return -1.0;
-    }
-    if (x > -5.551115123125783e-17) {
-        return x;
-    }
-    if (x <= -0.3465735912322998) {
-        double high, low;
-        /* Once up to 1.5 ln 2; beyond, the nearest multiple. */
-        whole = x > -1.0397205352783203 ? -1.0 : ceil(1.44269504088896338700e+00 * x - 0.5);
-        high = x - whole * LN2_HIGH;
-        low = whole * LN2_LOW;
-        x = high - low;
-        lost = (high - x) - low;
-    }
-    half = 0.5 * x;
-    z = x * half;
-    z2 = z * z;
-    r = (1.0 + z * -3.33333333333331316428e-02) +
-        z2 * (1.58730158725481460165e-03 + z * -7.93650757867487942473e-05) +
-        z2 * z2 * (4.00821782732936239552e-06 + z * -2.01099218183624371326e-07);
-    t = 3.0 - r * half;
-    e = z * ((r - t) / (6.0 - x * t));
-    if (whole == 0.0) {
-        return x - (x * e - z);
-    }
-    e = (x * (e - lost) - lost) - z;
-    if (whole == -1.0) {
-        return 0.5 * (x - e) - 0.5;
-    }
-    return ldexp(1.0 - (e - x), (int)whole) - 1.0;
+    const double share = (double)elapsed * 1e-9 / time;
+    return share < 1.0 ? share : 1.0;
 }
 
 /* Return a normalised innovation within +-5 sigmas. */
@@ -106,9 +73,8 @@ static void count_outlier(const watch *of, int64_t stamp, double normalised)
         return;
     }
     if (*of->seen != 0) {
-        const double elapsed = (double)(*of->seen - stamp) * 1e-9;
-        const double weight = -exponential_less_one(elapsed / OUTLIER_MEMORY);
-        *of->outliers += weight * (outlier - *of->outliers);
+        const double share = share_of(stamp - *of->seen, OUTLIER_MEMORY);
+        *of->outliers += share * (outlier - *of->outliers);
     }
     *of->seen = stamp;
     *of->last = value;
@@ -119,14 +85,14 @@ static void average(const watch *of, int64_t stamp, double normalised)
 {
     const double value = clipped(normalised);
     if (*of->stamp != 0) {
-        double weight;
+        double share;
         if (stamp <= *of->stamp) {
             return;
         }
         *of->period = (double)(stamp - *of->stamp) * 1e-9;
-        weight = -exponential_less_one(-*of->period / MEMORY);
-        *of->square += weight * (value * value - *of->square);
-        *of->product += weight * (value * *of->normalised - *of->product);
+        share = share_of(stamp - *of->stamp, MEMORY);
+        *of->square += share * (value * value - *of->square);
+        *of->product += share * (value * *of->normalised - *of->product);
     }
     *of->stamp = stamp;
     *of->normalised = value;

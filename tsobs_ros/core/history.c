@@ -101,20 +101,6 @@ const char *tracker_bind(tracker *view, const tracker_memory *given)
     return NULL;
 }
 
-int are_states_sound(const tracker *t)
-{
-    int64_t place;
-    state each;
-    for (place = 0; place < *t->h.length; place++) {
-        each = state_at(t, place);
-        if (!state_is_sound(&t->m, &each)) {
-            return 0;
-        }
-    }
-    state_bind(&each, &t->m.s, coasted_numbers(t));
-    return *t->h.coasted_periods <= 0 || state_is_sound(&t->m, &each);
-}
-
 /* --- measurements --- */
 
 /* Return whether an output and all inputs are numbers, but for a torque, which is judged. */

@@ -77,10 +77,6 @@ typedef struct {
 /* Bind a view. Return NULL, or what is wrong with a memory: a length, or a place in it. */
 const char *tracker_bind(tracker *view, const tracker_memory *given);
 
-/* Return whether the numbers of all states in use that serve as places are within their fields;
- * they are unless somebody else has written them. */
-int are_states_sound(const tracker *t);
-
 /* Measurements, n of them. stamps: [ns]. y: NaN of an output that is missing, (n, p). u: inputs
  * from each measurement until the next one, (n, m). */
 typedef struct {

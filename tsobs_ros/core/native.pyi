@@ -119,9 +119,6 @@ def exported_open(words: Numbers, /) -> tuple[int, int, int, int, int]:
 def history_scratch_size(model: Numbers, slots: int, /) -> int:
     """Return the numbers of scratch of a tracker whose ring has so many states."""
 
-def history_is_sound(model: Numbers, memory: Numbers, ring: Numbers, scratch: Numbers, /) -> bool:
-    """Return whether all states in use are some of the model."""
-
 def history_offer(
     model: Numbers,
     memory: Numbers,

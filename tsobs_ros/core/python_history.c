@@ -47,12 +47,6 @@ BIND(history_scratch_size, "di", "model slots")
     return PyLong_FromSize_t(rewind_scratch_size(&sizes));
 }
 
-BIND(history_is_sound, "dDDD", TRACKER)
-{
-    tracker by;
-    return take_tracker(of, t, &by) ? PyBool_FromLong(are_states_sound(&by)) : NULL;
-}
-
 BIND(history_offer, "dDDDdddiDDDD",
      TRACKER " stamps y u now codes output_codes innovations expected_std")
 {
@@ -106,6 +100,6 @@ BIND(history_advance, "dDDD" "ddd" "DDDD" "ddd" "DDDi",
 }
 
 PyMethodDef history_methods[] = {
-    METHOD(history_scratch_size), METHOD(history_is_sound), METHOD(history_offer),
+    METHOD(history_scratch_size), METHOD(history_offer),
     METHOD(history_estimate),     METHOD(history_advance),  {NULL, NULL, 0, NULL},
 };

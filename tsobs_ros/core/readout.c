@@ -67,13 +67,13 @@ static double bound_of(
     return root(own * own + added);
 }
 
-/* What a function of the hypotheses is made of. */
+/* What the hypotheses together say of a number. */
 typedef struct {
     double mean, square, own; /* of values, of their squares, and of the bounds' squares */
-} moments;
+} mixture;
 
-/* Add a function of a hypothesis with its bound, weighed. */
-static void add_moments(moments *to, double weight, double value, double bound)
+/* Add what a hypothesis says, weighed. */
+static void mix(mixture *to, double weight, double value, double bound)
 {
     to->mean += weight * value;
     to->square += weight * value * value;
@@ -81,7 +81,7 @@ static void add_moments(moments *to, double weight, double value, double bound)
 }
 
 /* Return the mixture's 1-sigma: the mean of the variances, and the variance of the means. */
-static double mixed_bound(const moments *of)
+static double bound_of_mixture(const mixture *of)
 {
     const double apart = of->square - of->mean * of->mean;
     return root(of->own + (apart > 0.0 ? apart : 0.0));
@@ -129,111 +129,96 @@ static int is_excited(const model *m, const hypothesis *h, double *gram)
     return is_nonnegative(gram, k);
 }
 
-/* Write the functional that an output's disturbance is of a hypothesis. */
-static void disturbance_of(
-    const model *m, const hypothesis *h, long output, double *functional)
+/* What is read: plant states, disturbances of outputs, and torques, one after the other. */
+enum { STATE, DISTURBANCE, TORQUE };
+
+/* Write the functional of a hypothesis' states that a quantity is. */
+static void functional_of(
+    const model *m, const hypothesis *h, int what, long place, double *functional)
 {
-    const long width = (long)m->s.width, place = part_of(m, h, output);
-    memcpy(functional, m->disturbance_map + output * width, (size_t)width * sizeof(double));
-    if (place >= 0 && *h->kind != COLOURED_NOISE) {
+    const long width = (long)m->s.width, part = part_of(m, h, place);
+    const double *row = what == TORQUE ? m->torque_map : m->disturbance_map;
+    if (what == STATE) {
+        memset(functional, 0, (size_t)width * sizeof(double));
         functional[place] = 1.0;
+        return;
+    }
+    memcpy(functional, row + place * width, (size_t)width * sizeof(double));
+    if (what == DISTURBANCE && part >= 0 && *h->kind != COLOURED_NOISE) {
+        functional[part] = 1.0;
     }
 }
 
-/* Add what one hypothesis says, times its weight. */
-static double mix_states(
-    const model *m, const state *at, const double *weights, const estimate *said, work *scratch)
+/* Mix a quantity; `least`: its 1-sigma by the certificate. */
+static mixture read_one(
+    const model *m, const state *at, int what, long place, double least, work *scratch)
 {
-    const long width = (long)m->s.width;
-    double total = 0.0;
-    for (long i = 0; i < m->s.plant; i++) {
-        moments mixed = {0.0, 0.0, 0.0};
-        memset(scratch->functional, 0, (size_t)width * sizeof(double));
-        scratch->functional[i] = 1.0;
-        for (long j = 0; j < m->s.hypotheses; j++) {
-            if (weights[j] > 0.0) {
-                const hypothesis h = hypothesis_of(m, at, j);
-                const double bound = bound_of(
-                    m, at, &h, m->state_std[i], scratch->functional, 1, scratch->share);
-                add_moments(&mixed, weights[j], h.x[i], bound);
-            }
-        }
-        said->state[i] = m->scale[i] * mixed.mean;
-        said->state_bound[i] = fabs(m->scale[i]) * mixed_bound(&mixed);
-        total += said->state[i] + said->state_bound[i];
-    }
-    return total;
-}
-
-static double mix_disturbances(
-    const model *m, const state *at, const double *weights, const estimate *said, work *scratch)
-{
-    const long p = (long)m->s.p, n = (long)m->s.n, width = (long)m->s.width;
-    double total = 0.0;
-    for (long i = 0; i < p + m->s.t; i++) {
-        const int is_output = i < p;
-        moments mixed = {0.0, 0.0, 0.0};
-        double rate = 0.0;
-        for (long j = 0; j < m->s.hypotheses; j++) {
+    mixture all = {0.0, 0.0, 0.0};
+    for (long j = 0; j < m->s.hypotheses; j++) {
+        if (scratch->weights[j] > 0.0) {
             const hypothesis h = hypothesis_of(m, at, j);
-            double value, bound;
-            if (weights[j] <= 0.0) {
-                continue;
-            }
-            if (is_output) {
-                disturbance_of(m, &h, i, scratch->functional);
-                rate += weights[j] * dot(m->rate_map + i * width, h.x, n);
-            } else {
-                memcpy(
-                    scratch->functional, m->torque_map + (i - p) * width,
-                    (size_t)width * sizeof(double));
-            }
+            double value;
+            functional_of(m, &h, what, place, scratch->functional);
             value = dot(scratch->functional, h.x, states_in_use(m, &h));
-            if (is_output && *m->gain_mode == GAIN_OPEN) {
-                value += dot(m->disturbance_direct + i * p, at->sample, p);
+            if (what == DISTURBANCE && *m->gain_mode == GAIN_OPEN) {
+                value += dot(m->disturbance_direct + place * m->s.p, at->sample, (long)m->s.p);
             }
-            bound = bound_of(
-                m, at, &h, is_output ? m->disturbance_std[i] : m->torque_std[i - p],
-                scratch->functional, is_output, scratch->share);
-            add_moments(&mixed, weights[j], value, bound);
+            mix(&all, scratch->weights[j], value,
+                bound_of(m, at, &h, least, scratch->functional, what != TORQUE, scratch->share));
         }
-        if (is_output) {
-            said->disturbance[i] = mixed.mean;
-            said->disturbance_bound[i] = mixed_bound(&mixed);
-            said->disturbance_rate[i] = rate;
-        } else {
-            said->torque_disturbance[i - p] = mixed.mean;
-            said->torque_disturbance_bound[i - p] = mixed_bound(&mixed);
-        }
-        total += mixed.mean + mixed_bound(&mixed) + rate;
     }
-    return total;
+    return all;
+}
+
+/* Write an estimated quantity and its bound in a unit; return their sum. */
+static double put(const mixture *from, double unit, double *value, double *bound)
+{
+    *value = unit * from->mean;
+    *bound = fabs(unit) * bound_of_mixture(from);
+    return *value + *bound;
 }
 
 int read_out(const model *m, const state *at, const estimate *said, work *scratch)
 {
     const long k = (long)m->s.k;
     const hypothesis best = hypothesis_of(m, at, (long)*at->best);
-    double total;
+    double total = 0.0;
+    mixture all;
     weigh_all(m, at, scratch->weights);
-    total = mix_states(m, at, scratch->weights, said, scratch);
-    total += mix_disturbances(m, at, scratch->weights, said, scratch);
+    for (long i = 0; i < m->s.plant; i++) {
+        all = read_one(m, at, STATE, i, m->state_std[i], scratch);
+        total += put(&all, m->scale[i], said->state + i, said->state_bound + i);
+    }
+    for (long i = 0; i < m->s.p; i++) {
+        all = read_one(m, at, DISTURBANCE, i, m->disturbance_std[i], scratch);
+        total += put(&all, 1.0, said->disturbance + i, said->disturbance_bound + i);
+        said->disturbance_rate[i] = 0.0;
+        for (long j = 0; j < m->s.hypotheses; j++) {
+            const double *x = hypothesis_of(m, at, j).x;
+            if (scratch->weights[j] > 0.0) {
+                said->disturbance_rate[i]
+                    += scratch->weights[j] * dot(m->rate_map + i * m->s.width, x, (long)m->s.n);
+            }
+        }
+        total += said->disturbance_rate[i];
+    }
+    for (long i = 0; i < m->s.t; i++) {
+        all = read_one(m, at, TORQUE, i, m->torque_std[i], scratch);
+        total += put(&all, 1.0, said->torque_disturbance + i, said->torque_disturbance_bound + i);
+    }
     for (long a = 0; a < k; a++) {
         /* What was learnt over a distance is wrong by a share of it: regressors move with x^. */
-        moments mixed = {0.0, 0.0, 0.0};
+        mixture learnt = {0.0, 0.0, 0.0};
         for (long j = 0; j < m->s.hypotheses; j++) {
             const hypothesis h = hypothesis_of(m, at, j);
             const double pending = h.pending[a];
             const double moved = m->constants[CURVED] * (h.theta[a] + pending - h.anchor[a]);
             if (scratch->weights[j] > 0.0) {
-                add_moments(
-                    &mixed, scratch->weights[j], h.theta[a],
+                mix(&learnt, scratch->weights[j], h.theta[a],
                     root(h.gamma[a * k + a] + pending * pending + moved * moved));
             }
         }
-        said->parameters[a] = mixed.mean;
-        said->parameter_bound[a] = mixed_bound(&mixed);
-        total += mixed.mean + said->parameter_bound[a];
+        total += put(&learnt, 1.0, said->parameters + a, said->parameter_bound + a);
     }
     *said->basis = (double)basis_of(m, &best, said->claimed);
     *said->noise_scale = scale_of(m, at);
