@@ -47,8 +47,6 @@ REQUESTS = [
     ArmRequest(ElasticJointArm(0.1, 0.7, 1e3 / 7.0, 0.0, 0.1), uncertainty={"gravity": 0.1}),
     ArmRequest(
         outputs=[Output("motor_velocity", 1e-4), Output("link_angle", 0.1 / 3.0, [DRIFT])],
-        disturbance=[DisturbanceTerm("clean")],
-        measurement_std=1e-4,
         torque_disturbance=TorqueDisturbance(link=[DRIFT], motor=[DisturbanceTerm("bias")]),
         torque_limit=50.0,
         torque_rate_limit=0.0,
