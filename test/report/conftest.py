@@ -3,16 +3,16 @@
 """Runs to report on: a simulated one, and bags written without ROS."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_typestore
 
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.estimate_topics import CONDITIONS
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.records import Basis, Hypothesis, Innovation, Measurement
@@ -26,9 +26,6 @@ from tsobs_ros.simulation.signals import BiasStep
 
 START = 1_700_000_000_000_000_000
 TICK_LAG = 1_300_000
-
-_TYPES = get_typestore(Stores.ROS2_JAZZY)
-_JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
 class Row(NamedTuple):
@@ -111,32 +108,18 @@ def write_bag(tmp_path: Path) -> Callable[..., Path]:
         topics: dict[str, Iterable[Row]], log_times: dict[str, Sequence[int]] | None = None
     ) -> Path:
         path = tmp_path / "bag"
-        text, _ = _TYPES.generate_msgdef(_JOINT_STATE, ros_version=2)
         with BagWriter(path) as writer:
             for topic, rows in topics.items():
                 writer.add_topic(
-                    topic, _JOINT_STATE, definition=MessageDefinition(_JOINT_STATE, text, "")
+                    topic, JOINT_STATE, definition=MessageDefinition(JOINT_STATE, "", "")
                 )
-                for place, row in enumerate(rows):
-                    log = log_times[topic][place] if log_times else row.stamp + 100_000
-                    writer.write(topic, _serialised(row), log, log)
+                for place, (stamp, names, *numbers) in enumerate(rows):
+                    log = log_times[topic][place] if log_times else stamp + 100_000
+                    data = JointStateEncoder(list(names))(stamp, *map(list, numbers))
+                    writer.write(topic, data, log, log)
         return path
 
     return write
-
-
-def _serialised(row: Row) -> bytes:
-    stamp = _TYPES.types["builtin_interfaces/msg/Time"](
-        sec=row.stamp // 1_000_000_000, nanosec=row.stamp % 1_000_000_000
-    )
-    message = _TYPES.types[_JOINT_STATE](
-        header=_TYPES.types["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
-        name=list(row.names),
-        position=np.array(row.position, dtype=np.float64),
-        velocity=np.array(row.velocity, dtype=np.float64),
-        effort=np.array(row.effort, dtype=np.float64),
-    )
-    return bytes(_TYPES.serialize_cdr(message, _JOINT_STATE))
 
 
 def topics_of(run: RecordedRun, namespace: str = "") -> dict[str, list[Row]]:
@@ -176,22 +159,13 @@ def topics_of(run: RecordedRun, namespace: str = "") -> dict[str, list[Row]]:
     return {f"{namespace}/{name}": rows for name, rows in topics.items()}
 
 
-def shortened(run: RecordedRun, count: int) -> RecordedRun:
-    """Return the first `count` samples of a run, for bags that are quick to write."""
-
-    def cut(value: Any) -> Any:
-        if isinstance(value, Series):
-            return Series(value.stamps[:count], value.values[:count])
-        return value[:count] if isinstance(value, np.ndarray) else value
-
-    values = {field.name: cut(getattr(run, field.name)) for field in fields(run)}
-    return RecordedRun(**values)
-
-
 @pytest.fixture
 def short(simulated: RecordedRun) -> RecordedRun:
-    """The first second of the simulated run."""
-    return shortened(simulated, 200)
+    """The first second of the simulated run, for bags that are quick to write."""
+    series = ("measurements", "innovations", "truth", "true_disturbance")
+    cut: dict[str, Any] = {name: getattr(simulated, name).take(slice(200)) for name in series}
+    run = simulated.until(int(simulated.stamps[199]))
+    return replace(run, **cut)
 
 
 @pytest.fixture
@@ -216,12 +190,6 @@ def messages_of() -> Callable[..., dict[str, list[Row]]]:
 def new_run() -> Callable[..., RecordedRun]:
     """`blank_run` for tests."""
     return blank_run
-
-
-@pytest.fixture
-def row() -> type[Row]:
-    """`Row` for tests."""
-    return Row
 
 
 @pytest.fixture

@@ -123,13 +123,6 @@ def test_joints_keep_their_columns_whatever_their_order(export, tmp_path) -> Non
     assert [second[column] for column in columns] == ["", "3.0", "nan"]
 
 
-def test_an_observers_health_is_no_angle(export, tmp_path) -> None:
-    export(health=[joint_state(["noise_scale", "hip/measurement_age"], [1.5, 0.25])])
-
-    (row,) = rows(tmp_path / "health.csv")
-    assert (row["position.noise_scale"], row["position.hip/measurement_age [s]"]) == ("1.5", "0.25")
-
-
 def test_arrays_have_a_column_each_entry_or_one_if_ever_long(export, tmp_path) -> None:
     export(short=[array(length) for length in (2, 0, 3)], long=[array(2), array(65)])
     export_bag(tmp_path / "bag", tmp_path, topics=["/long"], format="parquet")
@@ -162,16 +155,16 @@ def test_texts_bytes_and_lists_of_messages(export, tmp_path) -> None:
     assert pq.read_table(tmp_path / "image.parquet")["data"].to_pylist() == [b"\0\xff\x10"]
 
 
-@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "\n=1"])
-def test_texts_are_no_formulas_and_numbers_stay_numbers(export, tmp_path, text) -> None:
-    frame = header(text)
-    export(t=[made("sensor_msgs/msg/Temperature", header=frame, temperature=-1.5, variance=0.0)])
+def test_texts_are_no_formulas_and_numbers_stay_numbers(export, tmp_path) -> None:
+    texts = ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "\n=1"]
+    type_ = "sensor_msgs/msg/Temperature"
+    export(t=[made(type_, header=header(text), temperature=-1.5, variance=0.0) for text in texts])
     export_bag(tmp_path / "bag", tmp_path, format="parquet")
 
-    (row,) = rows(tmp_path / "t.csv")
-    assert row["header.frame_id"] == f"'{text}"
-    assert row["temperature [degC]"] == "-1.5"
-    assert pq.read_table(tmp_path / "t.parquet")["header.frame_id"].to_pylist() == [text]
+    found = rows(tmp_path / "t.csv")
+    assert [row["header.frame_id"] for row in found] == [f"'{text}" for text in texts]
+    assert {row["temperature [degC]"] for row in found} == {"-1.5"}
+    assert pq.read_table(tmp_path / "t.parquet")["header.frame_id"].to_pylist() == texts
 
 
 @given(st.lists(st.floats(allow_subnormal=True), min_size=1, max_size=5))
@@ -214,9 +207,8 @@ def test_topics_become_paths_and_files_are_not_replaced(tmp_path) -> None:
 
 
 NAMES = [
-    "/../../escaped", "/a/..", "/a/./b", "//a", "/a//", "/", "/a\0b", "/a\nb", "/a%0Ab",
-    "/a\x1b[2Jb", "/a\x9bb", "/a\u202eb", "/a.csv/b", "/a b", "/a\\b", "/é", "/" + "a" * 300,
-    "/" + "a" * 299 + "b", "/" + "é" * 100, "/a" * 3000, "/%",
+    "/../../escaped", "/a/./b", "//a", "/a//", "/", "/a\0b", "/a\nb", "/a%0Ab", "/a\x1b[2Jb",
+    "/a\u202eb", "/a.csv/b", "/a\\b", "/" + "a" * 300, "/" + "a" * 299 + "b", "/a" * 3000,
 ]  # fmt: skip
 
 
