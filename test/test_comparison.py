@@ -71,7 +71,7 @@ def test_what_has_no_bound_is_named_with_the_reason(comparison) -> None:
     table = {line.split()[0]: line.split()[1:] for line in text.splitlines()[2:12]}
     assert table["pcrb"][-1] == table["pcrb_augmented"][-1] == "–"
     assert all(math.isfinite(float(cell)) for cell in table["certified"])
-    assert "high_gain, proportional_integral: no estimate of the sensor's disturbance" in text
+    assert "high_gain, proportional_integral: takes an offset of the sensor for motion" in text
     unbounded = {name for name, scenario in SCENARIOS.items() if why_unbounded(scenario)}
     assert unbounded == {
         "stiff_bursts", "coarse", "stiff_coarse", "wrong_effort_10", "wrong_effort_50",

@@ -58,18 +58,14 @@ def test_a_figure_has_numbers_below_each_column_and_nothing_clipped(troubled, tm
 
 
 SERIES = ("measurements", "truth", "true_disturbance", "innovations", "health", "parameters",
-          "parameter_bounds", "delays", "estimate_delays")  # fmt: skip
+          "parameter_bounds")  # fmt: skip
 
 
 @pytest.mark.parametrize("gap", ["stamps", "nan", "start", "all"])
 def test_a_figure_has_gaps_where_its_series_have_them(troubled, tmp_path, gap: str) -> None:
     """Of five seconds: without stamps there, with numbers that are none, or from the start."""
     learnt = Series(troubled.stamps[::10], 0.01 * np.ones((len(troubled.stamps[::10]), 2)))
-    delays = Series(troubled.stamps, 1e-3 * np.ones((len(troubled.stamps), 1)))
-    whole = replace(
-        troubled,
-        parameters=learnt, parameter_bounds=learnt, delays=delays, estimate_delays=delays,
-    )  # fmt: skip
+    whole = replace(troubled, parameters=learnt, parameter_bounds=learnt)
     begin, end = {"start": (0.0, 5.0), "all": (0.0, 99.0)}.get(gap, (6.0, 11.0))
     begin, end = (whole.stamps[0] + int(1e9 * time) for time in (begin, end))
 

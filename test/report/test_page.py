@@ -50,7 +50,6 @@ def page(simulated, troubled, diagnosed, tmp_path):
         troubled, name=HOSTILE, parameters=learnt, parameter_bounds=learnt._replace(
             values=np.full((len(slow), 2), 0.02)
         ),
-        delays=Series(simulated.stamps, np.full((len(simulated.stamps), 1), 0.002)),
     )  # fmt: skip
     metrics = measure(run)
     shown = picture(run, metrics, (0.03,), learnt=("stiffness", HOSTILE), diagnosed=diagnosed)
@@ -92,7 +91,7 @@ def test_a_page_on_a_phone_fits_and_hides_nothing_behind_its_toolbar(opened, pag
         "motor velocity [rad/s]", "sensor disturbance [rad]", "applied torque [N m]",
         "sensor fault", "innovation [rad]", "autocorrelation of innovation",
         "noise scale [design's = 1]", "learnt change of stiffness",
-        f"learnt change of {HOSTILE}", "measurement interval [ms]", "stamp to recording [ms]",
+        f"learnt change of {HOSTILE}", "measurement interval [ms]",
         "latency of the node [ms]", "rejected [1/s]",
     ]  # fmt: skip
     assert tab.locator(".main-svg .trace").count() > 40

@@ -36,8 +36,6 @@ _MAX_AHEAD = 4.0
 _MAX_TRANSIENT = 10.0
 # Autocorrelation is of so many samples, and its white band is of so many standard deviations.
 _MAX_LAG, _WHITE = 40, 2.0
-# Delays beyond this are of two clocks [s].
-_OTHER_CLOCK = 10.0
 # Of what is published ten times a second, a longer silence is a gap [s].
 _SLOW_GAP = 1.0
 _JUMPS = {"jump": "fault {:+.2g} rad", "step": "torque {:+.2g} N m"}
@@ -142,8 +140,6 @@ class TimingSummary(NamedTuple):
         max_interval: The largest interval [s].
         lost: Number of samples that are missing by the stamps.
         gaps: Number of intervals longer than `MAX_GAP`.
-        latency: Median time from the stamp of a measurement to its recording [s]; None if stamps
-            and recording are not on one clock.
     """
 
     rate: float | None = None
@@ -151,7 +147,6 @@ class TimingSummary(NamedTuple):
     max_interval: float = 0.0
     lost: int = 0
     gaps: int = 0
-    latency: float | None = None
 
 
 class Picture(NamedTuple):
@@ -213,7 +208,7 @@ def picture(
     # What is outside of the time axis must not squeeze the rest.
     own = (times >= 0.0) & (times <= last + _MAX_AHEAD)
     times, samples = times[own], samples.take(own)
-    timing, usual = _timing(run, times, period)
+    timing, usual = _timing(times, period)
     rows = [_of_quantity(run, metrics, one, rival, (times, samples)) for one in run.quantities]
     singles: list[Plot] = []
     for (name, unit), values in zip(inputs, samples.values.T[len(outputs) :], strict=False):
@@ -227,8 +222,6 @@ def picture(
     singles += _learnt(run, learnt)
     if timing.rate is not None:
         singles.append(_intervals(times, timing))
-    if timing.latency is not None:
-        singles.append(_delays(run))
     for what in ("latency", "tick time"):
         found = {
             name.removeprefix(f"{what} ").removesuffix(" [ms]"): values
@@ -559,7 +552,7 @@ def _health(times: Array, values: Array) -> Plot:
     )
 
 
-def _timing(run: RecordedRun, times: Array, period: float | None) -> tuple[TimingSummary, float]:
+def _timing(times: Array, period: float | None) -> tuple[TimingSummary, float]:
     """Return how regular the measurements came, and the time between them [s]."""
     steps = np.diff(np.unique(times))
     if not len(steps):
@@ -567,7 +560,6 @@ def _timing(run: RecordedRun, times: Array, period: float | None) -> tuple[Timin
     median = float(np.median(steps))
     period = period or median
     usual = steps[steps <= MAX_GAP]
-    (latency,) = ([] if run.delays is None else _quantiles(run.delays.values, 0.5)) or [math.inf]
     return (
         TimingSummary(
             rate=1.0 / median,
@@ -575,7 +567,6 @@ def _timing(run: RecordedRun, times: Array, period: float | None) -> tuple[Timin
             max_interval=float(steps.max()),
             lost=int(np.maximum(np.rint(steps / period) - 1.0, 0.0).sum()),
             gaps=int((steps > MAX_GAP).sum()),
-            latency=latency if abs(latency) < _OTHER_CLOCK else None,
         ),
         period,
     )
@@ -591,13 +582,3 @@ def _intervals(times: Array, found: TimingSummary) -> Plot:
     )
     curve = _curve("measured", times[1:], steps, max_gap=math.inf)._replace(name="interval")
     return Plot("measurement interval", "ms", _around([steps], zero=True), (curve,), remark)
-
-
-def _delays(run: RecordedRun) -> Plot:
-    curves, medians = {}, []
-    for name, series in (("measurements", run.delays), ("estimates", run.estimate_delays)):
-        for median in [] if series is None else _quantiles(series.values, 0.5):
-            if series is not None and abs(median) < _OTHER_CLOCK:
-                curves[name] = (series.seconds(run.origin), 1000.0 * series.values[:, 0])
-                medians.append(f"{name}: median {1000.0 * median:.2g} ms")
-    return _lines("stamp to recording", "ms", curves, MAX_GAP, medians)

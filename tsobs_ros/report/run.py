@@ -136,9 +136,6 @@ class RecordedRun:
             not recorded.
         parameters: Learnt changes of the uncertain parameters, values (l, c); None if not recorded.
         parameter_bounds: 1σ of each, values (l, c); None if not recorded.
-        delays: Time from the stamps of measurements to their recording [s], values (n, 1); None if
-            not recorded.
-        estimate_delays: The same of the estimates, values (m, 1).
         topic: Name of the measurements' topic.
         passes: Number of passes over the recorded time; this is the longest one.
         quantities: What the estimates are of.
@@ -162,8 +159,6 @@ class RecordedRun:
     health: Series | None = None
     parameters: Series | None = None
     parameter_bounds: Series | None = None
-    delays: Series | None = None
-    estimate_delays: Series | None = None
     topic: str = "joint_measurements"
     passes: int = 1
     quantities: tuple[Quantity, ...] = QUANTITIES
@@ -350,11 +345,6 @@ class FoundObserver:
             if (rows := nearest_pass(all_of_it, log_time)) is not None
         }
         series = {key: Series(one["stamps"], one["values"]) for key, one in chosen.items()}
-        delays: dict[str, Any] = {
-            key: Series(chosen[name]["stamps"], late[:, np.newaxis]).ordered()
-            for key, name in (("delays", "measurements"), ("estimate_delays", "states"))
-            for late in [(chosen[name]["log_times"] - chosen[name]["stamps"]) / NANOSECONDS]
-        }
         stamps = (ordered := series.pop("states").ordered()).stamps
         nothing = np.full((len(stamps), len(own.torques)), np.nan)
         aligned: dict[str, Any] = {
@@ -379,7 +369,6 @@ class FoundObserver:
             measured=measured_states(request),
             **aligned,
             **others,
-            **delays,
         )
 
     def _rows(self, wanted: Mapping[str, Wanted]) -> dict[str, Rows]:

@@ -3,9 +3,8 @@
 """Errors of observers on simulated scenarios, as a table for terminals, Markdown and JSON."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,17 +33,17 @@ ABOUT = {
 }
 """What each column of the table is."""
 
-_WITHOUT_DISTURBANCE = ("high_gain", "proportional_integral")
-_OFFSET = "takes an offset of the sensor for motion, so that no bound holds for it"
-_KNOWN = "takes the parameters for known, so that pcrb holds for it if they are right"
 _BIASED = {
-    "certified_fixed": _KNOWN,
-    "ekf_plain": _KNOWN,
-    "ekf": _KNOWN,
-    "high_gain": _OFFSET,
-    "proportional_integral": _OFFSET,
-    "paper": "uses no measurement of the arm, see docs/method.md",
+    "takes the parameters for known, so that pcrb holds for it if they are right": (
+        "certified_fixed",
+        "ekf_plain",
+        "ekf",
+    ),
+    "takes an offset of the sensor for motion, so that no bound holds for it, and estimates no "
+    "disturbance of it": ("high_gain", "proportional_integral"),
+    "uses no measurement of the arm, see docs/method.md": ("paper",),
 }
+"""Why the bound does not hold for observers."""
 
 
 class Cell(NamedTuple):
@@ -74,10 +73,6 @@ class Cell(NamedTuple):
         """Root mean square of the normalised RMSE over the runs; None without errors."""
         return _root_mean(self.normalised)
 
-    def typical_of(self, quantity: int) -> float | None:
-        """Return the root mean square error of a quantity over the runs; None without errors."""
-        return _root_mean(self.rmse[:, quantity])
-
     def as_mapping(self) -> dict[str, Any]:
         """Return everything as plain data."""
         inside = {
@@ -87,7 +82,9 @@ class Cell(NamedTuple):
         }
         return {
             "normalised_rmse": self.typical,
-            "rmse": {one.key: self.typical_of(place) for place, one in enumerate(QUANTITIES)},
+            "rmse": {
+                one.key: _root_mean(rmse) for one, rmse in zip(QUANTITIES, self.rmse.T, strict=True)
+            },
             "normalised_rmse_of_runs": self.normalised.tolist(),
             **({f"inside_{SIGMAS:g}_sigma": inside} if inside else {}),
         }
@@ -106,14 +103,10 @@ class ScenarioRow:
     """
 
     scenario: str
-    cells: Mapping[str, Cell]
-    bounds: Mapping[str, Cell]
+    cells: dict[str, Cell]
+    bounds: dict[str, Cell]
     unbounded: str
     thetas: Mapping[str, float]
-
-    def __getitem__(self, name: str) -> Cell | None:
-        """Return the errors of an observer, or a bound; None if there are none."""
-        return self.cells.get(name) or self.bounds.get(name)
 
 
 @dataclass(frozen=True)
@@ -135,10 +128,8 @@ class ScenarioComparison:
     @property
     def names(self) -> tuple[str, ...]:
         """The observers, and the bounds that any scenario has."""
-        return (
-            *self.observers,
-            *(name for name in BOUNDS if any(name in row.bounds for row in self.rows)),
-        )
+        bounds = (name for name in BOUNDS if any(name in row.bounds for row in self.rows))
+        return (*self.observers, *bounds)
 
     def as_mapping(self) -> dict[str, Any]:
         """Return everything as plain data that JSON can hold."""
@@ -147,11 +138,7 @@ class ScenarioComparison:
             "observers": {name: ABOUT[name] for name in self.names},
             "scenarios": {
                 row.scenario: {
-                    **{
-                        name: cell.as_mapping()
-                        for name in self.names
-                        if (cell := row[name]) is not None
-                    },
+                    **{name: one.as_mapping() for name, one in (row.cells | row.bounds).items()},
                     "theta": dict(row.thetas),
                     "unbounded": row.unbounded or None,
                 }
@@ -166,51 +153,51 @@ class ScenarioComparison:
             f"normalised RMSE of the four states over what counts as settled; root mean square "
             f"over {self.seeds} runs"
         ]
-        lines += [
-            f"no bound for {row.scenario}: it has {row.unbounded}"
-            for row in self.rows
-            if row.unbounded
-        ]
-        if "pcrb" in self.names:
-            for reason in dict.fromkeys(_BIASED.values()):
-                names = [name for name in self.observers if _BIASED.get(name) == reason]
-                lines += [f"{', '.join(names)}: {reason}"] if names else []
-        lacking = [name for name in self.observers if name in _WITHOUT_DISTURBANCE]
-        if lacking:
-            lines.append(f"{', '.join(lacking)}: no estimate of the sensor's disturbance")
+        for row in self.rows:
+            lines += [f"no bound for {row.scenario}: it has {row.unbounded}"] * bool(row.unbounded)
+        for reason, names in _BIASED.items():
+            own = [name for name in self.observers if name in names]
+            lines += [f"{', '.join(own)}: {reason}"] * bool(own)
         return [*lines, *self.remarks]
 
-    def table(self, value: Callable[[Cell], float | None]) -> list[list[str]]:
-        """Return a table of the observers over the scenarios, with a head."""
+    def table(self, quantity: int | None = None) -> list[list[str]]:
+        """Return a table of the observers over the scenarios, with a head.
+
+        Args:
+            quantity: Place of that whose RMSE is shown; the normalised RMSE of all states if None.
+        """
         rows = [["", *(row.scenario for row in self.rows)]]
         for name in self.names:
-            cells = [row[name] for row in self.rows]
-            known = (None if cell is None else value(cell) for cell in cells)
+            cells = [row.cells.get(name) or row.bounds.get(name) for row in self.rows]
+            known = (
+                None
+                if one is None
+                else _root_mean(one.normalised if quantity is None else one.rmse[:, quantity])
+                for one in cells
+            )
             rows.append([name, *map(number_text, known)])
         return rows
 
     def __str__(self) -> str:
         width = max(map(len, self.names))
         about = [f"{name:<{width}}  {ABOUT[name]}" for name in self.names]
-        table = aligned(self.table(lambda cell: cell.typical), text_columns=1)
-        return "\n".join([*table, "", *about, "", *self.notes()])
+        return "\n".join([*aligned(self.table(), text_columns=1), "", *about, "", *self.notes()])
 
-    def markdown(self, figure: str = "") -> str:
-        """Return the page: the table, what is in it, and a table of each quantity.
-
-        Args:
-            figure: File name of the figure; empty for none.
-        """
+    def markdown(self, figure: str) -> str:
+        """Return the page: the figure of a file name, and a table of each quantity."""
         measure, *notes = self.notes()
-        parts = ["# Observers on the same scenarios", f"{measure[0].upper()}{measure[1:]}."]
-        parts += [f"![Errors of all observers]({figure})"] if figure else []
-        parts.append(_markdown_table(self.table(lambda cell: cell.typical)))
-        parts.append("\n".join(f"- `{name}`: {ABOUT[name]}" for name in self.names))
+        parts = [
+            "# Observers on the same scenarios",
+            f"{measure[0].upper()}{measure[1:]}.",
+            f"![Errors of all observers]({figure})",
+            _markdown_table(self.table()),
+            "\n".join(f"- `{name}`: {ABOUT[name]}" for name in self.names),
+        ]
         if notes:
             parts += ["## Notes", "\n".join(f"- {note}" for note in notes)]
         for place, quantity in enumerate(QUANTITIES):
-            parts.append(f"## RMSE of the {quantity.name} [{quantity.unit}]")
-            parts.append(_markdown_table(self.table(partial(Cell.typical_of, quantity=place))))
+            parts += [f"## RMSE of the {quantity.name} [{quantity.unit}]"]
+            parts += [_markdown_table(self.table(place))]
         return "\n\n".join(parts) + "\n"
 
 
