@@ -30,18 +30,6 @@ def states(bound: float = 5.0) -> st.SearchStrategy[Array]:
     return hnp.arrays(np.float64, 4, elements=st.floats(-bound, bound, allow_subnormal=False))
 
 
-@pytest.mark.parametrize(
-    ("slope", "frequencies"), [(1.0, (1.4806, 4.7757)), (2.0 / math.pi, (1.2694, 4.4446))]
-)
-def test_the_undamped_arm_oscillates_at_the_known_frequencies(
-    slope: float, frequencies: tuple[float, float]
-) -> None:
-    eigenvalues = np.linalg.eigvals(ElasticJointArm().slope_matrix(slope))
-    assert np.abs(eigenvalues.real).max() < 1e-13
-    upper = np.sort(eigenvalues.imag)[2:]
-    assert upper == pytest.approx(frequencies, abs=5e-5)
-
-
 @PROPERTY
 @given(ARMS, states(), TORQUES)
 def test_the_derivative_is_newtons_law_in_physical_coordinates(
@@ -53,13 +41,6 @@ def test_the_derivative_is_newtons_law_in_physical_coordinates(
     link = -(arm.link_damping * v1 + twist + arm.gravity_torque * math.sin(q1)) / arm.link_inertia
     motor = (u[0] + twist - arm.motor_damping * v2) / arm.motor_inertia
     np.testing.assert_allclose(rate, [v1, link, v2, motor], rtol=1e-11, atol=1e-10)
-
-
-@PROPERTY
-@given(ARMS, states())
-def test_coordinates_go_there_and_back(arm: ElasticJointArm, x: Array) -> None:
-    np.testing.assert_allclose(arm.from_physical(arm.to_physical(x)), x, rtol=1e-15, atol=1e-300)
-    np.testing.assert_allclose(arm.to_physical(arm.from_physical(x)), x, rtol=1e-15, atol=1e-300)
 
 
 @PROPERTY
@@ -75,16 +56,6 @@ def test_energy_changes_by_the_power_of_torque_and_damping_alone(
     ahead, behind, far, back = (arm.energy(x + k * step * rate) for k in (1, -1, 2, -2))
     numeric = (8.0 * (ahead - behind) - (far - back)) / (12.0 * step)
     assert numeric == pytest.approx(power, abs=1e-11 * (1.0 + float(ahead)) / step)
-
-
-@PROPERTY
-@given(ARMS, hnp.arrays(np.float64, (2, 3, 4), elements=st.floats(-5.0, 5.0)))
-def test_a_batch_of_states_is_its_members_side_by_side(arm: ElasticJointArm, x: Array) -> None:
-    # To rounding: the matrix product of a batch adds in another order than that of a vector.
-    u = x[..., :1] - 1.0
-    members = [[arm.derivative(x[i, j], u[i, j]) for j in range(3)] for i in range(2)]
-    np.testing.assert_allclose(arm.derivative(x, u), members, rtol=1e-12, atol=1e-9)
-    assert arm.energy(x).shape == (2, 3)
 
 
 def test_coordinates_and_energy_of_a_known_arm() -> None:

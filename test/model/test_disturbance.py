@@ -53,29 +53,6 @@ def test_exosystems_generate_their_signals(a: float, b: float, t: float, number:
 
 
 @PROPERTY
-@given(st.floats(0.01, 1.0), st.floats(0.1, 50.0))
-def test_the_drift_keeps_its_stationary_variance(std: float, tau: float) -> None:
-    model = gauss_markov(std, tau)
-    variance = std**2 * np.eye(1)
-    balance = model.S @ variance + variance @ model.S.T + model.G @ model.G.T
-    np.testing.assert_allclose(balance, 0.0, atol=1e-14 * std**2 / tau)
-    assert model.initial_std == pytest.approx([std])
-
-
-@pytest.mark.parametrize(
-    ("model", "densities"),
-    [
-        (bias(4e-4), [4e-4]),
-        (sinusoid(3.0, 4e-4), [4e-4, 4e-4]),
-        (ramp(4e-4, 9e-6), [4e-4, 9e-6]),
-        (clean(), []),
-    ],
-)
-def test_driving_noise_has_the_given_density(model: DisturbanceModel, densities: Any) -> None:
-    np.testing.assert_allclose(model.G @ model.G.T, np.diag(densities), rtol=1e-14, atol=1e-20)
-
-
-@PROPERTY
 @given(st.data(), MODELS, MODELS, TIMES)
 def test_a_sum_generates_the_sum_of_its_signals(
     data: st.DataObject, first: DisturbanceModel, second: DisturbanceModel, t: float
@@ -91,15 +68,6 @@ def test_a_sum_generates_the_sum_of_its_signals(
     assert (driven[:split, :split] == first.G @ first.G.T).all()
     assert (driven[split:, split:] == second.G @ second.G.T).all()
     assert not driven[:split, split:].any()
-
-
-def test_a_sum_is_named_after_its_terms_and_remembers_an_arbitrary_one() -> None:
-    assert (bias() + sinusoid(3.0)).label == "bias+sinusoid"
-    assert (clean() + bias()).label == "bias"
-    assert (clean() + clean()).label == "clean"
-    assert (bias() + arbitrary()).label == "bias+arbitrary"
-    assert (bias() + arbitrary()).arbitrary
-    assert not (bias() + clean()).arbitrary
 
 
 @PROPERTY
@@ -162,18 +130,3 @@ SQUARE, ROW = np.eye(2), np.ones((1, 2))
 def test_a_wrong_number_or_matrix_is_named(build: Any, message: str) -> None:
     with pytest.raises(ModelError, match=message):
         build()
-
-
-@pytest.mark.parametrize(
-    ("matrices", "message"),
-    [
-        ((3.0, [[1.0]], [[1.0]], [1.0]), r"S: expected shape \(0, 0\), got \(\)"),
-        ((np.ones((2, 3)), ROW, SQUARE, [1, 1]), r"S: expected shape \(2, 2\), got \(2, 3\)"),
-        ((SQUARE, np.ones((1, 3)), SQUARE, [1, 1]), r"H: expected shape \(1, 2\), got \(1, 3\)"),
-        ((SQUARE, ROW, np.ones(2), [1, 1]), r"G: expected shape \(2, 0\), got \(2,\)"),
-        ((SQUARE, ROW, SQUARE, [1, 1, 1]), r"initial_std: expected shape \(2,\), got \(3,\)"),
-    ],
-)
-def test_a_matrix_of_the_wrong_shape_is_named(matrices: Any, message: str) -> None:
-    with pytest.raises(ModelError, match="disturbance " + message):
-        DisturbanceModel("x", *matrices)

@@ -3,7 +3,6 @@
 """The one-step prediction: its linear flow, its order, its exact error map, its covariance."""
 
 import math
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,14 +14,11 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag, expm
 
-from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
 from tsobs_ros.model.disturbance import bias, clean, gauss_markov, per_channel, ramp, sinusoid
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
 from tsobs_ros.model.linear_flow import STRETCH, LinearFlow
-from tsobs_ros.model.prediction import flow_record, scratch_size
-from tsobs_ros.model.uncertainty import ARM_DIRECTIONS, arm_uncertainty
 
 Array = NDArray[np.float64]
 PROPERTY = settings(max_examples=15)
@@ -276,17 +272,6 @@ def test_the_error_after_a_step_is_one_of_the_certified_error_systems(
 
 
 @PROPERTY
-@given(FLOWS, st.floats(-1.0, 0.9))
-def test_a_vertex_passes_its_noise_through_the_second_kick(flow: ArmFlow, lowest: float) -> None:
-    for vertex in flow.vertices(lowest, 1.0):
-        after = kick(flow, vertex.slopes[1], flow.period)
-        expected = after @ flow.nominal.noise @ after.T
-        scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-        np.testing.assert_allclose(vertex.noise / scale, expected / scale, atol=1e-12)
-        assert (vertex.noise == vertex.noise.T).all()
-
-
-@PROPERTY
 @given(st.data(), FLOWS, st.sampled_from([0.4, 1.0, 1.7, 3.0]))
 def test_the_covariance_follows_the_steps_own_jacobian(
     data: st.DataObject, flow: ArmFlow, periods: float
@@ -309,43 +294,6 @@ def test_the_covariance_follows_the_steps_own_jacobian(
     np.testing.assert_allclose(
         predicted, covariance, rtol=1e-9, atol=1e-11 * (1.0 + np.abs(covariance).max())
     )
-
-
-def test_a_multiple_of_the_period_takes_as_many_periods_whatever_the_rounding() -> None:
-    flow, u = shipped(), np.array([0.5])
-    start = expected = np.array([0.4, 0.1, 3.0, 0.2, 0.1])
-    for count in range(1, 12):
-        expected = flow.predict(expected, u, flow.period)
-        after = flow.predict(start, u, count * 0.005)
-        np.testing.assert_allclose(after, expected, rtol=0.0, atol=1e-13)
-
-
-def test_no_time_is_no_change_and_arguments_are_left_alone() -> None:
-    flow, x, covariance, u = shipped(), np.arange(5.0), np.eye(5), np.array([3.0])
-    flow.predict(x, u, 0.012)
-    flow.predict_with_covariance(x, covariance, u, 0.012)
-    after, spread = flow.predict_with_covariance(x, covariance, u, 0.0)
-    assert (after == np.arange(5.0)).all()
-    assert (spread == np.eye(5)).all()
-    assert (flow.predict(x, u, 0.0) == np.arange(5.0)).all()
-
-
-@pytest.mark.parametrize("duration", [0.005, 0.012])
-def test_a_batch_may_share_one_covariance(duration: float) -> None:
-    flow, x, covariance = shipped(), np.linspace(-0.3, 0.3, 15).reshape(3, 5), np.eye(5)
-    _, spread = flow.predict_with_covariance(x, covariance, np.zeros((3, 1)), duration)
-    for run in range(3):
-        _, one = flow.predict_with_covariance(x[run], covariance, np.zeros(1), duration)
-        assert (spread[run] == one).all()
-
-
-@pytest.mark.parametrize("duration", [-0.001, -math.inf, math.inf, math.nan])
-def test_time_does_not_run_backwards(duration: float) -> None:
-    flow, x, u = shipped(), np.zeros(5), np.zeros(1)
-    with pytest.raises(ModelError, match="duration: expected a finite number of at least 0"):
-        flow.predict(x, u, duration)
-    with pytest.raises(ModelError, match="duration: expected a finite number of at least 0"):
-        flow.predict_with_covariance(x, np.eye(5), u, duration)
 
 
 TWO = per_channel([bias(), bias()])
@@ -417,39 +365,6 @@ def test_what_each_map_reads_of_the_augmented_state() -> None:
     assert ArmFlow(arm, model, ProcessNoise(), 0.005, outputs, half).torque_map.shape == (1, 8)
 
 
-@PROPERTY
-@given(FLOWS, st.sampled_from([name for name in ARM_DIRECTIONS if name != "gravity"]))
-def test_uncertain_kicks_act_on_unknown_torques_as_on_known_ones(flow: ArmFlow, name: str) -> None:
-    """The vertices of an uncertain parameter are K(θ₂) Φ K(θ₁), written out from the physics."""
-    arm, slope, bound, states = flow.arm, 0.9, 0.2, np.eye(flow.state_count)
-    motor, link = states @ flow.motor_torque, states @ flow.link_torque
-    q1, v1, q2, v2 = arm.to_physical(states[:, :4]).T
-    spring = arm.stiffness * (q1 - q2)
-    pull = slope * arm.gravity_torque * q1
-    on_link, on_motor = {
-        "stiffness": (-spring, spring),
-        "link_damping": (-v1, 0.0 * v1),
-        "motor_damping": (0.0 * v1, -v2),
-        "link_inverse_inertia": (link - spring - arm.link_damping * v1 - pull, 0.0 * v1),
-        "motor_inverse_inertia": (0.0 * v1, motor + spring - arm.motor_damping * v2),
-    }[name]
-
-    def kick_at(theta: float) -> Array:
-        matrix = states.copy()
-        matrix[1] += 0.5 * flow.period * (theta * on_link - pull) / arm.link_inertia
-        scale = arm.stiffness / arm.link_inertia / arm.motor_inertia
-        matrix[3] += 0.5 * flow.period * theta * on_motor * scale
-        return matrix
-
-    vertices = flow.vertices(slope, slope, arm_uncertainty(arm, {name: bound}))
-    corners = [-bound, -bound, bound, bound] if arm.gravity_torque else [-bound, bound]
-    step = expm(drift(flow) * flow.period)
-    for vertex, (first, second) in zip(vertices, product(corners, repeat=2), strict=True):
-        expected = kick_at(second) @ step @ kick_at(first)
-        scale = np.abs(expected).max()
-        np.testing.assert_allclose(vertex.transition, expected, rtol=1e-10, atol=1e-12 * scale)
-
-
 def test_output_and_slopes_of_the_augmented_state() -> None:
     flow = ArmFlow(ElasticJointArm(), bias() + sinusoid(3.0), ProcessNoise(), 0.005)
     assert (flow.output_matrix == [[1, 0, 0, 0, 1, 1, 0]]).all()
@@ -458,29 +373,3 @@ def test_output_and_slopes_of_the_augmented_state() -> None:
     assert (flow.slope_matrix(0.3) == expected).all()
     for x_max, lowest in ((0.5, math.cos(0.5)), (math.pi / 2, 0.0), (math.pi, -1.0), (7.0, -1.0)):
         assert slope_range(x_max) == (pytest.approx(lowest, abs=1e-15), 1.0)
-
-
-@PROPERTY
-@given(FLOWS, st.data())
-def test_the_regressor_is_the_slope_of_the_estimate_in_the_parameters(
-    flow: ArmFlow, data: st.DataObject
-) -> None:
-    names = data.draw(st.lists(st.sampled_from([*ARM_DIRECTIONS]), unique=True, min_size=1))
-    uncertainty = arm_uncertainty(flow.arm, dict.fromkeys(names, 0.1))
-    n, k, x = flow.state_count, len(names), draw_state(data, flow)
-    record = flow_record(flow, uncertainty).view(np.float64)
-    scratch, none = np.empty(scratch_size(flow.sizes(k))), np.empty(0)
-    u, duration = np.array([0.7]), 1.3 * flow.period
-
-    def moved(theta: Array) -> tuple[Array, Array]:
-        after, upsilon = x.copy(), np.zeros((k, n))
-        native.advance_all(record, after, upsilon, none, theta, none, u, duration, scratch)
-        return after, upsilon
-
-    for place in range(k):
-        shift = 1e-5 * np.eye(k)[place]
-        expected = (moved(shift)[0] - moved(-shift)[0]) / 2e-5
-        size = 1.0 + np.abs(x).max() + np.abs(expected).max()
-        np.testing.assert_allclose(
-            moved(np.zeros(k))[1][place], expected, rtol=1e-5, atol=1e-9 * size
-        )

@@ -50,13 +50,6 @@ def test_weights_are_a_convex_combination(data: st.DataObject, rule_base: RuleBa
     np.testing.assert_allclose(weights.sum(axis=-1), 1.0, rtol=1e-14)
 
 
-def test_grades_of_several_premise_variables_are_multiplied() -> None:
-    up, down = (membership("linear", {"zero": a, "one": 1.0 - a}) for a in (0.0, 1.0))
-    grades = np.array([0.75 * 0.6, 0.25 * 0.6])
-    weights = RuleBase(((down, down), (up, down))).weights([0.25, 0.4])
-    np.testing.assert_allclose(weights, grades / grades.sum(), rtol=1e-15)
-
-
 @pytest.mark.parametrize(
     ("rules", "message"),
     [
@@ -107,12 +100,6 @@ def test_grades(
     np.testing.assert_allclose(membership(shape, parameters)(np.array(z)), grades, atol=1e-15)
 
 
-def test_a_gaussian_is_the_exponential() -> None:
-    z = np.concatenate([np.linspace(0.0, 40.0, 4001), [1e9, 1e150, np.inf]])
-    grades = membership("gaussian", {"centre": 0.0, "width": 1.0})(z)
-    np.testing.assert_array_max_ulp(grades, np.exp(-0.5 * z * z), 2)
-
-
 @pytest.mark.parametrize("width", [0.4, math.pi / 2, 3.0])
 def test_the_sine_sector_is_the_sine(width: float) -> None:
     z = np.linspace(-width, width, 41)
@@ -145,24 +132,6 @@ def test_slopes_of_the_weights_of_two_premises() -> None:
 
 
 # Every shape, alone and with another premise; the last rule fires everywhere but at NaN.
-MIXED = RuleBase(
-    (
-        *((one, other) for one, other in zip(EXAMPLES, EXAMPLES[::-1], strict=True)),
-        (EXAMPLES[0], EXAMPLES[5]),
-    )
-)
-
-
-def test_single_premises_have_the_bits_of_a_batch() -> None:
-    z = np.random.default_rng(5).normal(0.0, 1.0, (50, 2))
-    batch, all_slopes = MIXED.weights_and_slopes(z)
-    for place, one in enumerate(z):
-        weights, slopes = MIXED.weights_and_slopes(one)
-        assert weights.tobytes() == batch[place].tobytes()
-        assert slopes.tobytes() == all_slopes[place].tobytes()
-    assert (batch == MIXED.weights(z)).all()
-
-
 def test_the_sine_sector_is_level_outside_of_its_domain() -> None:
     """Beyond 2π the sine's share rises above the lower sector again."""
     z = np.array([-np.inf, -7.8, -3.0, 3.0, 7.8, 1e300])

@@ -114,22 +114,6 @@ def test_it_is_of_second_order() -> None:
     assert errors[2] < 1e-3
 
 
-@pytest.mark.parametrize("rule", [0, 1])
-def test_the_membership_of_one_rule_gives_its_model(rule: int) -> None:
-    """A step differs from the rule's own exponential by a term of third order only."""
-    misses = []
-    for T in (0.04, 0.02):
-        flow = scheduled(T)
-        x, u = np.ones(6), np.array([0.4, -0.7, float(rule)])
-        whole = np.zeros((8, 8))
-        whole[:6, :6] = flow.augmented(flow.model.A[rule])
-        whole[:3, 6:] = flow.model.B[rule]
-        expected = (expm(whole * T) @ np.concatenate([x, u[:2]]))[:6]
-        misses.append(float(np.abs(flow.predict(x, u, T) - expected).max()))
-    assert misses[0] / misses[1] == pytest.approx(8.0, rel=0.1)
-    assert misses[1] < 1e-4
-
-
 @pytest.mark.parametrize("weight", [0.0, 0.3, 1.0])
 def test_with_a_known_premise_the_error_map_blends_the_vertices(weight: float) -> None:
     flow = scheduled()
@@ -189,57 +173,6 @@ def test_the_covariance_follows_the_jacobian_of_the_step(flow: TSFlow) -> None:
     _, noise = flow.predict_with_covariance(x, np.zeros((n, n)), u, flow.period)
     _, spread = flow.predict_with_covariance(x, covariance, u, flow.period)
     np.testing.assert_allclose(spread - noise, jacobian @ covariance @ jacobian.T, atol=1e-7)
-
-
-def test_the_noise_is_that_of_the_true_system_to_second_order() -> None:
-    """Halving the step divides what it misses in one step by eight."""
-    misses = []
-    for T in (0.04, 0.02):
-        flow = scheduled(T)
-        u = np.array([0.0, 0.0, 0.8])
-        A = flow.augmented(0.2 * flow.model.A[0] + 0.8 * flow.model.A[1])
-        G = flow.disturbance.G
-        W = np.zeros((6, 6))
-        W[:3, :3], W[3:, 3:] = np.diag([0.1, 0.2, 0.3]), G @ G.T
-        _, _, expected = LinearFlow(A, np.zeros((6, 1)), W, T).over(T)
-        _, noise = flow.predict_with_covariance(np.zeros(6), np.zeros((6, 6)), u, T)
-        misses.append(float(np.abs(noise - expected).max()))
-    assert misses[0] / misses[1] == pytest.approx(8.0, rel=0.1)
-
-
-def test_a_batch_is_its_systems_one_by_one() -> None:
-    flow = tangled(0.05)
-    rng = np.random.default_rng(6)
-    x, u = rng.standard_normal((4, 3)), rng.standard_normal((4, 1))
-    root = rng.standard_normal((4, 3, 3))
-    covariance = root @ np.swapaxes(root, 1, 2)
-    moved, spread = flow.predict_with_covariance(x, covariance, u, 0.12)
-    assert (moved == flow.predict(x, u, 0.12)).all()
-    _, shared = flow.predict_with_covariance(x, covariance[0], u, 0.12)
-    assert (shared[0] == spread[0]).all()
-    for k in range(4):
-        one, own = flow.predict_with_covariance(x[k], covariance[k], u[k], 0.12)
-        assert moved[k].tobytes() == one.tobytes()
-        assert spread[k].tobytes() == own.tobytes()
-
-
-def test_a_system_may_have_no_inputs() -> None:
-    A = np.array([[[0.0, 1.0], [-2.0, -0.3]]])
-    rules = RuleBase(((membership("always", {}),),))
-    model = TSModel(A, np.zeros((2, 0)), np.eye(2), rules, np.ones((1, 2)))
-    flow = TSFlow(model, clean(2), [0.0, 1.0], 0.1)
-    x = np.array([[0.3, -0.2], [0.1, 0.5]])
-    np.testing.assert_allclose(
-        flow.predict(x, np.zeros(0), 0.1), x @ expm(0.1 * A[0]).T, rtol=1e-13
-    )
-
-
-def test_long_steps_are_nominal_ones_and_a_remainder() -> None:
-    flow = pendulum()
-    x, u = np.array([0.5, -0.2, 0.1]), np.array([0.3])
-    expected = flow.predict(flow.predict(flow.predict(x, u, 0.01), u, 0.01), u, 0.004)
-    np.testing.assert_allclose(flow.predict(x, u, 0.024), expected, rtol=1e-12)
-    np.testing.assert_array_equal(flow.predict(x, u, 0.0), x)
 
 
 def test_the_arm_as_a_ts_system_moves_as_the_arm() -> None:

@@ -230,36 +230,3 @@ def test_projection_holds_its_bounds_and_only_when_asked() -> None:
     assert (np.linalg.norm(kept.Xi, 2, axis=(1, 2)) <= limits * (1 + 1e-12)).all()
     loose = run(AugmentedObserver(AUG, H1, M, GAMMA, xi=[9.0, 9.0]), 3.0, 0.02)
     np.testing.assert_allclose(loose.Xi, free.Xi, atol=1e-12)
-
-
-UNSYMMETRIC = GAMMA + np.eye(3, k=2)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"H1": H1[0]}, r"H₁: expected shape \(2, 6, 3\), got \(6, 3\)"),
-        ({"M": M.T}, r"M: expected shape \(6, 3\), got \(3, 6\)"),
-        ({"Gamma": UNSYMMETRIC}, "Γ of rule 1: expected a symmetric matrix"),
-        ({"xi": [-1.0, 1.0]}, r"xi: expected bounds of at least 0, got \[-1"),
-    ],
-)
-def test_wrong_matrices_are_named(changes, message) -> None:
-    with pytest.raises(ModelError, match=message):
-        AugmentedObserver(**({"augmentation": AUG, "H1": H1, "M": M, "Gamma": GAMMA} | changes))
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"y": np.zeros((2, 2))}, r"y: expected shape \(..., 3\), got \(2, 2\)"),
-        ({"z": np.zeros((2, 2))}, r"z: expected shape \(..., 1\), got \(2, 2\)"),
-        ({"u": np.zeros((2, 2))}, r"u: expected shape \(2, 1\), got \(2, 2\)"),
-        ({"u": np.zeros((3, 1))}, r"u: expected shape \(2, 1\), got \(3, 1\)"),
-        ({"period": 0.0}, "period: expected a finite number above 0, got 0.0"),
-    ],
-)
-def test_wrong_samples_are_named(changes, message) -> None:
-    given = {"y": np.zeros((2, 3)), "u": np.zeros((2, 1)), "period": 0.1}
-    with pytest.raises(ModelError, match=message):
-        BOUNDED.follow(**(given | changes))

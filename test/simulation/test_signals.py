@@ -118,12 +118,6 @@ def test_signals_follow_their_formulas(signal: Signal, formula: Callable[[float]
     np.testing.assert_allclose(signal.values(np.array(TIMES)), expected, atol=1e-12)
 
 
-def test_components_are_added_up() -> None:
-    parts = (BiasStep(0.1, 1.0), Sinusoid(0.2, 3.0, 2.0), Ramp(0.1, 0.5), TwoTone(0.3, 1.5))
-    sums = sum(part.values(np.arange(600) / 200.0) for part in parts)
-    assert disturbances(parts, 0, 600) == pytest.approx(sums, abs=1e-15)
-
-
 def test_signals_may_be_too_large_for_a_sine() -> None:
     assert np.isnan(Sine(1.0, 1e300).values(np.array([1e300])))
     assert np.isnan(Sinusoid(1.0, 1e300, 0.0).values(np.array([1e300])))
