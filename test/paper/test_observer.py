@@ -23,9 +23,11 @@ from tsobs_ros.paper.examples import PaperExample, example_1, example_2
 from tsobs_ros.paper.observer import (
     AugmentedObserver,
     AugmentedState,
+    clip,
     paper_observer,
     paper_system_observer,
     printed_observer,
+    project,
 )
 from tsobs_ros.resources import config_path
 
@@ -230,3 +232,39 @@ def test_projection_holds_its_bounds_and_only_when_asked() -> None:
     assert (np.linalg.norm(kept.Xi, 2, axis=(1, 2)) <= limits * (1 + 1e-12)).all()
     loose = run(AugmentedObserver(AUG, H1, M, GAMMA, xi=[9.0, 9.0]), 3.0, 0.02)
     np.testing.assert_allclose(loose.Xi, free.Xi, atol=1e-12)
+
+
+def test_clipped_singular_values_are_those_of_numpy() -> None:
+    random = np.random.default_rng(4)
+    limits = np.array([0.0, 0.4, 1.0, np.inf])
+    value = random.normal(size=(5, 4, 3, 6))
+    value[1, 2] = np.nan
+    whole = clip(value, limits)
+    assert np.isnan(whole[1, 2]).all()
+    for run, rule in set(np.ndindex(5, 4)) - {(1, 2)}:
+        clipped = whole[run, rule]
+        left, singular, right = np.linalg.svd(value[run, rule], full_matrices=False)
+        expected = left * np.minimum(singular, limits[rule]) @ right
+        np.testing.assert_allclose(clipped, expected, atol=1e-13)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_projection_never_raises_the_lyapunov_function(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(3, 3))
+    gamma, limit = root @ root.T + 0.1 * np.eye(3), np.array(0.7)
+    value = random.normal(size=(3, 6))
+    value *= limit / np.linalg.norm(value, 2)
+    rate = gamma @ random.normal(size=(3, 6))
+    after = project(value, rate, gamma, limit)
+    for _ in range(50):
+        other = random.normal(size=(3, 6))
+        other *= limit * random.uniform() / np.linalg.norm(other, 2)
+        assert np.sum((value - other) * np.linalg.solve(gamma, after - rate)) <= 1e-12
+    assert np.linalg.norm(value + 1e-6 * after, 2) <= limit + 1e-9
+    left, _, right = np.linalg.svd(value)
+    outward = left[:, 0] @ rate @ right[0]
+    assert left[:, 0] @ after @ right[0] == pytest.approx(min(outward, 0.0), abs=1e-12)
+    # Inside nothing is taken away, on a ball that is a point everything.
+    assert (project(0.5 * value, rate, gamma, limit) == rate).all()
+    assert (project(0.0 * value, rate, gamma, 0.0 * limit) == 0.0).all()

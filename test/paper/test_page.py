@@ -150,7 +150,7 @@ def test_the_page_shows_every_figure_claim_and_proof(report: dict[str, Any], out
     counts = Counter(claim["verdict"] for claim in report["claims"])
     short = page[page.index("<h1>") : page.index("<h2>")]
     assert f"{counts['holds']} hold, {counts['holds only if']} hold under a condition" in short
-    assert re.search(r"its error of x₃ is \d\d times that of the better one", short)
+    assert re.search(r"error of x₃ is \d\d times that of the better one", short)
     assert all(html.escape(claim["claim"]) in page for claim in report["claims"])
     assert page.count('<tr class="does_not_hold">') == counts["does not hold"]
     assert "NOT DETECTABLE" in page

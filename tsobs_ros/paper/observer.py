@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, positive
+from tsobs_ros.checks import Array, Flags, as_matrix, positive
 from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import integrated_estimator
@@ -29,7 +29,6 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.matrices import product
 from tsobs_ros.paper.augmentation import Augmentation
 from tsobs_ros.paper.examples import EXAMPLE_3_H, EXAMPLE_3_P, example_3
-from tsobs_ros.paper.projection import clip, project
 
 PAPER_WARNING = (
     "method paper: on this undamped arm the method's conditions are infeasible (modes ±4.776j and "
@@ -51,6 +50,11 @@ integrates what is left of the observer's own start, and the further Ξ̂ wander
 
 _MAX_STEP = 1e-2  # s
 _ASYMMETRY = 1e-12
+_EDGE = 1e-9
+
+
+Rates = Callable[[int, Array], Array]
+"""The derivative of a state at a node; nodes are the ends and middles of steps."""
 
 
 class AugmentedState(NamedTuple):
@@ -146,37 +150,69 @@ class AugmentedObserver:
         guess = np.zeros(size) if estimate is None else np.asarray(estimate, dtype=np.float64)
         runs = math.prod(batch)
         rows = 1 if self.Gamma is None else 1 + r * p
-        equations = self._equations(
+        rates, offset = self._rates(
             _at_nodes(inputs, steps),
-            _at_nodes(samples, steps).reshape(-1, runs, p),
-            weights.reshape(-1, runs, r),
+            _at_nodes(samples, steps).reshape(-1, runs, p, 1),
+            weights.reshape(-1, runs, r, 1, 1),
         )
-        states = np.empty((count, *batch, rows, size))
-        states[0, ..., 1:, :] = 0.0
-        states[0, ..., 0, :] = guess - equations.offset[0].reshape(*batch, size)
-        equations.integrate(states.reshape(count, runs, rows, size), period / steps)
+        states = np.zeros((count, runs, rows, size))
+        states[0, :, 0] = (
+            np.broadcast_to(guess, (*batch, size)).reshape(-1, size) - offset[0, ..., 0]
+        )
+        h = period / steps
+        for k in range(1, count):
+            now = states[k - 1]
+            for node in range(2 * (k - 1) * steps, 2 * k * steps, 2):
+                now = runge_kutta(rates, node, now, h)
+                if self.Gamma is not None and self.xi is not None:
+                    Xi = self._uncertainties(now)
+                    Xi[...] = clip(Xi, self.xi)
+            states[k] = now
+        whole = states.reshape(count, *batch, rows, size)
         Xi = np.zeros((count, *batch, r, p, size))
         if self.Gamma is not None:
-            Xi = states[..., 1:, :].reshape(Xi.shape)
-        return AugmentedState(states[..., 0, :], Xi, samples, premises)
+            Xi = whole[..., 1:, :].reshape(Xi.shape)
+        return AugmentedState(whole[..., 0, :], Xi, samples, premises)
 
-    def _equations(self, u: Array, y: Array, weights: Array) -> "_Equations":
-        """Return the equations with the signals at the nodes, u (nodes, m), others by run."""
+    def _rates(
+        self, u: Array, y: Array, weights: Array
+    ) -> tuple[Callable[[int, Array], Array], Array]:
+        """Return the derivative of a state at a node, and E_L⁻¹L y, for signals at the nodes.
+
+            x̂̄ = ξ + E_L⁻¹L y ,  e_y = y − C̄x̂̄ ,  ξ' = A x̂̄ + H e_y + d + M Σ hᵢ Ξ̂ᵢ x̂̄
+
+        A state is one matrix a run, whose rows are ξ and, with adaptation, those of all Ξ̂ᵢ.
+        """
         # Columns, as a product with all samples at once has other last bits for another batch.
-        aug, columns = self.augmentation, y[..., np.newaxis]
-        driven = np.einsum("nkr,nra->nka", weights, np.einsum("rab,nb->nra", aug.B1, u))
-        return _Equations(
-            columns,
-            aug.L1 @ columns,
-            np.einsum("nkr,rab->nkab", weights, aug.A1),
-            np.einsum("nkr,rab->nkab", weights, self.H1),
-            driven[..., np.newaxis] + aug.N1 @ columns,
-            weights[..., np.newaxis, np.newaxis],
-            aug.C_bar,
-            self.M,
-            self.Gamma,
-            self.xi,
-        )
+        aug, h = self.augmentation, weights[..., 0, 0]
+        offset = aug.L1 @ y
+        A = np.einsum("nkr,rab->nkab", h, aug.A1)
+        H = np.einsum("nkr,rab->nkab", h, self.H1)
+        driven = np.einsum("nkr,nra->nka", h, np.einsum("rab,nb->nra", aug.B1, u))
+        drive = driven[..., np.newaxis] + aug.N1 @ y
+
+        def rates(node: int, state: Array) -> Array:
+            x_bar = state[:, 0, :, np.newaxis] + offset[node]
+            innovation = y[node] - aug.C_bar @ x_bar
+            xi_rate = A[node] @ x_bar + H[node] @ innovation + drive[node]
+            if self.Gamma is None:
+                return np.asarray(xi_rate.swapaxes(1, 2))
+            own, Xi = weights[node], self._uncertainties(state)
+            xi_rate += self.M @ (own * (Xi @ x_bar[:, np.newaxis])).sum(axis=1)
+            outer = self.Gamma @ innovation[:, np.newaxis] * x_bar.swapaxes(1, 2)[:, np.newaxis]
+            Xi_rate = own * outer
+            if self.xi is not None:
+                Xi_rate = project(Xi, Xi_rate, self.Gamma, self.xi)
+            derivative = np.empty_like(state)
+            derivative[:, 0], self._uncertainties(derivative)[...] = xi_rate[..., 0], Xi_rate
+            return derivative
+
+        return rates, offset
+
+    def _uncertainties(self, state: Array) -> Array:
+        """Return a view of Ξ̂ᵢ, shape (runs, r, p, n + p)."""
+        p = self.augmentation.output_count
+        return state[:, 1:].reshape(len(state), -1, p, state.shape[-1])
 
     def augmented_estimate(self, state: AugmentedState) -> Array:
         """Return x̂̄ = [x̂; ω̂₀] = ξ + E_L⁻¹L y, shape (..., n + p)."""
@@ -208,76 +244,59 @@ def _at_nodes(signal: Array, steps: int) -> Array:
     return np.concatenate([between.reshape(-1, *signal.shape[1:]), signal[-1:]])
 
 
-class _Equations(NamedTuple):
-    """The observer's equations for some runs, with the signals at the nodes of their steps.
+def project(value: Array, rate: Array, Gamma: Array, limit: Array) -> Array:
+    """Return rates Γ Y without what leads out of ‖Ξ‖ ≤ ξ where Ξ is on that bound.
 
-        x̂̄ = ξ + o ,  e_y = y − C̄x̂̄ ,  ξ' = A x̂̄ + H e_y + d + M Σ hᵢ Ξ̂ᵢ x̂̄
+    It is Γ Y − Γ g ⟨g, ΓY⟩/⟨g, Γg⟩, with the subgradient g = u₁v₁ᵀ of the spectral norm. Because
+    the ball is convex, ⟨g, Ξ̂ − Ξ⟩ ≥ 0 for every Ξ in it, so this adds a term ≤ 0 to V'.
 
-    A state is one matrix a run, whose rows are ξ and, with adaptation, those of all Ξ̂ᵢ.
-
-    Attributes:
-        y: Outputs, shape (nodes, runs, p, 1).
-        offset: o = E_L⁻¹L y, shape (nodes, runs, n + p, 1).
-        A: Σ hᵢA₁ᵢ, shape (nodes, runs, n + p, n + p).
-        H: Σ hᵢH₁ᵢ, shape (nodes, runs, n + p, p).
-        drive: d = Σ hᵢE_L⁻¹B̄ᵢu + E_L⁻¹N y, shape (nodes, runs, n + p, 1).
-        weights: hᵢ, shape (nodes, runs, r, 1, 1).
-        C_bar: C̄, shape (p, n + p).
-        M: P⁻¹C̄ᵀ, shape (n + p, p).
-        Gamma: Γᵢ, shape (r, p, p); None for no adaptation.
-        limits: ξᵢ, shape (r,); None for no bounds.
+    Args:
+        value: Ξ, shape (..., p, q).
+        rate: Γ Y, of the same shape.
+        Gamma: Γ ≻ 0, shape (p, p), or with axes before that fit those of Ξ.
+        limit: ξ ≥ 0, one a matrix; infinite for no bound. Its shape fits the axes before p and q.
     """
-
-    y: Array
-    offset: Array
-    A: Array
-    H: Array
-    drive: Array
-    weights: Array
-    C_bar: Array
-    M: Array
-    Gamma: Array | None
-    limits: Array | None
-
-    def rates(self, node: int, state: Array) -> Array:
-        """Return the derivative of a state, shape (runs, rows, n + p), at a node."""
-        x_bar = state[:, 0, :, np.newaxis] + self.offset[node]
-        innovation = self.y[node] - self.C_bar @ x_bar
-        xi_rate = self.A[node] @ x_bar + self.H[node] @ innovation + self.drive[node]
-        if self.Gamma is None:
-            return np.asarray(xi_rate.swapaxes(1, 2))
-        weights, Xi = self.weights[node], self.uncertainties(state)
-        xi_rate += self.M @ (weights * (Xi @ x_bar[:, np.newaxis])).sum(axis=1)
-        outer = self.Gamma @ innovation[:, np.newaxis] * x_bar.swapaxes(1, 2)[:, np.newaxis]
-        Xi_rate = weights * outer
-        if self.limits is not None:
-            Xi_rate = project(Xi, Xi_rate, self.Gamma, self.limits)
-        rates = np.empty_like(state)
-        rates[:, 0], self.uncertainties(rates)[...] = xi_rate[..., 0], Xi_rate
-        return rates
-
-    def uncertainties(self, state: Array) -> Array:
-        """Return a view of Ξ̂ᵢ, shape (runs, r, p, n + p)."""
-        return state[:, 1:].reshape(len(state), -1, len(self.C_bar), state.shape[-1])
-
-    def integrate(self, states: Array, h: float) -> None:
-        """Fill the states after the first sample, shape (samples, runs, rows, n + p)."""
-        steps = (len(self.y) - 1) // (2 * max(1, len(states) - 1))
-        for k in range(1, len(states)):
-            now = states[k - 1]
-            for step in range(steps):
-                now = runge_kutta(self.rates, 2 * ((k - 1) * steps + step), now, h)
-                if self.Gamma is not None and self.limits is not None:
-                    Xi = self.uncertainties(now)
-                    Xi[...] = clip(Xi, self.limits)
-            states[k] = now
+    edge = limit * (1.0 - _EDGE)
+    near = _beyond(value, edge)
+    if not near.any():
+        return rate
+    left, singular, right = np.linalg.svd(value[near], full_matrices=False)
+    u, v, rates = left[..., :1], right[..., :1, :], rate[near]
+    turned = np.broadcast_to(Gamma, (*near.shape, *Gamma.shape[-2:]))[near] @ u
+    u_row = u.swapaxes(-2, -1)
+    outward, steepness = u_row @ rates @ v.swapaxes(-2, -1), u_row @ turned
+    leaving = singular[:, :1] >= np.broadcast_to(edge, near.shape)[near][:, np.newaxis]
+    share = np.where(leaving[..., np.newaxis] & (outward > 0.0), outward / steepness, 0.0)
+    rates -= share * turned * v
+    rates[np.broadcast_to(limit, near.shape)[near] == 0.0] = 0.0
+    projected = rate.copy()
+    projected[near] = rates
+    return projected
 
 
-def runge_kutta(rates: Callable[[int, Array], Array], node: int, state: Array, h: float) -> Array:
+def clip(value: Array, limit: Array) -> Array:
+    """Return the nearest matrices with ‖Ξ‖ ≤ ξ, without what a step overshoots; see `project`."""
+    over = _beyond(value, limit)
+    if not over.any():
+        return value
+    left, singular, right = np.linalg.svd(value[over], full_matrices=False)
+    excess = np.maximum(singular - np.broadcast_to(limit, over.shape)[over][:, np.newaxis], 0.0)
+    clipped = value.copy()
+    clipped[over] -= left * excess[:, np.newaxis] @ right
+    return clipped
+
+
+def _beyond(value: Array, limit: Array) -> Flags:
+    """Return where Σ Ξᵢⱼ² ≥ ‖Ξ‖² reaches ξ², as few matrices do; false if a number is NaN."""
+    squares = np.einsum("...ab,...ab->...", value, value)
+    return np.asarray((squares >= limit * limit) & np.isfinite(value).all(axis=(-2, -1)))
+
+
+def runge_kutta(rates: Rates, node: int, state: Array, h: float) -> Array:
     """Return a state a classical Runge–Kutta step later.
 
     Args:
-        rates: The derivative of a state at a node; nodes are the ends and middles of steps.
+        rates: The derivative.
         node: Where the step begins.
         state: There, any shape.
         h: Length of the step [s].
