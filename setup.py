@@ -4,10 +4,8 @@
 
 import re
 import runpy
-import shutil
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from setuptools import Distribution, Extension, find_packages, setup
 from setuptools.command.build_ext import build_ext
@@ -22,7 +20,10 @@ EXECUTABLES = {
     "visualizer": "tsobs_ros.executables:visualizer",
     "tsobs": "tsobs_ros.executables:tsobs",
 }
-INSTALL = "apt install build-essential python3-dev"
+NEEDED = (
+    "it takes a C compiler and the headers of Python {}.{}, e.g. `apt install build-essential "
+    "python3-dev`"
+).format(*sys.version_info)
 LAUNCHER = """#!/bin/sh
 exec "$(dirname -- "$(readlink -f -- "$0")")/../../bin/{name}" "$@"
 """
@@ -46,31 +47,7 @@ class CoreBuilder(build_ext):
         try:
             super().build_extension(ext)
         except CCompilerError as error:
-            sys.exit(f"{NAME}: building the compiled core failed: {self._reason(error)}")
-
-    def _reason(self, error: Exception) -> str:
-        compiler = self.compiler.compiler_so[0]
-        if shutil.which(compiler) is None:
-            return f"no C compiler found ({compiler}); install one, e.g. `{INSTALL}`"
-        if not self._compiles("int nothing;"):
-            return f"the C compiler {compiler} does not work; install one, e.g. `{INSTALL}`"
-        if not self._compiles("#include <Python.h>"):
-            version = "{}.{}".format(*sys.version_info)
-            return (
-                f"no Python.h found, of the headers of Python {version}; install them, e.g. "
-                f"`apt install python{version}-dev`"
-            )
-        return f"{error}; what {compiler} says is above"
-
-    def _compiles(self, text: str) -> bool:
-        with TemporaryDirectory() as folder:
-            source = Path(folder, "probe.c")
-            source.write_text(f"{text}\n", encoding="utf-8")
-            try:
-                self.compiler.compile([str(source)], output_dir=folder)
-            except CCompilerError:
-                return False
-        return True
+            sys.exit(f"{NAME}: building the compiled core failed: {error}; {NEEDED}")
 
 
 def version() -> str:

@@ -106,16 +106,9 @@ def test_the_folder_of_a_clone_does_not_pass_for_the_package(
     assert done.stdout.strip() == str(sources / "tsobs_ros" / "__init__.py"), done.stderr
 
 
-@pytest.mark.parametrize(
-    ("compiler", "reason"),
-    [
-        ("no_such_compiler", "no C compiler found (no_such_compiler); install one, e.g. `apt "),
-        ("false", "the C compiler false does not work; install one, e.g. `apt install build-ess"),
-        ("without_headers", "no Python.h found, of the headers of Python 3."),
-    ],
-)
+@pytest.mark.parametrize("compiler", ["no_such_compiler", "without_headers"])
 def test_a_core_that_cannot_be_built_is_one_line_that_says_what_to_install(
-    sources: Path, tmp_path: Path, compiler: str, reason: str
+    sources: Path, tmp_path: Path, compiler: str
 ) -> None:
     script = tmp_path / "without_headers"
     script.write_text(
@@ -134,7 +127,9 @@ def test_a_core_that_cannot_be_built_is_one_line_that_says_what_to_install(
 
     assert done.returncode == 1
     line = done.stderr.splitlines()[-1]
-    assert line.startswith(f"tsobs_ros: building the compiled core failed: {reason}")
+    assert line.startswith("tsobs_ros: building the compiled core failed: ")
+    assert "a C compiler and the headers of Python 3." in line
+    assert line.endswith("e.g. `apt install build-essential python3-dev`")
     assert "Traceback" not in done.stderr
 
 
