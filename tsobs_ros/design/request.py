@@ -42,7 +42,6 @@ from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
 from tsobs_ros.model.vertices import VertexSystem, linear_directions
 
-
 __all__ = ["ArmRequest", "DisturbanceTerm", "Output", "TSRequest", "TorqueDisturbance"]
 
 NO_LIMIT = 1e9
