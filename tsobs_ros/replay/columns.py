@@ -1,79 +1,58 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The columns of a log that have time, outputs and inputs, and their units."""
+"""A CSV file as columns with declared names and units, and lines of cells."""
 
+import codecs
+import csv
 import math
 import re
-import unicodedata
-from collections.abc import Container, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from decimal import Decimal
+from pathlib import Path
+from typing import NamedTuple, TextIO
 
 from tsobs_ros.checks import shown
 from tsobs_ros.errors import LogError
+from tsobs_ros.series import NANOSECONDS
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
     "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180},
-    "velocity": {
-        "rad/s": 1.0,
-        "mrad/s": 1e-3,
-        "deg/s": math.pi / 180,
-        "rpm": math.pi / 30,
-    },
+    "velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": math.pi / 180, "rpm": math.pi / 30},
     "torque": {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2, "kNm": 1e3},
 }
 """Each unit in ns, rad, rad/s or N m."""
 
-ISO = "ISO 8601"
+MAX_LINE = 2**20
+"""Largest number of characters in a line: bounds the memory, whatever the file is."""
 
-# Blanks, dots, stars and hyphens in units do not matter, nor do capitals in these.
-_OTHER_SPELLINGS = {
-    **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
-    **dict.fromkeys(("msec", "millis", "millisecond", "milliseconds"), "ms"),
-    **dict.fromkeys(("μs", "usec", "micros", "microsecond", "microseconds"), "us"),
-    **dict.fromkeys(("nsec", "nanos", "nanosec", "nanosecs", "nanosecond", "nanoseconds"), "ns"),
-    **dict.fromkeys(("iso", "iso8601"), ISO),
-    **dict.fromkeys(("radian", "radians", "rads"), "rad"),
-    **dict.fromkeys(("°", "degree", "degrees", "degs"), "deg"),
-    **dict.fromkeys(("radian/s", "radians/s", "rad/sec", "radps", "1/s"), "rad/s"),
-    **dict.fromkeys(("°/s", "degree/s", "degrees/s", "deg/sec", "degps", "dps"), "deg/s"),
-    **dict.fromkeys(("r/min", "rev/min", "u/min"), "rpm"),
-    **dict.fromkeys(("newtonmeter", "newtonmeters", "newtonmetre", "newtonmetres"), "Nm"),
-}
+NO_TIME = -(2**62)
+"""Stamp of a line without a time."""
 
-# In order of preference; the first are what `tsobs export` writes.
-_GUESSES: Mapping[str, Sequence[str]] = {
-    "time": (
-        "header.stamp", "time", "t", "stamp", "timestamp", "log_time", "zeit", "datetime",
-        "time_stamp", "elapsed",
-    ),
-    "angle": ("position", "angle", "q", "y", "theta", "pos", "phi", "winkel", "encoder"),
-    "velocity": ("velocity", "vel", "speed", "dq", "qd", "omega", "geschwindigkeit"),
-    "torque": ("effort", "torque", "tau", "u", "trq", "drehmoment", "moment"),
-}  # fmt: skip
-_TITLE = re.compile(r"(?P<name>.*?)\s*(?:[\[({](?P<unit>[^\])}]*\D[^\])}]*)[\])}])?")
-_UNIT_AFTER_NAME = re.compile(r"(?P<name>.+?)(?:[\s_,]+|\s*/\s*)(?P<unit>[^\s_,/]+)")
-# What has a number or the name of a joint, as in position[0], q1, position.elbow, elbow/position.
-_INDEX = re.compile(r"(?P<name>.*?[^\W\d])[._]?(?:\[(?P<index>\d+)\]|(?P<number>\d+))")
-# A side of an arm in the title of a column that names no joint, as in motor_angle and q_link.
-_SIDE = re.compile(
-    r"(?i:(?P<side>link|motor))(?:[\W_]+|(?=[A-Z])|$)|[\W_]+(?i:(?P<last>link|motor))$"
-)
-_WORD = re.compile(r"[A-Z]?[^\W\d_A-Z]+|[A-Z]+")
-_SECONDS = re.compile(r"(?P<stem>.*[\W_])(?P<unit>secs?|n(?:ano)?secs?)", re.IGNORECASE)
+LATEST = 2**31 * NANOSECONDS
+"""The first time that a message's stamp cannot hold [ns]."""
 
-_MOST_SHOWN, _LONGEST = 20, 200
-_LIKELY = 1000
+_NOTHING = frozenset(("", "-", "na", "n/a", "nan", "null", "none"))
+_COMMENTS = ("#", "%", "//")
+_TITLE = re.compile(r"(?P<name>.*?)\s*(?:[\[(](?P<unit>[^\])]*\D[^\])]*)[\])])?")
+_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+_FRACTION = re.compile(r"(?<=:\d\d)[.,](\d+)")
+_BLANKS, _DELIMITERS = " ", ";\t|,"
+# Below it a time in seconds is exact to the nanosecond as a double [s].
+_EXACT = 1e6
+_MAX_SHOWN = 20
+_OPEN_QUOTE = "a quote opens a cell that is not closed there"
 
 
-class Column(NamedTuple):
+class LogColumn(NamedTuple):
     """A column.
 
     Attributes:
         place: Its place from 0.
         title: Its title, as it is written.
         name: The title without unit.
-        unit: The title's unit, one of `UNITS`; empty if there is none.
+        unit: The title's unit; empty if there is none.
     """
 
     place: int
@@ -82,341 +61,220 @@ class Column(NamedTuple):
     unit: str
 
 
-def misread(what: str, line: int, column: Column, text: str) -> LogError:
-    """Return the error of a cell that is not what was expected."""
-    unit = f" in {column.unit}" if column.unit else ""
-    hint = ""
-    if text[:1] in "[(a":
-        hint = ": write one number a cell, as in columns 'position[0]' and 'position[1]'"
-    elif what == "time" and re.search(r"\d[:/]\d", text):
-        hint = ": write seconds, HH:MM:SS.sss or ISO 8601, such as 2026-01-31T12:00:00.005"
-    elif what == "time" and "," not in text and any(map(str.isdigit, text)):
-        hint = ": a stamp holds 68 years; is its unit another, as in --units time=ns?"
-    elif "," in text or "." in text:
-        hint = ": write all with the same decimal sign, and thousands without one"
-    return LogError(
-        f"line {line}, column {column.title!r}: expected a {what}{unit}, got {shown(text)}{hint}"
-    )
+Row = tuple[int, Sequence[str]]
+"""The number of a line, from 1, and its cells."""
 
 
-class Columns:
-    """The titles of a log, in which columns are found by given or by usual names.
+class CsvFile:
+    """A file of lines of cells, read line by line; its first line has the titles.
 
     Args:
-        titles: Of all columns.
-        line_of_units: Units below the titles, empty strings without.
-        wanted: Titles by quantity: `time`, `torque`, `angle` or `velocity`, or the name of an
-            output or input, with a joint as in `angle.JOINT` or without.
-        units: Units by quantity, for columns without one.
+        path: The file.
 
     Attributes:
-        remarks: What was guessed, for the user.
+        columns: The columns; if the first line has numbers, their titles are 1, 2 and so on.
+        cut_off: Whether the last line that was read ends early, as of a logger that was killed.
+
+    Raises:
+        OSError: The file cannot be read.
+        LogError: It is empty or no text, or its first line is too long.
     """
 
-    def __init__(
-        self,
-        titles: Sequence[str],
-        line_of_units: Sequence[str],
-        wanted: Mapping[str, str],
-        units: Mapping[str, str],
-    ) -> None:
-        self._columns = []
+    def __init__(self, path: Path) -> None:
+        self._path, self.cut_off = path, False
+        with path.open("rb") as file:
+            self._encoding = _encoding(file.read(2**16))
+        with self._open() as stream:
+            lines = (line for line in _lines(stream) if not _is_passed_over(line))
+            first = next(lines, None)
+        if first is None:
+            raise LogError("the file is empty")
+        counts = {sign: first.count(sign) for sign in _DELIMITERS}
+        self._delimiter = max(counts, key=counts.__getitem__) if any(counts.values()) else _BLANKS
+        if self._delimiter == _BLANKS:
+            # Blanks before a unit do not end a title.
+            first = re.sub(r"\s+(?=[\[(])", "", re.sub(r"(?<=[\[(])[^\])]*", _packed, first))
+        ((_, titles),) = self._split([first])
+        self.has_titles = not any(_is_number(title, ",") for title in titles)
+        if not self.has_titles:
+            titles = [str(place + 1) for place in range(len(titles))]
+        self.columns = []
         for place, title in enumerate(titles):
-            title = title[:_LONGEST]
-            match = _TITLE.fullmatch(title)
-            own = match["name"] if match else title
-            unit = (match and match["unit"]) or line_of_units[place].strip("[](){} ")
-            self._columns.append(Column(place, title, own, unit))
-        self._wanted, self._units = wanted, units
-        more = ", …" if len(titles) > _MOST_SHOWN else ""
-        self._has = f"columns: {', '.join(map(repr, titles[:_MOST_SHOWN]))}{more}"
-        self.remarks: list[str] = []
+            match = _TITLE.fullmatch(title.strip())
+            assert match is not None
+            name, unit = match["name"], match["unit"] or ""
+            self.columns.append(LogColumn(place, title.strip(), name, unit.strip()))
 
-    def time(self) -> tuple[Column, ...]:
-        """Return the column of times, or those of seconds and of nanoseconds."""
-        if "time" in self._wanted:
-            return (self._named("time", self._wanted["time"]),)
-        pairs: dict[str, list[Column]] = {}
-        for one in self._columns:
-            if match := _SECONDS.fullmatch(one.name):
-                unit = "ns" if match["unit"].lower().startswith("n") else "s"
-                pairs.setdefault(match["stem"], []).append(one._replace(unit=unit))
-        for pair in sorted(pairs.values(), key=lambda pair: "header" not in pair[0].name):
-            if [one.unit for one in pair] == ["s", "ns"]:
-                return tuple(pair)
-        found = self._found("time", "")
-        if not found:
-            raise LogError(f"no column looks like the time; name it: --columns time=…; {self._has}")
-        return (next(iter(found.values())),)
+    @property
+    def described(self) -> str:
+        """The titles, for errors."""
+        titles = ", ".join(repr(one.title) for one in self.columns[:_MAX_SHOWN])
+        return f"columns: {titles}{', …' if len(self.columns) > _MAX_SHOWN else ''}"
 
-    def require_known(self, names: Sequence[str], quantities: Sequence[str]) -> None:
-        """Raise `LogError` if what is given is for something else.
+    def called(self, name: str) -> LogColumn:
+        """Return the column of a title, a name or a number from 1.
 
-        Args:
-            names: What there may be columns of.
-            quantities: What there may be units of.
+        Raises:
+            LogError: There is none, or there are several.
         """
-        for option, keys, known in (
-            ("--columns", [key.partition(".")[0] for key in self._wanted], names),
-            ("--units", list(self._units), quantities),
-        ):
-            for key in keys:
-                if key not in known:
-                    expected = f"{', '.join(known[:-1])} or {known[-1]}"
-                    raise LogError(f"{option}: expected {expected}, got {key!r}")
-
-    def joints(self, only: str) -> tuple[str, ...]:
-        """Return the joints that columns name, `only` for one of columns that name none."""
-        named = (key.partition(".")[2] for key in self._wanted)
-        if joints := tuple(dict.fromkeys(joint for joint in named if joint)):
-            return joints
-        remarks = list(self.remarks)
-        try:
-            found = self._found("angle", only) or self._found("velocity", only)
-        except LogError:
-            found = {}
-        self.remarks = remarks
-        return tuple(joint for joint in found if not _is_motor_of(joint, found)) or (only,)
-
-    def of_output(self, output: str, outputs: Sequence[str], only: str) -> dict[str, Column]:
-        """Return the columns of an arm's output by joint.
-
-        Args:
-            output: Its name, such as `motor_angle`.
-            outputs: The names of all outputs of the design.
-            only: The joint of columns that name none.
-        """
-        side, _, kind = output.partition("_")
-        alone = sum(name.endswith(kind) for name in outputs) == 1
-        given = {}
-        for key, name in self._wanted.items():
-            of, _, joint = key.partition(".")
-            if of == output or (of == kind and alone):
-                given[joint or only] = self._named(kind, name)
-        if given:
-            return given
-        sides = {name.partition("_")[0] for name in outputs}
-        found = self._found(kind, only, side, one_sided=len(sides) == 1)
-        if not found:
-            what, key = ("an angle", kind) if alone and kind == "angle" else (output, output)
-            if len(outputs) > 1:
-                what, key = output, output
-            raise LogError(f"no column looks like {what}; name it: --columns {key}=…; {self._has}")
-        return found
-
-    def of_torque(self, joints: Sequence[str], only: str, *, needed: bool) -> dict[str, Column]:
-        """Return the torques by joint, of some motors too; none if none is there or needed.
-
-        Args:
-            joints: Those that must have one, if any has.
-            only: The joint of columns that name none.
-            needed: Whether each joint must have a torque.
-        """
-        torques = self._found("torque", only)
-        if len(joints) == len(torques) == 1 and not {"angle", "torque"} & set(self._wanted):
-            # Of position[0] and effort, or elbow/position and effort.
-            torques = dict(zip(joints, torques.values(), strict=True))
-        for joint in joints:
-            # As exported, if the motor has an entry of its own.
-            if (motor := torques.get(f"{joint}_motor")) is not None:
-                torques.setdefault(joint, motor)
-        missing = [name for name in joints if name not in torques]
-        if missing and (torques or needed):
-            raise LogError(
-                f"no column looks like the torque of {', '.join(missing)}; name it: --columns "
-                f"angle=…,torque=…, or take it for 0: --param assume_zero_torque=true; {self._has}"
-            )
-        return torques
-
-    def of_signal(self, name: str, unit: str, joint: str, quantity: str) -> Column:
-        """Return the column of a T–S system's signal, which has its name.
-
-        Args:
-            name: The signal's name.
-            unit: Its unit in the design, empty for none.
-            joint: Name of the system.
-            quantity: What the signal is, for the error.
-        """
-        wanted = self._wanted.get(f"{name}.{joint}", self._wanted.get(name))
-        names = (f"{joint}/{name}", f"position.{joint}/{name}", name, f"position.{name}")
-        found = [one for own in names for one in self._columns if one.name == own]
-        if wanted is not None:
-            found = self._called(wanted)
-        elif not found:
-            raise LogError(
-                f"no column is called {name!r}, which is an {quantity} of {joint}; name it: "
-                f"--columns {name}=…; {self._has}"
-            )
-        column = found[0]
-        if column.name.startswith("position."):
-            # Of an exported JointState, whose units are those of a joint.
-            return column._replace(unit="")
-        given = column.unit or self._units.get(name, "")
-        if unit and given and _plain_unit(given) != _plain_unit(unit):
-            raise LogError(
-                f"column {column.title!r}: its unit is {given!r}, but {name} of the design is in "
-                f"{unit!r}"
-            )
-        return column._replace(unit=given)
-
-    def _found(
-        self, quantity: str, only: str, side: str = "", *, one_sided: bool = True
-    ) -> dict[str, Column]:
-        """Return the columns of a quantity by joint; `only` is the joint of a plain name.
-
-        Of an arm's side, columns that name the side come first, and such of the other side are
-        none; if both sides are measured, columns that name no side are the link's.
-        """
-        given = [(*key.partition(".")[::2], name) for key, name in self._wanted.items()]
-        if not side and (own := [(of, name) for kind, of, name in given if kind == quantity]):
-            return {of or only: self._named(quantity, name) for of, name in own}
-        ranked = []
-        for one in self._columns:
-            column = _split_unit(quantity, one)
-            own_side, plain = _split_side(column) if side else ("", column)
-            rank, joint = _likeness(quantity, plain)
-            if rank is not None:
-                ranked.append((rank, own_side, joint or only, column))
-        if side:
-            ranked = _of_side(ranked, side, one_sided=one_sided)
-        best = min((rank for rank, _, _, _ in ranked), default=None)
-        found = [(joint, column) for rank, _, joint, column in ranked if rank == best]
-        if best is None and one_sided:
-            same = [_split_unit(quantity, one) for one in self._columns]
-            same = [one for one in same if unit_of(quantity, one.unit)]
-            same = [one for one in same if not side or _split_side(one)[0] in ("", side)]
-            found = [(only, one) for one in same] if len(same) == 1 else []
-        if quantity == "time":
-            found = found[:1]
-        if len(found) == 1 and found[0][0].isdigit():
-            found = [(only, found[0][1])]
-        by_joint = dict(found)
-        if len(by_joint) < len(found):
-            names = ", ".join(repr(column.title) for _, column in found)
-            raise LogError(
-                f"several columns look like {quantity}: {names}; name one, or give its number: "
-                f"--columns {quantity}={found[0][1].place + 1}"
-            )
-        if found and (best is None or best >= _LIKELY):
-            names = ", ".join(repr(column.title) for _, column in found)
-            self.remarks.append(
-                f"note: {quantity} is taken from {names}; or --columns {quantity}=…"
-            )
-        return {joint: self._with_unit(quantity, column) for joint, column in found}
-
-    def _named(self, quantity: str, name: str) -> Column:
-        return self._with_unit(quantity, _split_unit(quantity, self._called(name)[0]))
-
-    def _called(self, name: str) -> list[Column]:
-        """Return the column of a name or number that is given."""
-        found = [one for one in self._columns if name in (one.title, one.name)]
-        if not found and name.isdigit() and 0 < int(name) <= len(self._columns):
-            found = [self._columns[int(name) - 1]]
+        found = [one for one in self.columns if name in (one.title, one.name)]
+        if not found and name.isdigit() and 0 < int(name) <= len(self.columns):
+            found = [self.columns[int(name) - 1]]
         if len(found) != 1:
             what = "several columns are" if found else "no column is"
-            raise LogError(f"{what} called {name!r}; a column's number will do, too; {self._has}")
-        return found
+            raise LogError(f"{what} called {name!r}; a column's number will do; {self.described}")
+        return found[0]
 
-    def _with_unit(self, quantity: str, column: Column) -> Column:
-        given = self._units.get(quantity, "")
-        for text in (column.unit, given):
-            if text and not unit_of(quantity, text):
-                known = ", ".join(UNITS[quantity])
-                raise LogError(
-                    f"column {column.title!r}: unit {text!r} of {quantity} is not known; "
-                    f"there are {known}"
-                )
-        unit = unit_of(quantity, column.unit)
-        if unit and given and unit != unit_of(quantity, given):
-            raise LogError(
-                f"column {column.title!r}: its unit is {column.unit!r}, but --units says "
-                f"{quantity}={given}"
-            )
-        return column._replace(unit=unit or unit_of(quantity, given))
+    def rows(self, places: Sequence[int]) -> Iterator[Row]:
+        """Yield the cells of some columns, line by line.
+
+        Raises:
+            OSError: The file cannot be read.
+            LogError: A line or a cell is too long, has more cells than there are titles, or ends
+                early but is not the last.
+        """
+        width, wanted = len(self.columns), max(places)
+        with self._open() as stream:
+            rows = self._split(_lines(stream))
+            if self.has_titles:
+                next(rows, None)
+            for line, cells in rows:
+                if len(cells) != width:
+                    if not any(map(str.strip, cells)):
+                        continue
+                    if len(cells) <= wanted:
+                        self.cut_off = next(rows, None) is None
+                        if self.cut_off:
+                            return
+                        title = self.columns[len(cells)].title
+                        raise LogError(f"line {line} ends before column {title!r}")
+                    if any(cells[width:]):
+                        hint = ""
+                        if self._delimiter == ",":
+                            hint = ": with decimal commas, separate cells by semicolons or tabs"
+                        raise LogError(f"line {line}: {len(cells)} cells, but {width} titles{hint}")
+                yield line, [cells[place] for place in places]
+
+    def number(self, text: str) -> float:
+        """Return the number in a cell, NaN if it is empty or a word for that.
+
+        Raises:
+            ValueError: It is no number.
+        """
+        text = text.strip()
+        if text.lower() in _NOTHING:
+            return math.nan
+        return float(self._pointed(text))
+
+    def stamp(self, text: str, unit: str) -> int:
+        """Return the time in a cell [ns], `NO_TIME` if it is empty; dates are ISO 8601, in UTC.
+
+        Raises:
+            ValueError: It is no time.
+        """
+        text = text.strip()
+        if text.lower() in _NOTHING:
+            return NO_TIME
+        if ":" in text:
+            match = _FRACTION.search(text)
+            fraction = match[1][:9].ljust(9, "0") if match else "0"
+            moment = datetime.fromisoformat(text.replace(match[0], "", 1) if match else text)
+            moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+            stamp = int(moment.timestamp()) * NANOSECONDS + int(fraction)
+        else:
+            # A double has no nanoseconds left at today's dates.
+            number, size = self._pointed(text), UNITS["time"][unit]
+            stamp = round(float(number) * size) if abs(float(number)) * size < _EXACT else 0
+            stamp = stamp or round(Decimal(number) * int(size))
+        if abs(stamp) >= LATEST:
+            raise ValueError("beyond what a stamp can hold")
+        return stamp
+
+    def _pointed(self, text: str) -> str:
+        """Return a number with a decimal point."""
+        is_comma = self._delimiter != "," and _COMMA.fullmatch(text) is not None
+        return text.replace(",", ".") if is_comma else text
+
+    def _open(self) -> TextIO:
+        # Only titles may have other letters than ASCII.
+        return self._path.open(encoding=self._encoding, errors="replace", newline="")
+
+    def _split(self, lines: "Iterator[str] | Sequence[str]") -> Iterator[Row]:
+        """Yield the number and the cells of every line that is not passed over."""
+        if self._delimiter == _BLANKS:
+            numbered = enumerate(lines, 1)
+            yield from ((n, line.split()) for n, line in numbered if not _is_passed_over(line))
+            return
+        reader = csv.reader(lines, delimiter=self._delimiter, skipinitialspace=True)
+        last = 0
+        try:
+            for cells in reader:
+                if reader.line_num > last + 1:
+                    raise LogError(
+                        f"line {last + 1}: a quote opens a cell that is not closed there"
+                    )
+                last = reader.line_num
+                if cells and not cells[0].startswith(_COMMENTS) and any(cells):
+                    yield last, cells
+        except csv.Error as error:
+            raise LogError(f"line {last + 1}: {error}; perhaps {_OPEN_QUOTE}") from error
+
+
+def misread(what: str, line: int, column: LogColumn, unit: str, text: str) -> LogError:
+    """Return the error of a cell that is not what was expected."""
+    hint = ""
+    if what == "time":
+        hint = ": write seconds, or ISO 8601 such as 2026-01-31T12:00:00.005"
+        if not re.search(r"\d[:/]\d", text) and any(map(str.isdigit, text)):
+            hint = ": a stamp holds 68 years; is its unit another, as in --units time=ns?"
+    elif "," in text or "." in text:
+        hint = ": write thousands without a sign"
+    return LogError(
+        f"line {line}, column {column.title!r}: expected a {what}{unit and f' in {unit}'}, got "
+        f"{shown(text)}{hint}"
+    )
 
 
 def unit_of(quantity: str, text: str) -> str:
     """Return the name in `UNITS` of a unit, an empty string if it is none of the quantity."""
-    unit = re.sub(r"[\s.*·⋅-]", "", unicodedata.normalize("NFKC", text))
-    small = unit.lower()
-    for name in (unit, _OTHER_SPELLINGS.get(small, ""), small, "Nm" if small == "nm" else ""):
-        if name in UNITS[quantity] or (name == ISO and quantity == "time"):
-            return name
-    return ""
+    unit = re.sub(r"[\s.*·-]", "", text).replace("°", "deg").replace("µ", "u").replace("μ", "u")
+    known = {name.lower(): name for name in UNITS[quantity]}
+    return unit if unit in UNITS[quantity] else known.get(unit.lower(), "")
 
 
-def is_unit(text: str) -> bool:
-    """Return whether a text is a unit of any quantity."""
-    return any(unit_of(quantity, text.strip("[](){} ")) for quantity in UNITS)
+def _packed(match: "re.Match[str]") -> str:
+    return "".join(match[0].split())
 
 
-def _split_unit(quantity: str, column: Column) -> Column:
-    """Return a column with the unit that its name ends in, as in `angle_deg` or `t / ms`."""
-    match = None if column.unit else _UNIT_AFTER_NAME.fullmatch(column.name)
-    if match is None or not unit_of(quantity, match["unit"]):
-        return column
-    return column._replace(name=match["name"], unit=match["unit"])
+def _is_number(text: str, delimiter: str) -> bool:
+    try:
+        float(text.replace(",", ".") if delimiter != "," else text)
+    except ValueError:
+        return False
+    return True
 
 
-def _split_side(column: Column) -> tuple[str, Column]:
-    """Return the side of an arm that a title names, and the column as if it did not.
-
-    What names a joint, as in position.motor_1, names no side.
-    """
-    if re.search(r"[./]", column.name):
-        return "", column
-    match = _SIDE.search(column.name)
-    if match is None:
-        return "", column
-    rest = column.name[: match.start()] + column.name[match.end() :]
-    side = (match["side"] or match["last"]).lower()
-    return side, column._replace(name=rest or column.name)
+def _is_passed_over(line: str) -> bool:
+    return not line.strip() or line.lstrip().startswith(_COMMENTS)
 
 
-_Ranked = tuple[int, str, str, Column]
-"""Rank, side, joint and column."""
+def _encoding(head: bytes) -> str:
+    """Return the encoding of a file that begins like this."""
+    if not head:
+        raise LogError("the file is empty")
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    if b"\0" in head or head.startswith((b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd")):
+        raise LogError("it is no text: expected CSV, in UTF-8, UTF-16 or Windows-1252")
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8-sig"
 
 
-def _of_side(ranked: Sequence[_Ranked], side: str, *, one_sided: bool) -> list[_Ranked]:
-    """Return the columns of a side of an arm; of those that name it, if there are such."""
-    joints = {joint for _, _, joint, _ in ranked}
-    sided = []
-    for rank, own, joint, column in ranked:
-        if _is_motor_of(joint, joints):
-            own, joint = "motor", joint.removesuffix("_motor")
-        sided.append((rank, own, joint, column))
-    if specific := [one for one in sided if one[1] == side]:
-        return specific
-    return [one for one in sided if not one[1]] if one_sided or side == "link" else []
-
-
-def _is_motor_of(joint: str, joints: Container[str]) -> bool:
-    """Return whether a name is that of the motor of another joint's name."""
-    return joint.endswith("_motor") and joint.removesuffix("_motor") in joints
-
-
-def _plain_unit(text: str) -> str:
-    return re.sub(r"[\s.*·⋅]", "", unicodedata.normalize("NFKC", text))
-
-
-def _likeness(quantity: str, column: Column) -> tuple[int | None, str]:
-    """Return the rank of a column among those of a quantity, None if unlike, and its joint."""
-    guesses = _GUESSES[quantity]
-    name = column.name.strip("/_% ")
-    if name.lower() in guesses:
-        return guesses.index(name.lower()), ""
-    begin, _, joint = name.partition(".")
-    if begin.lower() in guesses and joint and quantity != "time":
-        return guesses.index(begin.lower()), joint
-    joint = ""
-    if (match := _INDEX.fullmatch(name)) and quantity != "time":
-        name, joint = match["name"], match["index"] or match["number"]
-    *above, last = re.split(r"[./]", name)
-    if last.lower() in guesses:
-        if "/" in name and above and not joint and quantity != "time":
-            joint = above[-1]
-        return guesses.index(last.lower()), joint
-    words = {word.lower() for word in _WORD.findall(name)}
-    if any(len(guess) > 1 and guess in words for guess in guesses):
-        return _LIKELY, joint
-    return None, ""
+def _lines(stream: TextIO) -> Iterator[str]:
+    for number, line in enumerate(iter(lambda: stream.readline(MAX_LINE + 1), ""), 1):
+        if len(line) > MAX_LINE:
+            raise LogError(f"line {number} is longer than {MAX_LINE:,} characters")
+        yield line

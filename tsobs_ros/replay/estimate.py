@@ -403,8 +403,6 @@ def make_runs(
     observers = list(observers)
     for observer in observers:
         source.observe([design.request for design in observer.designs])
-    if isinstance(source, LogSource) and observers:
-        source.check_unit_of_angles(observers[0].settings, observers[0].designs)
     windows = Windows(source, rate, as_live, window)
     return [Run(observer, source, windows) for observer in observers]
 
