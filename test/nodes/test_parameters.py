@@ -166,19 +166,6 @@ def test_a_bad_set_is_refused_with_a_reason(make) -> None:
     assert node.changes == []
 
 
-def test_an_accepted_set_is_announced_after_it_took_effect(make) -> None:
-    seen: list[tuple[float, float, float]] = []
-    node = make()
-    node.retune = lambda new: seen.append(
-        (node.get_parameter("upper").value, node.parameters.upper, new.upper)
-    )
-
-    assert set_one(node, "upper", 5).successful
-
-    assert seen == [(5.0, 5.0, 5.0)]
-    assert node.get_parameter("upper").type_ is TYPE.DOUBLE
-
-
 def test_an_atomic_set_is_checked_as_a_whole_and_changes_all_or_nothing(make) -> None:
     node = make()
 
@@ -215,14 +202,6 @@ def test_descriptors_tell_clients_what_is_allowed(make) -> None:
     assert topics.type == ParameterType.PARAMETER_STRING_ARRAY
 
 
-def test_unknown_overrides_are_named_in_one_warning(make, capfd) -> None:
-    make({"rat": 100.0, "use_sim_time": False, "colour": "blue"})
-
-    logged = capfd.readouterr().err
-    assert logged.count("[WARN]") == 1
-    assert "ignored unknown parameters: 'colour', 'rat' (did you mean 'rate'?)" in logged
-
-
 def test_remote_clients_set_integers_and_read_reasons(ros, make) -> None:
     node = make()
     client = AsyncParameterClient(ros.node("client"), "parametrised")
@@ -240,12 +219,3 @@ def test_remote_clients_set_integers_and_read_reasons(ros, make) -> None:
     ]  # fmt: skip
     assert node.parameters.excitation.amplitude == 3.0
     assert node.parameters.gains == (5.0, 6.0)
-
-
-def test_a_field_that_is_no_parameter_is_a_programming_error(ros) -> None:
-    @dataclass(frozen=True)
-    class Wrong(ManagedParameters):
-        table: bytes = setting(b"", "Not a ROS type")
-
-    with pytest.raises(TypeError, match=r"Wrong\.table: .* is not a setting"):
-        ManagedNode("wrong", Wrong, context=ros.context)

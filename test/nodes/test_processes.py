@@ -13,7 +13,6 @@ import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from staging.stamps import to_nanoseconds
 
@@ -131,51 +130,6 @@ def test_without_its_plant_the_observer_coasts_falls_silent_and_tracks_the_next(
     watch.wait_for(watch.estimated)
     assert all(a < b for a, b in itertools.pairwise(watch.estimated))
     end({plant: signal.SIGTERM, observer: signal.SIGINT})
-
-
-def test_without_its_recorder_or_observer_the_rest_goes_on_and_takes_the_next_in(
-    watch: Watch, ros: Any, ros_process: Process, tmp_path: Path
-) -> None:
-    first, second = tmp_path / "first", tmp_path / "second"
-    recording = {"output": str(first), "topics": TOPICS, "flush_period": 0.1}
-    recorder = ros_process("recorder", parameters=recording)
-    observer, plant = ros_process("observer"), ros_process("plant_simulator")
-    watch.wait_for_records(first, *TOPICS)
-
-    kill(recorder)
-    watch.wait_for(watch.estimated)
-    left = {path: path.read_bytes() for path in first.iterdir()}
-    refused = ros_process("recorder", parameters=recording)
-    recorder = ros_process("recorder", parameters={"output": str(second), "topics": TOPICS})
-    finished = refused.finish(TIMEOUT)
-    assert finished.exit_code == 1
-    (line,) = errors(finished.stderr)
-    assert line.startswith(f"error: {first}: exists already")
-    assert {path: path.read_bytes() for path in first.iterdir()} == left
-    watch.wait_for_records(second, *TOPICS)
-
-    kill(observer)
-    ros.hear_out(watch.estimated)
-    last = watch.estimated[-1]
-    watch.wait_for(watch.measured)
-    observer = ros_process("observer")
-    watch.wait_for(watch.estimated)
-    watch.wait_for_records(second, *TOPICS)
-    before = len(watch.estimated)
-    watch.wait_for(watch.estimated, 50)
-    # Not the very last: they may have reached this process first.
-    received = watch.estimated[before : before + 40]
-    end({observer: signal.SIGTERM, recorder: signal.SIGINT, plant: signal.SIGHUP})
-
-    stamps = [
-        to_nanoseconds(deserialize_message(item.data, JointState).header.stamp)
-        for item in BagReader(second).messages()
-        if item.topic == f"/{ESTIMATES}"
-    ]
-    assert stamps[0] < last < stamps[-1]
-    assert all(a < b for a, b in itertools.pairwise(stamps))
-    assert set(received) <= set(stamps)
-    assert BagReader(second).topics[f"/{MEASUREMENTS}"].count > 60
 
 
 def test_the_shipped_parameters_fit_together_and_the_recorder_awaits_nothing_for_ever(

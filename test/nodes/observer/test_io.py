@@ -72,14 +72,6 @@ def test_each_joint_finds_its_sample(
         assert shown(reader.read([data])) == expected
 
 
-def test_without_effort_torques_may_be_zero_but_not_where_some_are_missing() -> None:
-    reader = MeasurementReader(JOINTS, assume_zero_torque=True)
-    read = reader.read([message(["hip", "knee"], [1.0, 2.0], [])])
-    assert shown(read) == [(STAMP, 1.0, 0.0), (STAMP, 2.0, 0.0)]
-    read = reader.read([message(["hip", "knee"], [1.0, 2.0], [3.0])])
-    assert shown(read) == [(STAMP, 1.0, 3.0), MISSING]
-
-
 BOTH_SIDES = ArmRequest(outputs=[Output("link_angle", 1e-3), Output("motor_angle", 1e-3)])
 VELOCITIES = ArmRequest(outputs=[Output("motor_velocity", 1e-3), Output("motor_angle", 1e-3)])
 WAVE = (DisturbanceTerm("gauss_markov", {"std": 1.0, "time_constant": 1.0}),)
@@ -131,15 +123,6 @@ def test_what_a_message_lacks_of_several_outputs_is_nan(
             np.testing.assert_array_equal(batch.u[0], [u] * count)
             assert not batch.codes.any()
             assert batch.y[0].flags.c_contiguous
-
-
-def test_the_entry_and_field_that_a_message_lacks_are_named() -> None:
-    reader = MeasurementReader({"hip": signals(BOTH_SIDES, "hip", alone=True)}, False)
-    data = bytes(serialize_message(JointState(name=["hip"], velocity=[1.0], effort=[2.0])))
-    assert reader.describe(data, "hip") == (
-        "stamp 0.000, position missing (0 in all), "
-        "position of hip_motor missing (names ['hip']), effort 2.0"
-    )
 
 
 def test_layouts_may_change_from_message_to_message_for_ever() -> None:

@@ -2,18 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer's parameters: refused with a reason, or taken over all at once."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from tsobs_ros.design.published import read_record
-from tsobs_ros.errors import CertificateError, DesignFileError, ParameterError, TsobsError
+from tsobs_ros.errors import ParameterError
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes.observer import Observer, create
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
@@ -68,59 +67,6 @@ def test_senseless_overrides_are_refused(
 ) -> None:
     with pytest.raises(ParameterError, match=reason):
         make(**overrides)
-
-
-def tampered(path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
-    data = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))
-    change(data)
-    path.write_text(yaml.safe_dump(data), encoding="utf-8")
-    return path
-
-
-def triple_the_gain(data: dict[str, Any]) -> None:
-    data["gain"]["K"] = [3.0 * value for value in data["gain"]["K"]]
-
-
-def drop_the_gain(data: dict[str, Any]) -> None:
-    del data["gain"]
-
-
-@pytest.mark.parametrize(
-    ("make_file", "error", "named"),
-    [
-        (lambda path: path, DesignFileError, ["no such design file"]),
-        (lambda path: tampered(path, drop_the_gain), DesignFileError, ["gain"]),
-        (
-            lambda path: tampered(path, triple_the_gain),
-            CertificateError,
-            ["covariance decrease", "slopes (1, 1)", "DOES NOT HOLD"],
-        ),
-    ],
-    ids=["missing", "malformed", "certificate does not hold"],
-)
-def test_a_wrong_design_is_refused_by_name(
-    make: Callable[..., Observer],
-    tmp_path: Path,
-    make_file: Callable[[Path], Path],
-    error: type[TsobsError],
-    named: Sequence[str],
-) -> None:
-    path = make_file(tmp_path / "my.design.yaml")
-    with pytest.raises(error) as caught:
-        make(design=str(path))
-    assert type(caught.value) is error
-    for text in [str(path), *named]:
-        assert text in str(caught.value)
-    # It has left nothing behind: the next one starts.
-    assert make().joints[0].tracker.used == 0
-
-
-def test_a_method_that_cannot_run_a_design_is_refused_with_its_name(
-    make: Callable[..., Observer],
-) -> None:
-    reason = "method high_gain: expected a design for an arm, got one for a T-S system"
-    with pytest.raises(DesignFileError, match=f"{TS_DESIGN.name}: {reason}"):
-        make(design=str(TS_DESIGN), method="high_gain")
 
 
 def test_a_request_changes_all_joints_or_nothing(

@@ -10,9 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
 from staging.arm import Arm
 from staging.stage import BEGIN, OUTPUTS, PERIOD, TOPIC, Event, Stage, good
@@ -22,8 +20,6 @@ from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateDecoder
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.events import EventKind
-from tsobs_ros.estimation.health import Level
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes import recorder
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
@@ -49,9 +45,6 @@ class Scene:
         )
         stage.wait_until(lambda: stage.sensor.get_subscription_count() > 0, "the recorder")
         self.sent = Counter[str]()
-        self.logged: list[tuple[int, str]] = []
-        self._random = np.random.default_rng(5)
-        stage.node.create_subscription(Log, "/rosout", self._keep, 100)
         stage.step(BEGIN - PERIOD)
 
     def start(self) -> None:
@@ -71,16 +64,13 @@ class Scene:
         self.sent.update(f"/observer/{one.topic}" for one in self.stage.watcher.published)
         self.stage.remove("")
 
-    def play(self, count: int, outliers: int = 0, noise: float = 0.0) -> None:
-        """Send samples, the last ones of them far off, with more noise than usual [rad]."""
+    def play(self, count: int, outliers: int = 0) -> None:
+        """Send samples, the last ones of them far off."""
         begin = self.stage.now + PERIOD
         events = good(ARM, begin, count * PERIOD * 1e-9)
         for k in range(count - outliers, count):
             stamp = events[k].at
             events[k] = Event(stamp, ARM.message(stamp, position=[100.0 + k]))
-        for k, event in enumerate(events if noise else ()):
-            shifted = event.message.position[0] + noise * self._random.normal()
-            events[k] = Event(event.at, ARM.message(event.at, position=[shifted]))
         self.stage.play(events)
         self.sent[TOPIC] += count
 
@@ -102,10 +92,6 @@ class Scene:
         self.stage.wait_until(all_there, "everything in the bag")
         self._recorder.close()
         return Path(self._recorder.path)
-
-    def _keep(self, line: Log) -> None:
-        if line.msg.startswith(f"{ARM.joint}: ") and ": design " not in line.msg:
-            self.logged.append((line.level, line.msg))
 
     @staticmethod
     def _outputs(observer: Any) -> list[Any]:
@@ -174,26 +160,3 @@ def test_what_an_observer_did_not_receive_is_left_out_and_all_the_rest_reproduce
     expected, came = observed(bag), observed(again)
     del came[RAN]  # is not recorded here
     assert came == expected
-
-
-def test_the_log_has_the_events_of_a_replay(scene: Scene, design: Design, tmp_path: Path) -> None:
-    """Noise, a silence and a reset, each reported once by the node when it begins."""
-    scene.start()
-    scene.play(700, noise=0.1)
-    scene.stage.play([], until=scene.stage.now + 7_000_000_000)
-    scene.play(300)
-    scene.reset()
-    scene.play(100)
-    scene.end()
-    run = estimated(scene.recorded(), design, tmp_path / "again")
-
-    levels = {Level.OK: Log.INFO, Level.WARN: Log.WARN, Level.ERROR: Log.ERROR}
-    events = [one.event for one in run.events()]
-    expected = [(levels[one.level], f"{ARM.joint}: {one.text}") for one in events]
-    scene.stage.wait_until(lambda: len(scene.logged) >= len(expected), "the log")
-    assert scene.logged == expected
-    assert Counter(each.text.split()[0] for each in events if each.kind is EventKind.STATE) == {
-        "TRACKING:": 2, "TRACKING": 1, "COASTING:": 1, "STALE:": 1,
-    }  # fmt: skip
-    noise = [each.stamp - BEGIN for each in events if each.kind is EventKind.NOISE]
-    assert len(noise) == 2

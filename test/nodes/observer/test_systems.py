@@ -5,11 +5,9 @@
 import math
 from pathlib import Path
 
-import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
-from staging.arm import Arm
 from staging.stage import BEGIN, PERIOD, Event, Stage, replayed, values
 from staging.stamps import to_stamp
 
@@ -40,16 +38,6 @@ def swing(count: int, prefix: str = "") -> list[Event]:
         message.header.stamp = to_stamp(stamp)
         found.append(Event(stamp, message))
     return found
-
-
-def test_estimates_come_as_often_as_the_design_expects_measurements(
-    stage: Stage, pendulum: Path
-) -> None:
-    stage.add(joints=["pendulum"], design=str(pendulum))
-    stage.step(BEGIN - PERIOD)
-    stage.play(swing(60))
-    # The file's rate is 100 Hz, the time goes on by 5 ms.
-    assert set(np.diff(stage.watcher.stamps)) == {2 * PERIOD}
 
 
 def test_a_system_alone_has_the_names_of_its_file(
@@ -90,30 +78,3 @@ def test_a_system_alone_has_the_names_of_its_file(
     good = [event for event in events if event is not events[40]]
     assert replayed(stage.watcher, observer, good) >= 59
     assert stage.watcher.broken == []
-
-
-def test_a_system_beside_an_arm_has_its_joints_name_before_its_own(
-    stage: Stage, pendulum: Path
-) -> None:
-    joints = ["elbow", "pendulum"]
-    observer = stage.add(joints=joints, joint_designs=["", str(pendulum)])
-    stage.step(BEGIN - PERIOD)
-    arm = Arm(BEGIN, "elbow")
-    events = [
-        event
-        for stamp in swing(40, "pendulum/")
-        for event in (stamp, Event(stamp.at, arm.message(stamp.at)))
-    ]
-    stage.play(events)
-
-    assert [joint.tracker.used for joint in observer.joints] == [40, 40]
-    assert [joint.received for joint in observer.joints] == [40, 40]
-    last = stage.watcher.of("joint_states")[-1].message
-    assert list(last.name) == ["elbow_link", "elbow_motor", "pendulum/angle", "pendulum/rate"]
-    assert np.isnan(last.velocity).tolist() == [False, False, True, True]
-    names = {name for each in stage.watcher.of("innovation") for name in each.message.name}
-    assert names == {"elbow", "pendulum/encoder", "pendulum/gyroscope"}
-    found = stage.statuses()
-    assert found["observer: elbow: premise domain"].message == "inside the certificate's domain"
-    assert "observer: pendulum: sensor fault of encoder" in found
-    assert "observer: elbow: sensor fault" in found
