@@ -13,58 +13,30 @@ def add_parser(commands: Commands) -> None:
     """Add the command `bag` and its actions."""
     bag = commands.add_parser("bag", help="look at a bag, check it, or recover a damaged one")
     actions = bag.add_subparsers(required=True, metavar="ACTION")
-    _add_info(actions)
-    _add_verify(actions)
-    _add_recover(actions)
-
-
-def _add_info(actions: Commands) -> None:
-    info = actions.add_parser("info", help="files, times and topics, also of an unfinished bag")
-    _add_bag(info)
-    add_json(info)
-    info.set_defaults(command=_info)
-
-
-def _add_verify(actions: Commands) -> None:
-    verify = actions.add_parser(
-        "verify", help="check that every tool reads the bag; exit code 1 with the reasons if not"
-    )
-    _add_bag(verify)
-    _add_trusted(verify)
-    add_json(verify)
-    verify.set_defaults(command=_verify)
-
-
-def _add_recover(actions: Commands) -> None:
-    recover = actions.add_parser(
-        "recover", help="make a whole bag of a damaged or unfinished one, which is not touched"
-    )
-    _add_bag(recover)
-    recover.add_argument(
+    for name, command, text in (
+        ("info", _info, "files, times and topics, also of an unfinished bag"),
+        ("verify", _verify, "check that every tool reads the bag; exit code 1 with reasons if not"),
+        ("recover", _recover, "make a whole bag of a damaged or unfinished one, left as it is"),
+    ):
+        action = actions.add_parser(name, help=text)
+        action.add_argument("bag", type=Path, help="a bag's folder, or one MCAP file")
+        add_json(action)
+        action.set_defaults(command=command)
+        if name != "info":
+            action.add_argument(
+                "--trusted", action="store_true",
+                help="read chunks of any decompressed size (default: 1 GiB + 100 times the file)",
+            )  # fmt: skip
+    action.add_argument(
         "--output", type=Path, metavar="FOLDER", help="bag to make (default: BAG_recovered)"
     )
-    recover.add_argument(
+    action.add_argument(
         "--compression", choices=("none", "lz4", "zstd"), default="zstd", help="of the new bag"
     )
-    recover.add_argument(
+    action.add_argument(
         "--keep-unchecked",
         action="store_true",
         help="also keep what can be read where checksums fail: some of it is wrong",
-    )
-    _add_trusted(recover)
-    add_json(recover)
-    recover.set_defaults(command=_recover)
-
-
-def _add_bag(action: argparse.ArgumentParser) -> None:
-    action.add_argument("bag", type=Path, help="a bag's folder, or one MCAP file")
-
-
-def _add_trusted(action: argparse.ArgumentParser) -> None:
-    action.add_argument(
-        "--trusted",
-        action="store_true",
-        help="read chunks however much they decompress to (default: 1 GiB + 100 times the file)",
     )
 
 

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tsobs_ros.cli.common import Commands, add_json, complain, progress, show
+from tsobs_ros.cli.common import Commands, add_json, at_least_one, complain, progress, show
 from tsobs_ros.errors import printable
 
 if TYPE_CHECKING:
@@ -24,8 +24,13 @@ def add_parser(commands: Commands) -> None:
     add = campaign.add_argument
     add("campaign", type=Path, nargs="?", metavar="FILE", help="YAML, as config/campaign.yaml")
     add("--output", type=Path, metavar="DIR", help="folder; of the same campaign: to go on with it")
-    add("--runs", type=_whole, metavar="N", help="instead of the file's")
-    add("--workers", type=_whole, metavar="N", help="threads of this machine (default: its cores)")
+    add("--runs", type=at_least_one, metavar="N", help="instead of the file's")
+    add(
+        "--workers",
+        type=at_least_one,
+        metavar="N",
+        help="threads of this machine (default: its cores)",
+    )
     add("--scheduler", metavar="ADDRESS", help="of a Dask cluster, such as tcp://10.0.0.1:8786")
     add("--force", action="store_true", help="replace another campaign in the folder")
     add("--show", type=Path, metavar="DIR", help="show the tables of a campaign")
@@ -35,12 +40,6 @@ def add_parser(commands: Commands) -> None:
     )  # fmt: skip
     add_json(campaign)
     campaign.set_defaults(command=run, parser=campaign)
-
-
-def _whole(text: str) -> int:
-    if int(text) < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, got {text}")
-    return int(text)
 
 
 def run(options: argparse.Namespace) -> int:

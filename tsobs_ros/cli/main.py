@@ -17,7 +17,6 @@ from tsobs_ros.cli import (
     bag,
     campaign,
     compare,
-    config,
     demo,
     design,
     estimate,
@@ -47,7 +46,6 @@ _COMMANDS = (
     watch,
     bag,
     paper,
-    config,
 )
 """In the order in which the help lists them."""
 
