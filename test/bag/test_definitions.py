@@ -61,20 +61,6 @@ def test_dependencies_follow_depth_first_in_bytewise_order(types: tuple[str, ...
     assert find_definition(types[0]).text == concatenated(*types)
 
 
-def test_each_dependency_comes_once_where_it_is_first_needed(tmp_path: Path) -> None:
-    write_package(tmp_path, "a_msgs", Root="b_msgs/Late late\nEarly early\n", Early="int8 x\n")
-    write_package(tmp_path, "b_msgs", Late="a_msgs/Early[<=3] many\nZ[2] two\n", Z="bool b\n")
-
-    text = find_definition("a_msgs/msg/Root", [tmp_path]).text
-
-    assert text == (
-        "b_msgs/Late late\nEarly early\n"
-        f"\n{SEPARATOR}\nMSG: a_msgs/Early\nint8 x\n"
-        f"\n{SEPARATOR}\nMSG: b_msgs/Late\na_msgs/Early[<=3] many\nZ[2] two\n"
-        f"\n{SEPARATOR}\nMSG: b_msgs/Z\nbool b\n"
-    )
-
-
 @pytest.mark.parametrize("msgtype", TYPES)
 def test_a_definition_means_the_same_to_rosbags_and_mcap(msgtype: str) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)

@@ -25,7 +25,7 @@ from tsobs_ros.bag.metadata import (
     read_metadata,
     write_metadata,
 )
-from tsobs_ros.errors import BagReadError, BagWriteError
+from tsobs_ros.errors import BagReadError
 
 METADATA = BagMetadata(
     topics=(
@@ -83,13 +83,6 @@ def test_an_empty_bag_starts_at_the_end_of_time() -> None:
     assert empty["starting_time"] == {"nanoseconds_since_epoch": 2**63 - 1}
     assert (empty["duration"], empty["message_count"]) == ({"nanoseconds": 0}, 0)
     assert empty["custom_data"] is None
-
-
-def test_a_missing_folder_is_named(tmp_path: Path) -> None:
-    with pytest.raises(BagWriteError, match=r"gone/metadata\.yaml: cannot write it"):
-        write_metadata(tmp_path / "gone", METADATA)
-    with pytest.raises(BagReadError, match=r"gone: not a bag folder, it has no metadata\.yaml"):
-        read_metadata(tmp_path / "gone")
 
 
 def _set(*path: Any, to: Any) -> Callable[[Any], None]:

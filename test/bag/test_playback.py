@@ -20,7 +20,6 @@ from tsobs_ros.bag.playback import (
     BagSource,
     Event,
     Playback,
-    Timeline,
 )
 from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.errors import BagReadError
@@ -89,20 +88,6 @@ def ticks(events: Sequence[Event]) -> list[int]:
     return [e.time - START for e in events if e.message is None]
 
 
-@given(rates, times, times, st.integers(0, 10**14))
-def test_a_bag_time_is_due_when_it_is_reached_and_not_before(rate, time, steady, ahead) -> None:
-    timeline = Timeline(time, rate)
-    timeline.anchor(time, steady)
-    timeline.paused = False
-
-    due = timeline.due(time + ahead)
-
-    assert timeline.at(due) >= time + ahead
-    assert ahead == 0 or timeline.at(due - 1) < time + ahead
-    exact = steady + Fraction(ahead) / Fraction(rate)
-    assert 0 <= due - exact < 1
-
-
 @given(
     st.lists(st.integers(0, 3 * S), min_size=1, max_size=40),
     rates,
@@ -127,42 +112,6 @@ def test_all_is_played_once_in_order_and_on_time_whenever_the_caller_comes(
             assert 0 <= event.due - exact < 1
     assert playback.held_back == 0
     assert playback.position(NOW) == START + max(offsets)
-
-
-def test_a_pause_stops_messages_and_the_clock_goes_on_to_say_the_same() -> None:
-    playback = Bag([message(0), message(30 * MS)]).playback(clock_rate=100.0)
-    playback.resume(NOW)
-    while playback.take(NOW + 15 * MS):
-        pass
-    playback.pause(NOW + 15 * MS)
-
-    paused = [playback.take(NOW + S) for _ in range(98)]
-    assert {event.time - START for event in paused if event} == {15 * MS}
-    assert playback.position(NOW + S) == START + 15 * MS
-
-    now = NOW + S + 500 * MS
-    playback.resume(now)
-    while (event := playback.take(now + 15 * MS)) and event.message is None:
-        pass
-    assert event is not None
-    assert event.due == now + 15 * MS
-
-
-def test_steps_play_one_message_each_with_the_clock_before_it() -> None:
-    playback = Bag([message(0), message(5 * MS), message(5 * MS)]).playback(clock_rate=1.0)
-    assert playback.take(NOW) == (NOW, START, None)
-
-    assert playback.step(NOW + 1)[0] == (NOW + 1, START, None)
-    assert [e.time - START for e in playback.step(NOW + 2)] == [5 * MS, 5 * MS]
-    assert playback.position(NOW + 3) == START + 5 * MS
-    assert played(playback.step(NOW + 3)) == [5 * MS]
-    assert playback.step(NOW + 4) == []
-    assert not playback.ended
-
-    playback.resume(NOW + 5)
-    assert playback.step(NOW + 6) == []
-    assert playback.take(NOW + 5) is None
-    assert playback.ended
 
 
 @pytest.mark.parametrize("target", [0, 3, 10, 15, 20, -1, 1000])
@@ -301,18 +250,6 @@ def test_a_pass_is_read_with_what_is_latched_before_it(reader: BagReader) -> Non
     again = [("/a", 70), ("/a", 80), None]
     source = BagSource(reader, ["/a"], {}, 70, 80, 10_000)
     assert read(source, 80, True, 7) == [*again[1:], *again, *again[:2]]
-
-
-def test_reading_elsewhere_gives_up_what_was_read(reader: BagReader) -> None:
-    source = BagSource(reader, ["/a"], {}, 0, 90, 10_000)
-    first = source.read(0, True)
-    assert next(first) is not None
-
-    second = source.read(90, False)
-
-    assert next(first, None) is None
-    assert [m and m.log_time for m in second] == [90, None]
-    source.close()
 
 
 @pytest.mark.parametrize("error", [BagReadError("damaged"), RuntimeError("a bug")])

@@ -2,15 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The reader gives messages in log order, and says clearly why it cannot."""
 
-import tracemalloc
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -149,19 +146,6 @@ def test_damage_is_noticed_where_it_is_reached_and_chunks_out_of_reach_are_not_r
         next(messages)
 
 
-def test_memory_is_that_of_a_chunk(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.add_topic("/a", STRING)
-        for number in range(12_000):
-            writer.write("/a", bytes(1_000), number, number)
-    tracemalloc.start()
-    try:
-        assert sum(1 for _ in BagReader(tmp_path / "bag").messages()) == 12_000
-        assert tracemalloc.get_traced_memory()[1] < 4_000_000
-    finally:
-        tracemalloc.stop()
-
-
 @pytest.mark.parametrize("chunked", [True, False])
 def test_files_of_other_writers_settings_are_read(tmp_path: Path, chunked: bool) -> None:
     """As rosbag2's preset `fastwrite`, which makes no chunks, or with chunks not indexed."""
@@ -195,22 +179,6 @@ def test_what_is_not_there_is_named(bag: Path, tmp_path: Path) -> None:
         BagReader(tmp_path)
     (bag / "bag_1.mcap").unlink()
     with pytest.raises(BagReadError, match=r"bag_1\.mcap: cannot read it"):
-        BagReader(bag)
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [(lambda _, new=new: new, "not an MCAP file")
-     for new in (b"", b"\x89MCAP0", b"SQLite format 3\0" * 10)]
-    + [(lambda old, kept=kept: old[:kept], "the file has no end")
-       for kept in (8, 20, 300, -1, -9, -200)],
-)  # fmt: skip
-def test_another_kind_of_file_and_a_truncated_one_are_refused(
-    bag: Path, change: Callable[[bytes], bytes], reason: str
-) -> None:
-    path = bag / "bag_0.mcap"
-    path.write_bytes(change(path.read_bytes()))
-    with pytest.raises(BagReadError, match=rf"bag_0\.mcap: {reason}"):
         BagReader(bag)
 
 
@@ -252,22 +220,3 @@ def test_what_cannot_be_decoded_is_read_and_its_decoding_refused(
     with pytest.raises(BagReadError, match=reason):
         list(reader.decoded())
     assert capsys.readouterr().err == ""  # nothing of a hostile definition
-
-
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.data(), st.booleans())
-def test_a_changed_byte_of_the_summary_is_refused_or_harmless(bag: Path, data, hidden) -> None:
-    content = bytearray((bag / "bag_1.mcap").read_bytes())
-    start = int.from_bytes(content[-28:-20], "little")
-    place = data.draw(st.integers(start, len(content) - 37))
-    content[place] ^= 0xFF
-    if hidden:
-        content[-12:-8] = bytes(4)  # no checksum is stated
-    path = bag.parent / "changed.mcap"
-    path.write_bytes(content)
-    if not hidden:
-        with pytest.raises(BagReadError, match=r"checksum \(crc\) of its summary"):
-            BagReader(path)
-        return
-    with suppress(BagReadError):
-        assert len(list(BagReader(path).messages())) <= 3

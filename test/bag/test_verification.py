@@ -15,9 +15,6 @@ import yaml
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, IndexType, Writer
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as RosbagsWriter
-from rosbags.typesys import Stores, get_typestore
 
 from tsobs_ros.bag import BagWriter, QosProfile
 from tsobs_ros.bag.container import MAGIC, RECORD, parse_record
@@ -93,14 +90,6 @@ def test_several_files_one_file_an_empty_bag_and_a_renamed_folder_pass(
     assert texts(verify(bag.rename(tmp_path / "other"))) == ([], [])
     BagWriter(tmp_path / "empty").close()
     assert texts(verify(tmp_path / "empty")) == ([], [])
-
-
-def test_bags_of_rosbags_pass(tmp_path: Path) -> None:
-    store = get_typestore(Stores.ROS2_JAZZY)
-    with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection("/a", STRING, typestore=store)
-        writer.write(connection, 5, HELLO)
-    assert texts(verify(tmp_path / "bag"))[0] == []
 
 
 def edit(bag: Path, change: Callable[[dict[str, Any]], object]) -> None:

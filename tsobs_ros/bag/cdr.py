@@ -4,8 +4,8 @@
 
 import re
 import struct
-from collections.abc import Callable, Mapping
-from typing import NamedTuple, TypeAlias
+from collections.abc import Mapping
+from typing import Literal, TypeAlias
 
 from tsobs_ros.errors import MessageError
 
@@ -24,9 +24,6 @@ _FIELD = re.compile(
 _SIZES: Mapping[str, int] = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
     f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
-
-_Walk: TypeAlias = Callable[[bytes, int, str], int]
-"""Returns where a value ends that begins at a place; the text is the byte order."""
 
 
 class CdrReader:
@@ -117,11 +114,8 @@ class UnknownLayoutError(ValueError):
     """A definition that is well formed, but whose messages cannot be measured."""
 
 
-class _Field(NamedTuple):
-    type: str
-    is_array: bool
-    size: int
-    """The number of elements of a fixed array; 0 for a sequence."""
+_Fields: TypeAlias = "list[tuple[int | _Fields | None, int]]"
+"""Size of a primitive, a type, or None for a string; and the number of them, 0 for a sequence."""
 
 
 class MessageLayout:
@@ -144,9 +138,9 @@ class MessageLayout:
             if not head.startswith("MSG: "):
                 raise ValueError(f"'{head[:60]}' is not 'MSG: package/Type'")
             self._texts.setdefault(_short(head[5:].strip()), body)
-        self._walks: dict[str, _Walk] = {}
+        self._types: dict[str, _Fields] = {}
         try:
-            self._walk = self._struct(_short(type), ())
+            self._fields = self._fields_of(_short(type), ())
         except RecursionError as error:
             raise ValueError(f"{type} is nested too deep") from error
 
@@ -160,7 +154,7 @@ class MessageLayout:
         if order is None or len(data) < HEADER:
             raise MessageError(f"{len(data)} bytes that do not begin with the header of plain CDR")
         try:
-            end = self._walk(data, HEADER, "big" if order == ">" else "little")
+            end = _walk(self._fields, data, HEADER, "big" if order == ">" else "little")
         except RecursionError as error:
             raise MessageError("nested too deep") from error
         if end > len(data):
@@ -168,38 +162,37 @@ class MessageLayout:
         if len(data) - end >= 4:
             raise MessageError(f"{len(data) - end} bytes follow its last value")
 
-    def _struct(self, name: str, within: tuple[str, ...]) -> _Walk:
-        if known := self._walks.get(name):
+    def _fields_of(self, name: str, within: tuple[str, ...]) -> _Fields:
+        if known := self._types.get(name):
             return known
-        if name in within:
-            raise ValueError(f"{name} contains itself")
-        if name not in self._texts:
-            raise ValueError(f"{name} is used, but not defined")
-        package = name.partition("/")[0]
-        walks = []
-        for field in _fields(name, self._texts[name]):
-            if field.type in ("wstring", "wchar"):
-                raise UnknownLayoutError(f"{name} has a {field.type}")
-            if element := _SIZES.get(field.type):
-                walks.append(_primitive(field, element))
-            elif field.type == "string":
-                walks.append(_many(field, _string))
-            else:
-                full = field.type if "/" in field.type else f"{package}/{field.type}"
-                walks.append(_many(field, self._struct(_short(full), (*within, name))))
+        if name in within or name not in self._texts:
+            reason = "contains itself" if name in within else "is used, but not defined"
+            raise ValueError(f"{name} {reason}")
+        found: _Fields = []
+        for line in map(str.strip, self._texts[name].splitlines()):
+            if not line or line.startswith("#"):
+                continue
+            match = _FIELD.match(line)
+            if match is None or match["size"] == "0":
+                raise ValueError(f"{name}: '{line[:60]}' is not a field")
+            if match["constant"]:
+                continue
+            kind, array = match["type"], match["array"]
+            count = 0 if array else 1
+            if array and match["size"] and "<=" not in array:
+                count = int(match["size"])
+            if kind in ("wstring", "wchar"):
+                raise UnknownLayoutError(f"{name} has a {kind}")
+            if kind == "string" or kind in _SIZES:
+                found.append((_SIZES.get(kind), count))
+                continue
+            full = kind if "/" in kind else f"{name.partition('/')[0]}/{kind}"
+            inner = self._fields_of(_short(full), (*within, name))
+            # A definition of three hundred types, each of one other, must not take as many steps.
+            found.append(inner[0] if count == len(inner) == 1 else (inner, count))
         # A struct without fields has one byte, as C has no empty ones.
-        parts = tuple(walks) or (_primitive(_Field("uint8", False, 1), 1),)
-
-        def walk(data: bytes, place: int, order: str) -> int:
-            for part in parts:
-                place = part(data, place, order)
-                if place > len(data):  # a definition can ask for 2^60 parts in 60 lines
-                    break
-            return place
-
-        # A definition of three hundred structs, each of one other, must not take as many steps.
-        self._walks[name] = walk if len(parts) > 1 else parts[0]
-        return self._walks[name]
+        self._types[name] = found or [(1, 1)]
+        return self._types[name]
 
 
 def _short(name: str) -> str:
@@ -208,65 +201,31 @@ def _short(name: str) -> str:
     return f"{parts[0]}/{parts[-1]}"
 
 
-def _fields(name: str, text: str) -> list[_Field]:
-    fields = []
-    for line in map(str.strip, text.splitlines()):
-        if not line or line.startswith("#"):
-            continue
-        match = _FIELD.match(line)
-        if match is None or match["size"] == "0":
-            raise ValueError(f"{name}: '{line[:60]}' is not a field")
-        if not match["constant"]:
-            size = int(match["size"]) if match["size"] and "<=" not in match["array"] else 0
-            fields.append(_Field(match["type"], bool(match["array"]), size))
-    return fields
-
-
-def _primitive(field: _Field, element: int) -> _Walk:
-    if field.is_array and not field.size:
-
-        def walk_sequence(data: bytes, place: int, order: str) -> int:
-            count, place = _count(data, place, order)
+def _walk(fields: _Fields, data: bytes, place: int, order: Literal["big", "little"]) -> int:
+    """Return where values end that begin at a place; beyond the message it gives up."""
+    size = len(data)
+    for kind, number in fields:
+        count = number
+        if not number:
+            place += -(place - HEADER) % 4 + 4
+            count = int.from_bytes(data[place - 4 : place], order) if place <= size else 0
+        if type(kind) is int:
             if count:
-                place += -(place - HEADER) % element + count * element
-            return place
-
-        return walk_sequence
-
-    size = element * (field.size or 1)
-
-    def walk(_data: bytes, place: int, _order: str) -> int:
-        return place + -(place - HEADER) % element + size
-
-    return walk
-
-
-def _many(field: _Field, walk: _Walk) -> _Walk:
-    if not field.is_array or field.size == 1:
-        return walk
-
-    def walk_all(data: bytes, place: int, order: str) -> int:
-        count = field.size
-        if not count:
-            count, place = _count(data, place, order)
-        for _ in range(count):
-            place = walk(data, place, order)
-            if place > len(data):  # a hostile count must not keep us busy
-                break
-        return place
-
-    return walk_all
-
-
-def _string(data: bytes, place: int, order: str) -> int:
-    size, place = _count(data, place, order)
-    if size and place + size <= len(data) and data[place + size - 1]:
-        raise MessageError(f"the text at byte {place} does not end in a zero byte")
-    return place + size
-
-
-def _count(data: bytes, place: int, order: str) -> tuple[int, int]:
-    start = place + -(place - HEADER) % 4
-    if start + 4 > len(data):
-        return 0, start + 4
-    return int.from_bytes(data[start : start + 4], order), start + 4  # type: ignore[arg-type]
+                place += -(place - HEADER) % kind + count * kind
+        else:
+            for _ in range(count):
+                if isinstance(kind, list):
+                    place = _walk(kind, data, place, order)
+                else:
+                    place += -(place - HEADER) % 4 + 4
+                    if place <= size and (text := int.from_bytes(data[place - 4 : place], order)):
+                        place += text
+                        if place <= size and data[place - 1]:
+                            raise MessageError(
+                                f"the text up to byte {place} has no zero at its end"
+                            )
+                if place > size:  # a hostile count must not keep us busy
+                    break
+        if place > size:  # a definition can ask for 2^60 parts in 60 lines
+            break
+    return place

@@ -61,13 +61,6 @@ class JointSeries:
         taken = {name: getattr(self, name)[places] for name in _ARRAYS}
         return JointSeries(**taken, other_names=self.other_names)
 
-    def of_joint(self, joint: int) -> "JointSeries":
-        """Return what the messages have of one joint."""
-        own = slice(joint, joint + 1)
-        return replace(
-            self, values=self.values[:, own], named=self.named[:, own], given=self.given[:, own]
-        )
-
     def followed_by(self, *others: "JointSeries") -> "JointSeries":
         """Return these messages and those of others behind them."""
         all_ = (self, *others)

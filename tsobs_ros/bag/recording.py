@@ -11,7 +11,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from threading import Event, Thread
@@ -215,8 +214,7 @@ class Recording:
         return self._latched.before(log_time_ns) if self._repeats else []
 
 
-@dataclass(slots=True)
-class _Latched:
+class _Latched(NamedTuple):
     message: BufferedMessage
     number: int | None
     logged: bool
@@ -260,30 +258,28 @@ class LatchedMessages:
         del kept[: max(0, len(kept) - depth * _MAX_PUBLISHERS)]
 
     def before(self, log_time_ns: int) -> list[BufferedMessage]:
-        """Return what was logged before a time, or not yet, in order of publication.
-
-        The log time of all is the given one [ns].
-        """
-        return _in_order(
-            log_time_ns,
-            (m for m in self._all() if not m.logged or m.message.log_time_ns < log_time_ns),
-        )
+        """Return what was logged before a time [ns], or not yet, as `log` does."""
+        return self._at(log_time_ns, lambda m: not m.logged or m.message.log_time_ns < log_time_ns)
 
     def log(self, log_time_ns: int) -> list[BufferedMessage]:
-        """Mark what was not logged as logged at a time [ns], and return it as `before` does."""
-        unlogged = [latched for latched in self._all() if not latched.logged]
-        for latched in unlogged:
-            latched.message = latched.message._replace(log_time_ns=log_time_ns)
-            latched.logged = True
-        return _in_order(log_time_ns, unlogged)
+        """Mark what was not logged as logged at a time [ns].
 
-    def _all(self) -> Iterable[_Latched]:
-        return chain.from_iterable(self._topics.values())
+        Return it in order of publication, with that log time.
+        """
+        found = self._at(log_time_ns, lambda each: not each.logged)
+        for kept in self._topics.values():
+            kept[:] = [
+                each
+                if each.logged
+                else _Latched(each.message._replace(log_time_ns=log_time_ns), each.number, True)
+                for each in kept
+            ]
+        return found
 
-
-def _in_order(log_time_ns: int, latched: Iterable[_Latched]) -> list[BufferedMessage]:
-    messages = [each.message._replace(log_time_ns=log_time_ns) for each in latched]
-    return sorted(messages, key=lambda message: message.publish_time_ns)
+    def _at(self, log_time_ns: int, chosen: Callable[[_Latched], bool]) -> list[BufferedMessage]:
+        found = filter(chosen, chain.from_iterable(self._topics.values()))
+        messages = [each.message._replace(log_time_ns=log_time_ns) for each in found]
+        return sorted(messages, key=lambda message: message.publish_time_ns)
 
 
 class SnapshotBuffer:
@@ -299,10 +295,8 @@ class SnapshotBuffer:
     """
 
     def __init__(self, max_duration_ns: int, max_size: int) -> None:
-        self.size = 0
-        self.refused = 0
-        self._max_duration_ns = max_duration_ns
-        self._max_size = max_size
+        self.size = self.refused = 0
+        self._max_duration_ns, self._max_size = max_duration_ns, max_size
         self._messages: deque[BufferedMessage] = deque()
 
     def __len__(self) -> int:
@@ -349,8 +343,7 @@ class BackgroundSync:
 
     def __init__(self, sync: Callable[[], None], period: float) -> None:
         self.error: BagWriteError | None = None
-        self._sync = sync
-        self._period = period
+        self._sync, self._period = sync, period
         self._synced_at = time.monotonic()
         self._stopping = Event()
         self._thread = Thread(target=self._run, name="bag sync", daemon=True)
