@@ -190,13 +190,8 @@ class BagReader:
     ) -> Iterator[tuple[Rows, dict[int, bytes]]]:
         """Yield the messages of some topics as `messages` does, as rows.
 
-        Args:
-            topics: Their names; rows have their places in it.
-            start_ns: Only those at or after this log time, ns since the epoch.
-            end_ns: Only those before this log time, ns since the epoch.
-
-        Yields:
-            Some of the messages, and the records that they are in by their keys.
+        Rows have the places of their topics in the names that are given. With them come the records
+        that they are in, by their keys.
 
         Raises:
             BagReadError: As for `messages`.
@@ -360,12 +355,7 @@ class BagReader:
         start_ns: int | None = None,
         end_ns: int | None = None,
     ) -> Iterator[DecodedMessage]:
-        """Yield the messages in order of log time, decoded by the definitions in the bag.
-
-        Args:
-            topics: Only those of these topics; of all by default.
-            start_ns: Only those at or after this log time, ns since the epoch.
-            end_ns: Only those before this log time, ns since the epoch.
+        """Yield the messages as `messages` does, decoded by the definitions in the bag.
 
         Raises:
             BagReadError: As for `messages`; or a definition is missing or not in the `ros2msg`

@@ -201,36 +201,33 @@ class _File:
 
     def __init__(self, path: Path, progress: Progress, **options: bool) -> None:
         self.path = path
-        self.size = 0
-        self.error = ""
-        self.damage: list[Damage] = []
+        self.account = FileRecovery(path.name)
         self.profile: str | None = None
         self.library = ""
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
-        self.statistics: Statistics | None = None
         self.metadata: BagMetadata | None = None
-        self.is_finished = False
         # The channels' topics, and why messages of others have none.
         self.topics: dict[int, str] = {}
         self.reasons: dict[int, str] = {}
+        self._counts: dict[int, int] = {}
         self._pieces: list[_Piece] = []
         self._metadata_texts: deque[str] = deque(maxlen=2)
         self._definitions: dict[int, MessageDefinition | None] = {}
         self._room = _MAX_DESCRIPTIONS
         try:
             with open_regular(path) as stream:
-                self.size = stream.seek(0, 2)
-                walker = FileWalker(stream, self.size, **options)
+                self.account.size = stream.seek(0, 2)
+                walker = FileWalker(stream, self.account.size, **options)
+                self.account.damage = walker.damage
                 if summary := walker.summary:
                     for record in (*summary.schemas.values(), *summary.channels.values()):
                         self._describe(record)
                     self._describe(summary.statistics)
                 for part in walker.parts(progress):
                     self._take(part)
-                self.damage = walker.damage
         except OSError as error:
-            self.error = error.strerror or str(error)
+            self.account.error = error.strerror or str(error)
         # The last one tells most.
         for text in reversed(self._metadata_texts):
             with suppress(ValueError):
@@ -239,13 +236,10 @@ class _File:
 
     def read(self, keep: Keep, progress: Progress) -> FileRecovery:
         """Read all messages, and return the account."""
-        name = self.path.name
-        account = FileRecovery(name, self.size, self.is_finished, error=self.error)
-        account.damage = self.damage
-        counts = self.statistics.channel_message_counts if self.statistics else {}
-        for id_, count in counts.items():
+        account = self.account
+        for id_, count in self._counts.items():
             account.stated[self.topics.get(id_, f"channel {id_}")] += count
-        if self.error:
+        if account.error:
             return account
         at = 0
         with open_regular(self.path) as stream:
@@ -262,7 +256,7 @@ class _File:
                 account.unchecked += 0 if piece.is_checked else account.kept.total() - counted
                 progress(piece.at + piece.size - at)
                 at = piece.at + piece.size
-        progress(self.size - at)
+        progress(account.size - at)
         return account
 
     def _keep(self, content: Records, account: FileRecovery, keep: Keep) -> None:
@@ -330,9 +324,9 @@ class _File:
             case Statistics() if record.message_count == sum(
                 record.channel_message_counts.values()
             ):
-                self.statistics = record
+                self._counts = record.channel_message_counts
             case Footer():
-                self.is_finished = True
+                self.account.is_finished = True
             case Metadata(name="rosbag2"):
                 self._metadata_texts.append(record.metadata.get("serialized_metadata", ""))
 

@@ -360,39 +360,37 @@ class FileWalker:
         if self._vain_left < 0 or (self.summary is None and self._carries_files):
             return otherwise
         covered = self._covered(at - 1)
-        step = _MAX_PARSED_SIZE
-        while at < end:
-            with suppress(OSError):  # a sparse file has holes of any size
-                at = max(at, os.lseek(self._descriptor, at, os.SEEK_DATA))
-            block = self._bytes(at, step + CHUNK_HEAD_SIZE)
-            for match in _CANDIDATE.finditer(block, 0, step + RECORD.size - 1):
-                place = match.start()
-                if at + place >= end or (self.summary is None and at + place < covered):
+        for begin, block in self._blocks(at, end, _MAX_PARSED_SIZE, RECORD.size - 1):
+            for match in _CANDIDATE.finditer(block):
+                at = begin + match.start()
+                if at >= end or (self.summary is None and at < covered):
                     continue
-                if block[place] == Opcode.CHUNK:
-                    if self._is_chunk(at + place, block[place : place + CHUNK_HEAD_SIZE]):
-                        return at + place
+                if block[match.start()] == Opcode.CHUNK:
+                    if self._is_chunk(at, self._bytes(at, CHUNK_HEAD_SIZE)):
+                        return at
                 elif self._bare_channels:
                     with suppress(RecordError):
-                        self._read_other(at + place)
-                        return at + place
+                        self._read_other(at)
+                        return at
                 else:
-                    covered = max(covered, self._covered(at + place))
-            at, step = at + step, min(2 * step, _BLOCK_SIZE)
+                    covered = max(covered, self._covered(at))
         return otherwise
+
+    def _blocks(self, at: int, end: int, step: int, overlap: int) -> Iterator[tuple[int, bytes]]:
+        """Yield parts of the file that get larger, without the holes of a sparse file."""
+        while at < end:
+            with suppress(OSError):  # there may be nothing but a hole
+                at = max(at, os.lseek(self._descriptor, at, os.SEEK_DATA))
+            yield at, self._bytes(at, step + overlap)
+            at, step = at + step, min(2 * step, _BLOCK_SIZE)
 
     @cached_property
     def _carries_files(self) -> bool:
         """Whether there are the marks of other files in it, such as messages may carry."""
         at = self._bytes(0, _MAX_END_SIZE).find(MAGIC) + 1  # behind its own
         end = min(self._data_end, self._written_end)
-        while at < end:
-            with suppress(OSError):
-                at = max(at, os.lseek(self._descriptor, at, os.SEEK_DATA))
-            if MAGIC in self._bytes(at, min(_BLOCK_SIZE + len(MAGIC), end - at)):
-                return True
-            at += _BLOCK_SIZE
-        return False
+        blocks = self._blocks(at, end, _BLOCK_SIZE, len(MAGIC))
+        return any(MAGIC in block[: end - begin] for begin, block in blocks)
 
     def _covered(self, at: int) -> int:
         """Return where what may be a message in a damaged chunk ends; there is no record in it."""
