@@ -214,7 +214,8 @@ def main() -> None:
             results[name] = one
             print(f"{len(results)}/{len(jobs)} {name}", file=sys.stderr, flush=True)
     found = effects({name: results[name] for name in options.scenarios})
-    what = f"{options.runs} runs of each of {len(options.scenarios)} scenarios."
+    runs = f"{options.runs} run{'s' if options.runs > 1 else ''}"
+    what = f"{runs} of each of {len(options.scenarios)} scenarios."
     listed = {variant or "as it is": one._asdict() for variant, one in found.items()}
     end(options, __file__, "\n".join(_page(found, what)), {"variants": listed}, [])
 

@@ -77,7 +77,7 @@ enum { NO_FORK, JUMPED, HIT, MOVED };
     C(FIRST_TONE, 0.8, "lowest frequency at which tones are looked for [rad/s]")               \
     C(TONE_RATIO, 1.25, "ratio of neighbouring ones")                                          \
     C(LEAST_SCALE, 0.5, "least measured noise, by the design's; 1 is used then")               \
-    C(REJECTING, 0.3, "share of used samples below which a lone filter opens its covariance")  \
+    C(REJECTING, 0.54, "share of used samples below which a lone filter opens its covariance")  \
     C(PATIENCE, 0.5, "time over which that share is averaged [s]")                             \
     C(SIGN_SLOW, 0.7, "power of slow innovations, by white noise's, that wakes the bank")      \
     C(AWAKE, 5.0, "time from the last sign to sleep, and memory of tones [s]")                  \

@@ -55,10 +55,6 @@ GATE = 5.0
 THETA_STD, THETA_WANDER = 0.2, 1e-6
 """1σ of each θ of an EKF before any measurement, and the growth of its variance [1/s]."""
 
-_LEAST_USED = 0.54
-"""Share of samples used, averaged over half a second, below which an EKF starts its covariance
-again: after 0.3 s without any."""
-
 
 def high_gain(
     arm: ElasticJointArm, theta: float, period: float, measurement_std: float
@@ -117,7 +113,6 @@ def extended_kalman(
     shape, model = model_of(flow, *covariances, uncertainty, auxiliary=False)
     one = model[0]
     one["gain_mode"], one["gate"] = native.GAIN_RICCATI, gate
-    one["constants"][CONSTANTS["REJECTING"]] = _LEAST_USED
     if uncertainty is not None and shape.k:
         at_once = AdaptationOptions(THETA_STD, THETA_WANDER, start=0.0, significance=0.0)
         enter_adaptation(one, np.full(shape.k, np.inf), at_once, covered=False)
@@ -126,7 +121,7 @@ def extended_kalman(
         one["constants"][CONSTANTS["CURVED"]] = 0.0
     if isinstance(flow, ArmFlow):  # a torque that is no number is held, any other one taken
         enter_torque_limits(one, TorqueLimits(np.inf, np.inf, 0.0))
-    return Estimator(shape, model, bounded=True, disturbed=True)
+    return Estimator(shape, model)
 
 
 def high_gain_matrix(arm: ElasticJointArm, theta: float) -> Array:
@@ -205,7 +200,8 @@ def integrated_estimator(
     if disturbance is not None:
         fill_matrix(one["disturbance_map"], disturbance[0])
         fill_matrix(one["disturbance_direct"], disturbance[1])
-    return Estimator(shape, model, bounded=False, disturbed=disturbance is not None)
+    lacking = ("state_bound", "disturbance_bound", "disturbance_rate")
+    return Estimator(shape, model, lacking if disturbance else (*lacking, "disturbance"))
 
 
 def place_single_output(A: Array, C: Array, poles: ArrayLike) -> Array:

@@ -129,21 +129,18 @@ class Estimator:
     Args:
         shape: Sizes.
         model: Model record, shape (1,).
-        bounded: Whether estimates have bounds.
-        disturbed: Whether a disturbance is estimated.
+        lacking: Fields of an estimate that it has nothing for.
 
     Attributes:
         shape: Sizes.
         model: Model record, shape (1,).
-        bounded: Whether estimates have bounds.
-        disturbed: Whether a disturbance is estimated.
+        lacking: Fields of an estimate that it has nothing for.
         row_type: Type of the estimates' rows: the fields of `Estimate` but the stamp, as numbers;
             of length 0 if the estimator has nothing for one.
     """
 
-    def __init__(self, shape: Shape, model: Record, *, bounded: bool, disturbed: bool) -> None:
-        self.shape, self.model = shape, model
-        self.bounded, self.disturbed = bounded, disturbed
+    def __init__(self, shape: Shape, model: Record, lacking: tuple[str, ...] = ()) -> None:
+        self.shape, self.model, self.lacking = shape, model, lacking
         self._types = records.types_of_model(model)
         self._work = self.new_work()
         self.row_type: Any = np.dtype((np.record, self._row_type()))
@@ -313,14 +310,6 @@ class Estimator:
             }
         )
 
-    @property
-    def lacking(self) -> tuple[str, ...]:
-        """The fields of an estimate that this estimator has nothing for."""
-        lacking: tuple[str, ...] = ()
-        if not self.bounded:
-            lacking = ("state_bound", "disturbance_bound", "disturbance_rate")
-        return lacking if self.disturbed else (*lacking, "disturbance")
-
     def events(self, state: State) -> dict[str, int]:
         """Return how often what was found so far."""
         if not self.supervised:
@@ -391,7 +380,7 @@ def certified_estimator(
     if uncertainty is not None and shape.k:
         options = adaptation or AdaptationOptions()
         records.enter_adaptation(one, uncertainty.limits, options, covered)
-    return Estimator(shape, model, bounded=True, disturbed=True)
+    return Estimator(shape, model)
 
 
 def model_of(

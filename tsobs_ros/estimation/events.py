@@ -7,13 +7,11 @@ an estimate over a recording and a report on it list the same ones.
 """
 
 import enum
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from tsobs_ros.estimation.health import Debounce, Level, Phase, judged, phase_of
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.series import NANOSECONDS
-
-S = TypeVar("S")
 
 COAST_AFTER, STALE_AFTER = 0.1, 5.0
 """Default ages of the newest measurement for COASTING and for STALE [s]."""
@@ -53,6 +51,16 @@ class Event(NamedTuple):
     text: str
 
 
+_USUAL: dict[EventKind, Any] = {
+    EventKind.STATE: None,
+    EventKind.BOUND: Basis.STARTING,
+    EventKind.NOISE: False,
+    EventKind.LEARNING: Learning.STARTING,
+    EventKind.HYPOTHESIS: Hypothesis.AS_DESIGNED,
+}
+"""States that need no report."""
+
+
 class EventLog:
     """Finds the events of one joint's estimates.
 
@@ -86,18 +94,7 @@ class EventLog:
         self._noisy = False
         self._basis = Basis.STARTING
         self._gap_since: int | None = None
-        self._state = _Teller[Phase | None](EventKind.STATE, None)
-        self._bound = _Teller(EventKind.BOUND, Basis.STARTING)
-        self._noise = _Teller(EventKind.NOISE, False)
-        self._learning = _Teller(EventKind.LEARNING, Learning.STARTING)
-        self._hypothesis = _Teller(EventKind.HYPOTHESIS, Hypothesis.AS_DESIGNED)
-        self._tellers: dict[EventKind, _Teller[Any]] = {
-            EventKind.STATE: self._state,
-            EventKind.BOUND: self._bound,
-            EventKind.NOISE: self._noise,
-            EventKind.LEARNING: self._learning,
-            EventKind.HYPOTHESIS: self._hypothesis,
-        }
+        self._tellers = {kind: _Teller(kind, usual) for kind, usual in _USUAL.items()}
 
     def update(self, estimate: Estimate) -> list[Event]:
         """Return what an estimate gives occasion to report, in the order of its beginning.
@@ -116,16 +113,14 @@ class EventLog:
         self._newest = newest
         events += self._tell_bound(stamp, estimate.basis)
         self._noisy = scale >= (NOT_NOISY if self._noisy else NOISY)
+        level, text = Level.OK, f"the sensor's noise is below {NOT_NOISY} times the design's"
         if self._noisy:
             level, text = Level.WARN, f"the sensor's noise is {scale:.2g} times the design's"
-        else:
-            level, text = Level.OK, f"the sensor's noise is below {NOT_NOISY} times the design's"
-        events += self._noise.update(stamp, self._noisy, level, text, _LASTING)
-        learning = estimate.learning
+        events += self._tell(EventKind.NOISE, stamp, self._noisy, level, text, _LASTING)
+        learning, hypothesis = estimate.learning, estimate.hypothesis
         if learning is not Learning.NONE:
-            events += self._learning.update(stamp, learning, *judged(learning), _LASTING)
-        hypothesis = estimate.hypothesis
-        events += self._hypothesis.update(stamp, hypothesis, *judged(hypothesis), _LASTING)
+            events += self._tell(EventKind.LEARNING, stamp, learning, *judged(learning), _LASTING)
+        events += self._tell(EventKind.HYPOTHESIS, stamp, hypothesis, *judged(hypothesis), _LASTING)
         return sorted(events, key=lambda event: event.stamp)
 
     def silence(self, now: int) -> list[Event]:
@@ -134,16 +129,20 @@ class EventLog:
         Args:
             now: Time on the clock of the stamps [ns].
         """
+        state = self._tellers[EventKind.STATE]
         if self._newest is not None:
             late = now - self._newest > self._stale_after * NANOSECONDS
-            return [*(self._go_stale(self._newest) if late else ()), *self._state.due(now)]
+            return [*(self._go_stale(self._newest) if late else ()), *state.due(now)]
         if self._began is None:
             self._began = now
-        if self._state.state is Phase.WAITING or now - self._began < _LASTING * NANOSECONDS:
+        if state.state is Phase.WAITING or now - self._began < _LASTING * NANOSECONDS:
             return []
-        self._state.state = Phase.WAITING
+        state.state = Phase.WAITING
         text = f"WAITING for the first measurement on {self._source}"
         return [Event(self._began, EventKind.STATE, Level.WARN, text)]
+
+    def _tell(self, kind: EventKind, *news: Any) -> list[Event]:
+        return self._tellers[kind].update(*news)
 
     def since(self, kind: EventKind) -> int | None:
         """Return the stamp at which something became what it is [ns], None if it never changed."""
@@ -168,7 +167,7 @@ class EventLog:
                 basis = self._basis
             else:
                 stamp, lasting = self._gap_since, 0.0
-        return self._bound.update(stamp, basis, *judged(basis), lasting)
+        return self._tell(EventKind.BOUND, stamp, basis, *judged(basis), lasting)
 
     def _tell_phase(self, estimate: Estimate, newest: int) -> list[Event]:
         age, source = estimate.age, self._source
@@ -177,10 +176,10 @@ class EventLog:
             if self._newest is not None:
                 gap = (estimate.stamp - self._newest) / NANOSECONDS
                 text = f"TRACKING again: measurements arrive on {source}, after {gap:.2g} s without"
-            return self._state.update(estimate.stamp, Phase.TRACKING, Level.OK, text)
+            return self._tell(EventKind.STATE, estimate.stamp, Phase.TRACKING, Level.OK, text)
         text = f"COASTING: no measurement on {source} for {age:.2g} s; estimates are predictions"
         at = newest + round(self.coast_after * NANOSECONDS)
-        return self._state.update(at, Phase.COASTING, Level.WARN, text)
+        return self._tell(EventKind.STATE, at, Phase.COASTING, Level.WARN, text)
 
     def _go_stale(self, newest: int) -> list[Event]:
         text = (
@@ -188,10 +187,10 @@ class EventLog:
             "restarts the estimate"
         )
         at = newest + round(self._stale_after * NANOSECONDS)
-        return self._state.update(at, Phase.STALE, Level.ERROR, text)
+        return self._tell(EventKind.STATE, at, Phase.STALE, Level.ERROR, text)
 
 
-class _Teller(Generic[S]):
+class _Teller:
     """Reports the changes of one kind.
 
     Args:
@@ -202,7 +201,7 @@ class _Teller(Generic[S]):
         state: The state that has lasted.
     """
 
-    def __init__(self, kind: EventKind, state: S) -> None:
+    def __init__(self, kind: EventKind, state: Any) -> None:
         self.state = state
         self._kind, self._initial = kind, state
         self._credit = _BURST
@@ -222,7 +221,7 @@ class _Teller(Generic[S]):
         return self._lasting.since
 
     def update(
-        self, stamp: int, state: S, level: Level, text: str, lasting: float = 0.0
+        self, stamp: int, state: Any, level: Level, text: str, lasting: float = 0.0
     ) -> list[Event]:
         """Take in the state at a stamp [ns], at or after the last; it must last so long [s]."""
         events = self.due(stamp)

@@ -96,31 +96,21 @@ def add_samples(
         watches: Records of the sensors, shape (k,).
         stamps: [ns], shape (m,).
         y: Raw values, shape (k, m).
-        codes: Outcomes by the codes of `history.REASONS`; only of samples that were used, gated
-            for their value or missing, something is taken in; shape (k, m).
+        codes: Outcomes by the codes of `history.REASONS`, shape (k, m).
         innovations: y − ŷ, shape (k, m).
         expected_std: 1σ expected of the innovations, shape (k, m).
-
-    Raises:
-        ValueError: An array is too short.
     """
     native.faults_add_samples(watches.view(np.float64), stamps, y, codes, innovations, expected_std)
 
 
 def add_estimates(watches: Any, stamp: int, disturbances: Array, bounds: Array) -> bool:
-    """Take in an estimate of each of k sensors.
+    """Take in an estimate of each of k sensors; return whether there is something to judge.
 
     Args:
         watches: Records of the sensors, shape (k,).
         stamp: Of the estimates [ns]; one that does not rise is passed over.
         disturbances: Estimated disturbances, NaN if there is none [rad], shape (k,).
         bounds: Their 1σ bounds [rad], shape (k,).
-
-    Returns:
-        Whether there is something to judge.
-
-    Raises:
-        ValueError: An array is too short.
     """
     return native.faults_add_estimates(watches.view(np.float64), stamp, disturbances, bounds)
 

@@ -95,19 +95,16 @@ class History:
         innovations: Array,
         expected_std: Array,
     ) -> None:
-        """Use measurements, or refuse them.
-
-        They may be in any order; in ascending order of stamps, late ones cost one rewind in all.
+        """Use measurements in any order, or refuse them; see core/history.h.
 
         Args:
-            stamps: Of N measurements [ns], shape (N,).
+            stamps: Of N measurements [ns], shape (N,); ascending, late ones cost one rewind.
             y: NaN of an output that is missing, shape (N, p).
             u: Inputs from each measurement until the next one, shape (N, m).
             now: Time on the clock of the stamps [ns].
             outcomes: Codes of `REASONS`, written, shape (N,).
-            output_codes: Those of each output, written, shape (N, p): of a measurement that is used
-                `USED`, `GATED`, or `NON_FINITE` of one that is missing.
-            innovations: y − ŷ of those that are used, NaN if missing, written, shape (N, p).
+            output_codes: `USED`, `GATED`, or `NON_FINITE` of each output, written, shape (N, p).
+            innovations: y − ŷ, NaN if not used, written, shape (N, p).
             expected_std: 1σ expected of each, written, shape (N, p).
 
         Raises:

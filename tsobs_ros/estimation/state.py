@@ -64,20 +64,7 @@ class Shape(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """Sizes of an estimator's records, in the order of the compiled core.
-
-    Attributes:
-        n: See `Shape`.
-        width: These states and the auxiliary ones.
-        plant: See `Shape`.
-        p: See `Shape`.
-        m: See `Shape`.
-        k: See `Shape`.
-        t: See `Shape`.
-        hypotheses: Number of hypotheses.
-        flow_size: Length of the record of the flow.
-        scratch: Numbers of scratch that its steps need.
-    """
+    """Sizes of an estimator's records, in the order of the compiled core; see core/estimator.h."""
 
     n: int
     width: int
