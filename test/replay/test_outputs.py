@@ -283,7 +283,11 @@ def test_columns_of_both_sides_are_found(tmp_path, header, options) -> None:
         ("t,link_angle,tau", {}, "no column is called motor_angle.*motor_angle=.*'link_angle'"),
         ("t,motor_angle,tau", {}, "no column is called link_angle.*'motor_angle'"),
         ("t,link_angle [lb],motor_angle,tau", {}, "unit 'lb' of angle is not known"),
-        ("t,link_angle,motor_angle,tau", {"angle": "2"}, "expected time, link_angle, motor_angle or torque"),
+        (
+            "t,link_angle,motor_angle,tau",
+            {"angle": "2"},
+            "expected time, link_angle, motor_angle or torque",
+        ),
         ("t,link_angle,motor_angle", {}, "no column is called torque of elastic_joint"),
     ],
 )

@@ -1,18 +1,20 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""`tsobs design`: design a gain and write its file."""
+"""`tsobs design`: design a gain; `tsobs verify`: re-check the certificate of its file."""
 
 import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from tsobs_ros.cli.common import Commands, add_json, note, show
+from tsobs_ros.cli.common import Commands, add_json, complain, note, show
 from tsobs_ros.errors import printable
 from tsobs_ros.files import require_new
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.schema import naming
 
 
 def add_parser(commands: Commands) -> None:
-    """Add the command `design`."""
+    """Add the commands `design` and `verify`."""
     design = commands.add_parser("design", help="design a gain and write its file")
     design.add_argument(
         "request",
@@ -33,6 +35,13 @@ def add_parser(commands: Commands) -> None:
     design.add_argument("--force", action="store_true", help="replace an existing file")
     add_json(design)
     design.set_defaults(command=run)
+    verify = commands.add_parser("verify", help="re-check the certificate of a design file")
+    verify.add_argument("design", type=Path, nargs="?", help="default: the shipped design")
+    verify.add_argument(
+        "--exact", action="store_true", help="in rational arithmetic, without any rounding"
+    )
+    add_json(verify)
+    verify.set_defaults(command=_verify)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -89,3 +98,22 @@ def _design_by_the_paper(options: argparse.Namespace) -> int:
     lines += [f"written to {options.output}"]
     show(mapping, "\n".join(lines), options.json)
     return 0
+
+
+def _verify(options: argparse.Namespace) -> int:
+    from tsobs_ros.design.file import parse_design
+
+    path = options.design or config_path(SHIPPED_DESIGN)
+    design = parse_design(path)
+    if options.exact:
+        from tsobs_ros.design.exact import verify_exactly
+
+        with naming(path):
+            proof = verify_exactly(design)
+        holds, plain, text = proof.holds, proof.as_mapping(), proof.text()
+    else:
+        holds, plain, text = design.certificate.holds, design.summary(), design.text()
+    show({"design": str(path), **plain}, f"{printable(str(path))}\n{text}", options.json)
+    if not holds:
+        complain(f"{path}: the certificate does not hold")
+    return 0 if holds else 1

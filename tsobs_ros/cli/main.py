@@ -21,10 +21,8 @@ from tsobs_ros.cli import (
     design,
     estimate,
     export,
-    export_c,
     paper,
     report,
-    verify,
     watch,
 )
 from tsobs_ros.cli.common import complain, note
@@ -36,12 +34,10 @@ from tsobs_ros.streams import Parser
 _COMMANDS = (
     demo,
     design,
-    verify,
     estimate,
     compare,
     campaign,
     export,
-    export_c,
     report,
     watch,
     bag,
