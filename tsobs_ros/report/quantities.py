@@ -52,45 +52,38 @@ def quantities_of(request: ArmRequest | TSRequest) -> tuple[Quantity, ...]:
 
     Of several outputs, those without a disturbance are left out.
     """
-    if isinstance(request, TSRequest):
-        states = zip(request.state_names, request.state_units, strict=True)
-        outputs = list(zip(request.output_names, request.output_units, strict=True))
-        return (
-            *(
-                Quantity(name, name, unit, column=place)
-                for place, (name, unit) in enumerate(states)
-            ),
-            *(
-                Quantity(
-                    f"disturbance_{name}", f"disturbance of {name}", unit, "disturbance", place
-                )
-                for place, (name, unit) in enumerate(outputs)
-                if _is_disturbed(request, place)
-            ),
+    outputs, is_arm = outputs_of(request), isinstance(request, ArmRequest)
+    disturbances = [
+        Quantity(
+            f"disturbance_{key}",
+            f"disturbance of {name}",
+            unit,
+            "disturbance",
+            place,
+            None if is_arm and key.endswith("_angle") else math.inf,
         )
-    names, units = request.output_names, request.output_units
-    if len(names) == 1:
-        disturbances = [QUANTITIES[4]._replace(unit=units[0])]
-    else:
-        disturbances = [
-            Quantity(
-                f"disturbance_{name}",
-                f"disturbance of {_words(name)}",
-                unit,
-                "disturbance",
-                place,
-                None if name.endswith("_angle") else math.inf,
-            )
-            for place, (name, unit) in enumerate(zip(names, units, strict=True))
-            if _is_disturbed(request, place)
-        ]
-    return (*_ARM, *disturbances, *_torques(request))
+        for place, (key, (name, unit)) in enumerate(zip(request.output_names, outputs, strict=True))
+        if request.disturbance_model.H[place].any()
+    ]
+    if not isinstance(request, ArmRequest):
+        states = zip(request.state_names, request.state_units, strict=True)
+        named = (Quantity(key, key, unit, column=k) for k, (key, unit) in enumerate(states))
+        return (*named, *disturbances)
+    if len(outputs) == 1:
+        disturbances = [QUANTITIES[4]._replace(unit=outputs[0][1])]
+    torques, map_ = [], request.flow.torque_map
+    for place, side in enumerate(request.torque_sides):
+        size = math.sqrt((map_ @ request.initial_covariance @ map_.T)[place, place])
+        key, name = f"torque_disturbance_{side}", f"torque disturbance at {side}"
+        torques.append(Quantity(key, name, "N m", "torque", place, size))
+    return (*_ARM, *disturbances, *torques)
 
 
 def outputs_of(request: ArmRequest | TSRequest) -> list[tuple[str, str]]:
     """Return the names of the outputs, for people, with their units."""
-    is_arm = isinstance(request, ArmRequest)
-    names = (_words(name) if is_arm else name for name in request.output_names)
+    names = request.output_names
+    if isinstance(request, ArmRequest):
+        names = tuple(name.replace("_", " ") for name in names)
     return list(zip(names, request.output_units, strict=True))
 
 
@@ -111,27 +104,3 @@ def measured_states(request: ArmRequest | TSRequest) -> dict[str, int]:
         if len(there) == 1 and row[there[0]] == 1.0:
             found[request.state_names[int(there[0])]] = place
     return found
-
-
-def _torques(request: ArmRequest) -> list[Quantity]:
-    if not request.torque_sides:
-        return []
-    flow = request.flow
-    model = flow.torque_disturbance
-    sizes = np.sqrt((flow.torque_map @ request.initial_covariance @ flow.torque_map.T).diagonal())
-    assert model is not None
-    return [
-        Quantity(
-            f"torque_disturbance_{side}", f"torque disturbance at {side}", "N m", "torque", place,
-            float(size),
-        )
-        for place, (side, size) in enumerate(zip(request.torque_sides, sizes, strict=True))
-    ]  # fmt: skip
-
-
-def _is_disturbed(request: ArmRequest | TSRequest, channel: int) -> bool:
-    return bool(request.disturbance_model.H[channel].any())
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")

@@ -38,6 +38,24 @@ BLOCK = 2**17
 """Number of messages that are read at once, of all topics: some 80 s at 200 Hz."""
 
 _FIRST_MESSAGES = 1000
+_OWN = {
+    "states": topics.STATES,
+    "state_bounds": topics.STATE_BOUNDS,
+    "disturbance": topics.DISTURBANCE,
+    "disturbance_bounds": topics.DISTURBANCE_BOUND,
+    "torque": topics.TORQUE_DISTURBANCE,
+    "torque_bounds": topics.TORQUE_DISTURBANCE_BOUND,
+    "innovations": topics.INNOVATION,
+    "health": topics.HEALTH,
+    "parameters": topics.PARAMETERS,
+    "parameter_bounds": topics.PARAMETER_BOUNDS,
+}
+"""The observer's topics by the parts of a run."""
+_TRUTH = {
+    "truth": topics.TRUE_STATES,
+    "true_disturbance": topics.TRUE_DISTURBANCE,
+    "true_torque": topics.TRUE_TORQUE,
+}
 _REQUIRED = ("measurements", "states", "state_bounds", "disturbance", "disturbance_bounds")
 _ALIGNED = (*_REQUIRED[1:], "torque", "torque_bounds")
 # Numbers of a joint that is alone, and those of one among several, are in entries of other names.
@@ -249,7 +267,8 @@ def find_observer(
         BagReadError: The bag cannot be read, or has several topics that could be meant.
     """
     reader = BagReader(bag)
-    ends = _topics(observer)
+    own = {key: f"{observer}/{topic}" for key, topic in _OWN.items()}
+    ends = {"measurements": MEASUREMENTS, **own, **_TRUTH}
     names = {key: _find(reader, end, namespace) for key, end in ends.items()}
     ran, entries = RecordedObserver(), tuple[str, ...]()
     if names["states"] is not None:
@@ -417,48 +436,17 @@ class FoundObserver:
             )
 
 
-def _topics(observer: str) -> dict[str, str]:
-    """Return for each part of a run the end of its topic's name."""
-    return {
-        "measurements": MEASUREMENTS,
-        "states": f"{observer}/{topics.STATES}",
-        "state_bounds": f"{observer}/{topics.STATE_BOUNDS}",
-        "disturbance": f"{observer}/{topics.DISTURBANCE}",
-        "disturbance_bounds": f"{observer}/{topics.DISTURBANCE_BOUND}",
-        "torque": f"{observer}/{topics.TORQUE_DISTURBANCE}",
-        "torque_bounds": f"{observer}/{topics.TORQUE_DISTURBANCE_BOUND}",
-        "innovations": f"{observer}/{topics.INNOVATION}",
-        "health": f"{observer}/{topics.HEALTH}",
-        "parameters": f"{observer}/{topics.PARAMETERS}",
-        "parameter_bounds": f"{observer}/{topics.PARAMETER_BOUNDS}",
-        "truth": topics.TRUE_STATES,
-        "true_disturbance": topics.TRUE_DISTURBANCE,
-        "true_torque": topics.TRUE_TORQUE,
-    }
-
-
 def _wanted(joint: str, own: Signals, learnt: tuple[str, ...]) -> dict[str, Wanted]:
     """Return for each part of a run what to read of its topic."""
     alone, named = (
         places_of(joint, own, alone=alone, learnt=learnt, rated=False) for alone in (True, False)
     )
-    states, torques, channels = [own.states], [own.torques], [alone[topics.DISTURBANCE]]
-    places: dict[str, Wanted] = {
-        "measurements": [own.outputs, own.inputs],
-        "states": states,
-        "disturbance": channels,
-        "torque": torques,
-        "innovations": channels,
-        "truth": states,
-        "true_disturbance": channels,
-        "true_torque": torques,
-    }
-    twice = zip(_TWICE, (topics.HEALTH, *topics.PARAMETER_TOPICS), strict=True)
     return {
-        **places,
-        **{f"{key}_bounds": places[key] for key in ("disturbance", "torque")},
-        "state_bounds": states,
-        **{key: [alone[topic], named[topic]] for key, topic in twice},
+        "measurements": [own.outputs, own.inputs],
+        **{
+            key: [alone[topic], named[topic]] if key in _TWICE else [alone[topic]]
+            for key, topic in (_OWN | _TRUTH).items()
+        },
     }
 
 
