@@ -7,7 +7,7 @@ those that the derivative is linear in: [x; u] of a T–S system, and [x; sin x�
 being a torque at the link. The arm is a single rule of them.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -86,10 +86,8 @@ def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncert
     ('stiffness',)
     """
     check_names("uncertainty", bounds, ARM_DIRECTIONS)
-    directions = np.zeros((len(bounds), 1, 4, EXTERNAL + 1))
-    for name, direction in zip(bounds, directions, strict=True):
-        ARM_DIRECTIONS[name](arm, direction[0])
-    return Uncertainty(bounds, directions)
+    known, shape = _arm_directions(arm), (len(bounds), 1, 4, EXTERNAL + 1)
+    return Uncertainty(bounds, np.reshape([known[name] for name in bounds], shape))
 
 
 def system_uncertainty(
@@ -123,41 +121,31 @@ def system_uncertainty(
     return Uncertainty(bounds, stack)
 
 
-def _stiffness(arm: ElasticJointArm, E: Array) -> None:
-    E[LINK_VELOCITY, [0, 2]] = -arm.stiffness / arm.link_inertia, 1.0
-    E[MOTOR_VELOCITY, :4] = -arm.stiffness / arm.motor_inertia * E[LINK_VELOCITY, :4]
+def _arm_directions(arm: ElasticJointArm) -> Mapping[str, Array]:
+    """Return the direction of each of `ARM_DIRECTIONS`, shape (4, 7)."""
+    link, motor = LINK_VELOCITY, MOTOR_VELOCITY
+    found = {name: np.zeros((4, EXTERNAL + 1)) for name in ARM_DIRECTIONS}
+    found["stiffness"][link, [0, 2]] = -arm.stiffness / arm.link_inertia, 1.0
+    found["stiffness"][motor, :4] = (
+        -arm.stiffness / arm.motor_inertia * found["stiffness"][link, :4]
+    )
+    found["gravity"][link, SINE] = -arm.gravity_gain
+    found["link_damping"][link, link] = -1.0 / arm.link_inertia
+    found["motor_damping"][motor, motor] = -1.0 / arm.motor_inertia
+    of_link, of_motor = found["link_inverse_inertia"][link], found["motor_inverse_inertia"][motor]
+    of_link[:4], of_link[SINE] = arm.spring_matrix[link], -arm.gravity_gain
+    of_link[EXTERNAL] = 1.0 / arm.link_inertia
+    of_motor[:4], of_motor[TORQUE] = arm.spring_matrix[motor], arm.input_matrix[motor, 0]
+    return found
 
 
-def _gravity(arm: ElasticJointArm, E: Array) -> None:
-    E[LINK_VELOCITY, SINE] = -arm.gravity_gain
-
-
-def _link_damping(arm: ElasticJointArm, E: Array) -> None:
-    E[LINK_VELOCITY, LINK_VELOCITY] = -1.0 / arm.link_inertia
-
-
-def _motor_damping(arm: ElasticJointArm, E: Array) -> None:
-    E[MOTOR_VELOCITY, MOTOR_VELOCITY] = -1.0 / arm.motor_inertia
-
-
-def _link_inverse_inertia(arm: ElasticJointArm, E: Array) -> None:
-    E[LINK_VELOCITY, :4] = arm.spring_matrix[LINK_VELOCITY]
-    E[LINK_VELOCITY, SINE] = -arm.gravity_gain
-    E[LINK_VELOCITY, EXTERNAL] = 1.0 / arm.link_inertia
-
-
-def _motor_inverse_inertia(arm: ElasticJointArm, E: Array) -> None:
-    E[MOTOR_VELOCITY, :4] = arm.spring_matrix[MOTOR_VELOCITY]
-    E[MOTOR_VELOCITY, TORQUE] = arm.input_matrix[MOTOR_VELOCITY, 0]
-
-
-ARM_DIRECTIONS: Mapping[str, Callable[[ElasticJointArm, Array], None]] = {
-    "stiffness": _stiffness,
-    "gravity": _gravity,
-    "link_damping": _link_damping,
-    "motor_damping": _motor_damping,
-    "link_inverse_inertia": _link_inverse_inertia,
-    "motor_inverse_inertia": _motor_inverse_inertia,
-}
-"""What fills the arm's direction, shape (4, 7), for a relative change of k, of mgl, of 1/J₁ and of
-1/J₂, and for added damping [N m s/rad]."""
+ARM_DIRECTIONS = (
+    "stiffness",
+    "gravity",
+    "link_damping",
+    "motor_damping",
+    "link_inverse_inertia",
+    "motor_inverse_inertia",
+)
+"""The arm's uncertain parameters: relative changes of k, of mgl, of 1/J₁ and of 1/J₂, and added
+damping [N m s/rad]."""

@@ -26,6 +26,7 @@ not depend on them; see `tsobs_ros.paper.augmentation.check_conditions`.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -267,7 +268,4 @@ def sign_changes(count: int) -> Array:
     Returns:
         Vectors of ±1, shape (2^count, 1 + count), each beginning with +1.
     """
-    rows = [[1.0]]
-    for _ in range(count):
-        rows = [[*row, sign] for row in rows for sign in (1.0, -1.0)]
-    return np.array(rows)
+    return np.array([[1.0, *signs] for signs in product((1.0, -1.0), repeat=count)])

@@ -1,9 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of the method's three examples, laid out as in the paper, and some it lacks.
-
-The text that was available gives no numbers of the paper's figures, so a label names the example.
-"""
+"""The figures of the method's three examples, laid out as in the paper."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -18,7 +15,7 @@ from matplotlib.figure import Figure
 from tsobs_ros.checks import Array
 from tsobs_ros.model.fuzzy import RuleBase
 from tsobs_ros.paper.examples import example_3
-from tsobs_ros.paper.runs import SETTLED, WINDOW_START, ArmComparison, ExampleRun
+from tsobs_ros.paper.runs import SETTLED, ArmComparison, ExampleRun
 from tsobs_ros.style import MUTED, STYLE
 
 LABELS = {
@@ -34,11 +31,10 @@ LABELS = {
 _TRUTH, _ESTIMATE, _SECOND, _THIRD, _FOURTH = "#1F2933", "#D1495B", "#00798C", "#EDAE49", "#7A5195"
 _COLOURS = dict(zip(LABELS, (_THIRD, _FOURTH, _ESTIMATE, _SECOND, MUTED, "#9AA5B1"), strict=True))
 _COMPARED = ("PO", "PIO", "paper", "ours")
-_FLOOR = 1e-17
 _CASES = ("λ = 0: no uncertainty", "λ = 1: with the printed ΔA")
 _HAT = "\N{COMBINING CIRCUMFLEX ACCENT}"
 _LOW = "₁₂₃₄"
-_INNOVATION_SHOWN, _ARM_SHOWN = 2.5, 20.0
+_ARM_SHOWN = 20.0
 _UNITS = ("x₁ [rad]", "x₂ [rad/s]", "x₃ [rad/s²]", "x₄ [rad/s³]")
 
 
@@ -47,12 +43,10 @@ class Drawn(NamedTuple):
 
     Attributes:
         path: PNG.
-        label: Whether the paper has it, and where.
         caption: What there is to see.
     """
 
     path: Path
-    label: str
     caption: str
 
 
@@ -70,7 +64,6 @@ class _Panel(NamedTuple):
     ylabel: str = ""
     title: str = ""
     xlabel: str = "time [s]"
-    log: bool = False
     limits: dict[str, Any] = {}  # noqa: RUF012
 
 
@@ -79,7 +72,6 @@ class _Figure(NamedTuple):
     heading: str
     caption: str
     panels: Sequence[Sequence[_Panel]]
-    in_paper: bool = True
 
 
 def draw_example(run: ExampleRun, folder: Path) -> list[Drawn]:
@@ -121,32 +113,6 @@ def draw_example(run: ExampleRun, folder: Path) -> list[Drawn]:
             "The weights of the two rules, over the measured output that they depend on and "
             "along the run.",
             _memberships(run.example.system.rule_base, (1.0, "y₁"), history),
-        ),
-        _Figure(
-            "adaptation",
-            "the learnt uncertainty Ξ̂",
-            "Size of what the adaptive law has learnt, ‖Ξ̂‖ of the larger rule. It is the same "
-            "with and without uncertainty, so it says nothing about ΔA; and it stays at zero if "
-            "the observer starts with an estimate that fits the first measurement.",
-            _adaptation(run),
-            in_paper=False,
-        ),
-        _Figure(
-            "innovation",
-            "the innovation does not depend on the plant",
-            "y − ŷ dies out alike for the right plant, for one with ΔA and for noise in place of "
-            "the measurement; and the state estimates hardly change if the measurement is replaced "
-            "or left out.",
-            _innovation(run),
-            in_paper=False,
-        ),
-        _Figure(
-            "noise_fed",
-            "the output replaced by white noise, λ = 0",
-            "Fed with noise, the observer gives the same estimates as fed with the measurement: "
-            "it runs the model and looks at the measurement only for the rules' weights.",
-            _noise_fed(run),
-            in_paper=False,
         ),
     ]
     return [_draw(run.example.name, folder, one) for one in figures]
@@ -190,20 +156,12 @@ def draw_arm(comparison: ArmComparison, folder: Path) -> list[Drawn]:
             "for them.",
             list(_third_state(comparison, shown)),
         ),
-        _Figure(
-            "rmse",
-            "RMSE of x₃ and of all states, every run",
-            f"Each point is a run, from {WINDOW_START:g} s to the end; numbers are means.",
-            [_rmse(comparison)],
-            in_paper=False,
-        ),
     ]
     return [_draw("example_3", folder, one) for one in figures]
 
 
 def _draw(name: str, folder: Path, one: _Figure) -> Drawn:
     example = f"Example {name[-1]}"
-    label = f"Figure of {example} in the paper" if one.in_paper else "Not in the paper"
     path = folder / f"{name}_{one.key}.png"
     rows, columns = len(one.panels), len(one.panels[0])
     with matplotlib.rc_context(STYLE):
@@ -216,22 +174,18 @@ def _draw(name: str, folder: Path, one: _Figure) -> Drawn:
             for place, panel in zip(row, panels, strict=True):
                 _fill(place, panel)
         figure.savefig(path, dpi=130, metadata={"Software": None})
-    return Drawn(path, label, one.caption)
+    return Drawn(path, f"{heading}. {one.caption}")
 
 
 def _fill(axes: Axes, panel: _Panel) -> None:
     for line in panel.lines:
-        axes.plot(
-            line.x, line.y, line.style, color=line.colour, label=line.label, linewidth=line.width,
-            markersize=3.5,
-        )  # fmt: skip
+        x, y, label, colour, style, width = line
+        axes.plot(x, y, style, color=colour, label=label, linewidth=width)
     axes.set_title(panel.title, loc="left")
-    axes.set(ylabel=panel.ylabel, xlabel=panel.xlabel, yscale="log" if panel.log else "linear")
-    axes.set(**panel.limits)
-    if not panel.log:  # head room, so that the legend covers no line
-        low, high = axes.get_ylim()
-        axes.set_ylim(low, high + 0.25 * (high - low))
-    axes.legend(ncols=1 if panel.log else 3, loc="upper right", borderaxespad=0.2)
+    axes.set(ylabel=panel.ylabel, xlabel=panel.xlabel, **panel.limits)
+    low, high = axes.get_ylim()  # head room, so that the legend covers no line
+    axes.set_ylim(low, high + 0.25 * (high - low))
+    axes.legend(ncols=3, loc="upper right", borderaxespad=0.2)
 
 
 def _pairs(run: ExampleRun, letter: str, truth: Array, estimates: Array) -> list[list[_Panel]]:
@@ -291,68 +245,6 @@ def _memberships(
     return [panels]
 
 
-def _innovation(run: ExampleRun) -> list[list[_Panel]]:
-    times, states = run.plant.times, run.estimates["fixed"].states
-
-    def size(variant: str, case: int) -> Array:
-        innovation = run.estimates[variant].innovation[:, case]
-        return np.asarray(np.linalg.norm(innovation, axis=-1) + _FLOOR)
-
-    def change(variant: str) -> Array:
-        difference = np.abs(states - run.estimates[variant].states)[:, 0]
-        return np.asarray(difference.max(axis=-1) + _FLOOR)
-
-    sizes = [
-        _Line(times, size("fixed", 0), "fed with y", _SECOND, "-", 3.2),
-        _Line(times, size("fixed", 1), "fed with y, plant with ΔA", _THIRD, "--", 2.0),
-        _Line(times, size("noise_fed", 0), "fed with white noise", _ESTIMATE, ":", 2.0),
-    ]
-    changes = [
-        _Line(times, change("noise_fed"), "fed with noise instead", _ESTIMATE, "-", 0.8),
-        _Line(times, change("model_only"), "no measurement at all, model only", _SECOND),
-    ]
-    limits = {"ylim": (1e-17, 3e1)}
-    near = {**limits, "xlim": (0.0, _INNOVATION_SHOWN)}
-    left = _Panel(sizes, title="‖y − ŷ‖, no adaptation", log=True, limits=near)
-    return [[left, _Panel(changes, title=f"change of x{_HAT}", log=True, limits=limits)]]
-
-
-def _adaptation(run: ExampleRun) -> list[list[_Panel]]:
-    largest = float(run.estimates["adaptive"].adaptation.max())
-    panels = []
-    for variant, title in (
-        ("adaptive", "from x̂(0) = 0, ω̂(0) = 0, as in the paper"),
-        ("consistent", "from ω̂(0) = y(0) − C x̂(0), which fits"),
-    ):
-        sizes = run.estimates[variant].adaptation
-        lines = [
-            _Line(run.plant.times, sizes[:, case], _CASES[case], *look)
-            for case, look in enumerate(((_SECOND, "-", 3.2), (_ESTIMATE, "--", 1.5)))
-        ]
-        limits = {"ylim": (-0.05 * largest, 1.05 * largest)}
-        panels.append(_Panel(lines, "largest ‖Ξ̂‖", title, limits=limits))
-    return [panels]
-
-
-def _noise_fed(run: ExampleRun) -> list[list[_Panel]]:
-    times, plant = run.plant.times, run.plant
-    fixed, fed = run.estimates["fixed"], run.estimates["noise_fed"]
-    noise = fed.disturbance[:, 0, 0] + fed.states[:, 0, 0]
-    first = [
-        _Line(times, noise, "noise fed as y₁", _FOURTH, "-", 0.4),
-        _Line(times, plant.outputs[:, 0, 0], "y₁"),
-    ]
-    rows = [[_Panel(first, "output")]]
-    for row, low in enumerate(_LOW[: plant.states.shape[2]]):
-        lines = [
-            _Line(times, plant.states[:, 0, row], f"x{low}"),
-            _Line(times, fixed.states[:, 0, row], f"x{_HAT}{low} from y", "#8CC7D0", "-", 4.0),
-            _Line(times, fed.states[:, 0, row], f"x{_HAT}{low} from noise", _ESTIMATE, "--"),
-        ]
-        rows.append([_Panel(lines, f"x{low}")])
-    return rows
-
-
 def _arm_states(comparison: ArmComparison, shown: Any) -> list[list[_Panel]]:
     times, truth = comparison.trajectories.times[shown], comparison.trajectories.states[0]
     estimate = comparison["paper"].example
@@ -401,16 +293,3 @@ def _third_state(comparison: ArmComparison, shown: Any) -> Iterator[list[_Panel]
             _Panel(lines, _UNITS[2], f"{LABELS[name]}{theta}", limits=limits),
             _Panel(error, "error of x₃", title, limits={"ylim": (-3.0, 3.0)}),
         ]
-
-
-def _rmse(comparison: ArmComparison) -> list[_Panel]:
-    panels = []
-    for what, title in (("motor_angle", "x₃ [rad/s²]"), ("normalised", "all states, normalised")):
-        lines = []
-        for place, each in enumerate(comparison.observers):
-            errors = getattr(each, what)
-            places = place + np.linspace(-0.18, 0.18, len(errors))
-            label = f"{LABELS[each.name]}: {float(errors.mean()):.3g}"
-            lines.append(_Line(places, errors, label, _COLOURS[each.name], "o"))
-        panels.append(_Panel(lines, "RMSE", f"RMSE of {title}", "", log=True))
-    return panels

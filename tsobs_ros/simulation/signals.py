@@ -12,7 +12,6 @@ come the simulator's parameters, the entries of campaigns and the arguments of t
 """
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, NamedTuple
@@ -48,14 +47,17 @@ def _number(default: float, *description: Any, **rules: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class Signal(ABC):
+class Signal:
     """A value over time. A subclass with `_at` is a signal of the user's.
 
     Raises:
         ModelError: A number is out of range.
     """
 
-    kind: ClassVar[str]
+    kind: ClassVar[str] = "signal"
+
+    def __init_subclass__(cls, kind: str = "signal") -> None:
+        cls.kind = kind
 
     def __post_init__(self) -> None:
         for name, number in numbers_of(type(self)).items():
@@ -68,9 +70,9 @@ class Signal(ABC):
         with np.errstate(all="ignore"):
             return self._at(times)
 
-    @abstractmethod
     def _at(self, times: Array) -> Array:
-        """Return the values at times [s], shape (samples,)."""
+        """Return the values at times [s], shape (samples,); 0 of a signal without."""
+        return np.zeros(len(times))
 
 
 def numbers_of(kind: type[Signal]) -> dict[str, Number]:
@@ -104,20 +106,14 @@ def signal_of(kinds: Mapping[str, type[Signal]], entry: object) -> Any:
 
 
 @dataclass(frozen=True)
-class NoTorque(Signal):
+class NoTorque(Signal, kind="none"):
     """0."""
-
-    kind: ClassVar[str] = "none"
-
-    def _at(self, times: Array) -> Array:
-        return np.zeros(len(times))
 
 
 @dataclass(frozen=True)
-class Constant(Signal):
+class Constant(Signal, kind="constant"):
     """u = a."""
 
-    kind: ClassVar[str] = "constant"
     amplitude: float = _number(1.0, "Value", "N m")
 
     def _at(self, times: Array) -> Array:
@@ -125,10 +121,9 @@ class Constant(Signal):
 
 
 @dataclass(frozen=True)
-class Sine(Signal):
+class Sine(Signal, kind="sine"):
     """u = a sin ωt; the defaults are the method's u = sin t."""
 
-    kind: ClassVar[str] = "sine"
     amplitude: float = _number(1.0, "Amplitude", "N m")
     frequency: float = _number(1.0, "Frequency", "rad/s", 0.0, above=True)
 
@@ -137,14 +132,13 @@ class Sine(Signal):
 
 
 @dataclass(frozen=True)
-class Multisine(Signal):
+class Multisine(Signal, kind="multisine"):
     """A sum of tones, equally spaced from the lowest to the highest, with Schroeder's phases.
 
     Schroeder's phases −πi(i − 1)/n spread the tones' crests, so that the peak stays near that of
     noise of the same power (M. R. Schroeder, IEEE Trans. Information Theory 16, 1970).
     """
 
-    kind: ClassVar[str] = "multisine"
     amplitude: float = _number(1.0, "Root of the tones' summed squared amplitudes", "N m")
     lowest: float = _number(0.5, "Lowest tone", "rad/s", 0.0, above=True)
     highest: float = _number(6.0, "Highest tone", "rad/s", 0.0, above=True)
@@ -168,10 +162,9 @@ class Multisine(Signal):
 
 
 @dataclass(frozen=True)
-class Square(Signal):
+class Square(Signal, kind="square"):
     """Alternately +a and −a, half a period 2π/ω each, + first."""
 
-    kind: ClassVar[str] = "square"
     amplitude: float = _number(1.0, "Amplitude", "N m")
     frequency: float = _number(1.0, "Frequency", "rad/s", 0.0, above=True)
 
@@ -181,10 +174,9 @@ class Square(Signal):
 
 
 @dataclass(frozen=True)
-class Chirp(Signal):
+class Chirp(Signal, kind="chirp"):
     """A tone whose frequency rises linearly from the lowest to the highest, again and again."""
 
-    kind: ClassVar[str] = "chirp"
     amplitude: float = _number(1.0, "Amplitude", "N m")
     lowest: float = _number(0.5, "Frequency at the beginning of a sweep", "rad/s", 0.0, above=True)
     highest: float = _number(6.0, "Frequency at its end", "rad/s", 0.0, above=True)
@@ -201,10 +193,9 @@ def _start() -> Any:
 
 
 @dataclass(frozen=True)
-class BiasStep(Signal):
+class BiasStep(Signal, kind="bias_step"):
     """d = a from the start on."""
 
-    kind: ClassVar[str] = "bias_step"
     amplitude: float = _number(0.1, "Bias")
     start: float = _start()
 
@@ -213,10 +204,9 @@ class BiasStep(Signal):
 
 
 @dataclass(frozen=True)
-class Sinusoid(Signal):
+class Sinusoid(Signal, kind="sinusoid"):
     """d = a sin(ω(t − start) + φ) from the start on; as Example 2's first fault."""
 
-    kind: ClassVar[str] = "sinusoid"
     amplitude: float = _number(0.2, "Amplitude")
     frequency: float = _number(3.0, "Frequency", "rad/s")
     start: float = _start()
@@ -229,10 +219,9 @@ class Sinusoid(Signal):
 
 
 @dataclass(frozen=True)
-class Ramp(Signal):
+class Ramp(Signal, kind="ramp"):
     """d = r (t − start) from the start on."""
 
-    kind: ClassVar[str] = "ramp"
     rate: float = _number(0.004, "Growth", "1/s")
     start: float = _start()
 
@@ -241,13 +230,12 @@ class Ramp(Signal):
 
 
 @dataclass(frozen=True)
-class TwoTone(Signal):
+class TwoTone(Signal, kind="two_tone"):
     """d = a (sin 2t + cos 3t) from the start on; its phase does not depend on the start.
 
     The amplitude 0.4 is that of Example 2's third fault.
     """
 
-    kind: ClassVar[str] = "two_tone"
     amplitude: float = _number(0.4, "Amplitude of a (sin 2t + cos 3t)")
     start: float = _start()
 
@@ -257,27 +245,22 @@ class TwoTone(Signal):
 
 
 @dataclass(frozen=True)
-class GaussMarkov(Signal):
+class GaussMarkov(Signal, kind="gauss_markov"):
     """A drift of bounded variance, ḋ = −d/τ + noise, which leaves zero at its start.
 
     Its variance grows as std² (1 − e^(−2t/τ)). `values` is its mean, zero; the plant adds the
     random part.
     """
 
-    kind: ClassVar[str] = "gauss_markov"
     std: float = _number(0.1, "1σ once it has become stationary", "", 0.0)
     time_constant: float = _number(20.0, "Time constant τ", "s", 0.0, above=True)
     start: float = _start()
 
-    def _at(self, times: Array) -> Array:
-        return np.zeros(len(times))
-
 
 @dataclass(frozen=True)
-class StuckSensor(Signal):
+class StuckSensor(Signal, kind="stuck"):
     """The measured value freezes at the start and stays for a while; it adds nothing."""
 
-    kind: ClassVar[str] = "stuck"
     start: float = _start()
     duration: float = _number(1.0, "How long; infinite for ever", "s", 0.0)
 
@@ -290,15 +273,11 @@ class StuckSensor(Signal):
         """Return whether the measured value is held at times [s], shape (samples,)."""
         return (self.start <= times) & (times < self.start + self.duration)
 
-    def _at(self, times: Array) -> Array:
-        return np.zeros(len(times))
-
 
 @dataclass(frozen=True)
-class Pulses(Signal):
+class Pulses(Signal, kind="pulses"):
     """d = a for a while from the start on, again and again, or once."""
 
-    kind: ClassVar[str] = "pulses"
     amplitude: float = _number(0.5, "Height of a pulse")
     start: float = _start()
     duration: float = _number(1.5, "Length of a pulse", "s", 0.0)
