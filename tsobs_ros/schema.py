@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Types of what files hold, read and written by msgspec: an error has the path of the wrong entry.
+"""Plain data of files as dataclasses and back: an error has the path of the wrong entry.
 
->>> class Spring(msgspec.Struct):
-...     stiffness: float
+>>> from dataclasses import make_dataclass
+>>> Spring = make_dataclass("Spring", [("stiffness", float)])
 >>> decode({"stiffness": "1e3"}, Spring).stiffness
 1000.0
 >>> decode({"stiffness": "soft"}, Spring)
@@ -14,13 +14,13 @@ tsobs_ros.errors.DesignFileError: stiffness: expected a number, got 'soft'
 import contextlib
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
+from functools import lru_cache
 from os import PathLike
-from types import UnionType
-from typing import Any, TypeVar, get_args, get_origin
+from types import NoneType, UnionType
+from typing import Any, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-import msgspec
 import numpy as np
 
 from tsobs_ros.checks import meant, shown
@@ -29,40 +29,49 @@ from tsobs_ros.errors import DesignFileError
 T = TypeVar("T")
 
 _REFUSALS = (ValueError, ArithmeticError, np.linalg.LinAlgError)
-_NAMES = {
-    "object": "a mapping",
-    "array": "a list",
-    "str": "text",
-    "int": "a whole number",
-    "float": "a number",
-    "bool": "true or false",
-}
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+_WORDS = {
+    str: "text", bool: "true or false", int: "a whole number", float: "a number",
+    list: "a list", dict: "a mapping",
+}  # fmt: skip
+"""Types of entries in words, in the order in which errors name them."""
 
 
 def decode(data: object, kind: type[T]) -> T:
     """Return plain data as an instance of a type. Entries of unknown names are refused.
 
     Args:
-        data: What a YAML file holds. Text such as 1e-4 counts, which YAML 1.1 takes for no number.
-        kind: A Struct, or a dataclass of defaults. Two types besides msgspec's may be in it:
-            `numpy.ndarray` is numbers in lists of lists, each of one length; a class with
-            `from_mapping` is made of a mapping by that.
+        data: What a YAML file holds. Text such as 1e-4 counts as a number, which YAML 1.1 does not
+            take for one.
+        kind: A dataclass of plain types, lists, tuples, mappings and dataclasses; None in a union
+            is for an entry that may be left out. `numpy.ndarray` is numbers in lists of lists, each
+            of one length. A class with `from_mapping` is made of a mapping by that. A field's
+            metadata may have the `name` of its entry.
 
     Raises:
         DesignFileError: The data is not of this type; the text has the path of the entry, what
             was expected and what came.
     """
-    _check(data, kind, "")
-    try:
-        return msgspec.convert(data, kind, strict=False, dec_hook=_made)
-    except msgspec.ValidationError as problem:
-        message, _, path = str(problem).removesuffix("`").partition(" - at `$")
-        raise DesignFileError(located(path.removeprefix("."), message)) from problem
+    return cast(T, _decoded(data, kind, ""))
 
 
-def encode(value: object) -> Any:
-    """Return what `decode` makes the value of."""
-    return msgspec.to_builtins(value, enc_hook=_plain)
+def encode(value: Any) -> Any:
+    """Return the plain data that `decode` makes the value of, without entries that are None."""
+    if is_dataclass(value):
+        given = {
+            name: getattr(value, entry.field)
+            for name, entry in _entries(cast(Any, type(value))).items()
+        }
+        if getattr(value, "OMIT_EMPTY", False):
+            given = {name: each for name, each in given.items() if each}
+        return {name: encode(each) for name, each in given.items() if each is not None}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {name: encode(each) for name, each in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [encode(each) for each in value]
+    return value
 
 
 @contextlib.contextmanager
@@ -91,88 +100,130 @@ def located(place: str, message: str) -> str:
     return f"{place}{joint}{message}"
 
 
-def _check(data: Any, kind: Any, place: str) -> None:
-    """Refuse entries of unknown names or wrong types; msgspec omits names and what came."""
-    if isinstance(kind, UnionType) and msgspec.UnsetType in get_args(kind):
-        kind = get_args(kind)[0]
+class _Entry(NamedTuple):
+    field: str
+    kind: Any
+    required: bool
+
+
+@lru_cache
+def _entries(kind: Any) -> dict[str, _Entry]:
+    """Return a dataclass' fields by the names of their entries."""
+    hints = get_type_hints(kind)
+    return {
+        each.metadata.get("name", each.name): _Entry(
+            each.name,
+            hints[each.name],
+            each.default is MISSING and each.default_factory is MISSING,
+        )
+        for each in fields(kind)
+        if each.init
+    }
+
+
+def _decoded(data: Any, kind: Any, place: str) -> Any:
+    if get_origin(kind) in (UnionType, Union):
+        choices = [each for each in get_args(kind) if each is not NoneType]
+        if data is None and NoneType in get_args(kind):
+            return None
+    else:
+        choices = [kind]
     if isinstance(data, dict):
         for name in data:
             if not isinstance(name, str):
                 raise DesignFileError(located(place, f"expected names of entries, got {name!r}"))
-    origin, items = get_origin(kind) or kind, get_args(kind)
-    if isinstance(data, dict) and (known := _entries(kind)) is not None:
-        for name, (_, required) in known.items():
-            if required and name not in data:
+    shapes = {_shape(each): each for each in choices}
+    if Any in shapes:
+        return data
+    if isinstance(data, dict) and dict in shapes:
+        return _of_mapping(data, shapes[dict], place)
+    if isinstance(data, list) and list in shapes:
+        return _of_list(data, shapes[list], place)
+    if isinstance(data, dict | list):
+        raise DesignFileError(located(place, _expected(shapes, data)))
+    return _plain(data, shapes, place)
+
+
+def _shape(kind: Any) -> Any:
+    """Return what plain data an instance is made of: Any, dict, list or a plain type."""
+    origin = get_origin(kind) or kind
+    if origin is Any or origin in _WORDS:
+        return origin
+    return list if issubclass(origin, Sequence | np.ndarray) else dict
+
+
+def _of_mapping(data: dict[str, Any], kind: Any, place: str) -> Any:
+    origin = get_origin(kind) or kind
+    if is_dataclass(origin):
+        known = _entries(cast(Any, origin))
+        for name, entry in known.items():
+            if entry.required and name not in data:
                 raise DesignFileError(located(place, f"{name}: missing"))
-        for name, value in data.items():
+        for name in data:
             if name not in known:
                 message = (
                     f"unknown entry {shown(name)}{meant(name, known)}, "
                     f"expected some of {', '.join(known)}"
                 )
                 raise DesignFileError(located(place, message))
-            _check(value, known[name][0], f"{place}.{name}" if place else name)
-    elif isinstance(data, dict) and issubclass(origin, Mapping) and items:
+        values = {
+            known[name].field: _decoded(value, known[name].kind, _path(place, name))
+            for name, value in data.items()
+        }
+        with within(place):
+            return cast(Any, origin)(**values)
+    if hasattr(origin, "from_mapping"):
         for name, value in data.items():
-            _check(value, items[1], f"{place}.{name}" if place else name)
-    elif isinstance(data, list) and items and origin is not np.ndarray:
-        for index, value in enumerate(data):
-            _check(value, items[0], f"{place}[{index}]")
-    else:
-        _check_value(data, kind, place)
+            _decoded(value, str | float, _path(place, name))
+        with within(place):
+            return origin.from_mapping(data)
+    _, inner = get_args(kind) or (str, Any)
+    return {name: _decoded(value, inner, _path(place, name)) for name, value in data.items()}
 
 
-def _check_value(data: Any, kind: Any, place: str) -> None:
+def _of_list(data: list[Any], kind: Any, place: str) -> Any:
+    origin = get_origin(kind) or kind
+    if origin is np.ndarray:
+        return np.array(_numbers(data, place))
+    inner, *_ = get_args(kind) or (Any,)
+    items = [_decoded(item, inner, f"{place}[{i}]") for i, item in enumerate(data)]
+    return items if origin is list else tuple(items)
+
+
+def _plain(data: Any, kinds: Mapping[Any, Any], place: str) -> Any:
     if isinstance(data, int | float) and not abs(data) <= sys.float_info.max:
         raise DesignFileError(located(place, f"expected a finite number, got {shown(data)}"))
-    try:
-        msgspec.convert(data, kind, strict=kind is bool, dec_hook=_made)
-    except msgspec.ValidationError as problem:
-        message = str(problem)
-        if match := re.match(r"Expected `(.*?)`", message):
-            wanted = " or ".join(_NAMES[name] for name in match[1].split(" | "))
-            message = f"expected {wanted}, got {shown(data)}"
-        raise DesignFileError(located(place, message)) from problem
+    if type(data) in kinds:
+        return data
+    if isinstance(data, str) and _NUMBER.fullmatch(data) and not {int, float}.isdisjoint(kinds):
+        return _plain(float(data) if re.search(r"[.eE]", data) else int(data), kinds, place)
+    if not isinstance(data, bool):
+        if isinstance(data, int) and float in kinds:
+            return float(data)
+        if isinstance(data, float) and int in kinds and data.is_integer():
+            return int(data)
+    raise DesignFileError(located(place, _expected(kinds, data)))
 
 
-def _entries(kind: Any) -> dict[str, tuple[Any, bool]] | None:
-    """Return the type of each entry of a mapping and whether it must be there, by its name."""
-    if is_dataclass(kind):
-        return {
-            each.name: (each.type, each.default is MISSING and each.default_factory is MISSING)
-            for each in fields(kind)
-        }
-    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-        entries = msgspec.structs.fields(kind)
-        return {entry.encode_name: (entry.type, entry.required) for entry in entries}
-    return None
+def _expected(kinds: Mapping[Any, Any], data: Any) -> str:
+    wanted = " or ".join(words for kind, words in _WORDS.items() if kind in kinds)
+    return f"expected {wanted}, got {shown(data)}"
 
 
-def _made(kind: Any, value: Any) -> Any:
-    if get_origin(kind) is np.ndarray:
-        if not isinstance(value, list):
-            raise ValueError(f"expected a list, got {shown(value)}")
-        return np.array(_numbers(value, ""))
-    if not isinstance(value, dict):
-        raise ValueError(f"expected a mapping, got {shown(value)}")
-    _check(value, dict[str, str | float], "")
-    return kind.from_mapping(value)
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else dict(value)
+def _path(place: str, name: str) -> str:
+    return f"{place}.{name}" if place else name
 
 
 def _numbers(value: Any, place: str) -> Any:
     """Return numbers in lists of lists, all lists of a level of one length."""
     if not isinstance(value, list):
-        _check_value(value, float, place)
-        return float(value)
+        return _plain(value, {float: float}, place)
     rows = [_numbers(item, f"{place}[{i}]") for i, item in enumerate(value)]
     for i, row in enumerate(rows):
         if np.shape(row) != np.shape(rows[0]):
-            raise ValueError(
+            message = (
                 f"{place}[{i}]: expected shape {np.shape(rows[0])} as {place}[0] has, "
                 f"got {np.shape(row)}"
             )
+            raise DesignFileError(message)
     return rows

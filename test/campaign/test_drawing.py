@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -41,7 +40,7 @@ def test_a_run_is_drawn_by_its_number_alone(short: Campaign) -> None:
         forwards[2]._replace(run=0, seed=0)
     ] * 2
     assert forwards[2].theta != forwards[3].theta
-    other = msgspec.structs.replace(short.entries, seed=4)
+    other = replace(short.entries, seed=4)
     assert draw(Campaign(other, short.file), 0) != forwards[0]
 
 

@@ -266,7 +266,7 @@ ARM = [
     (("design",), {"uncertainty": {}, "certify_uncertainty": True}, "at least one uncertain"),
     (("gain", "K"), ..., "gain.K: missing"),
     (("gain", "K"), [1.0] * 4, r"gain.K: expected shape \(5,\), got \(4,\)"),
-    (("gain", "K", 1), [1.0], r"gain.K\[1\]: expected shape \(\) as \[0\] has, got \(1,\)"),
+    (("gain", "K", 1), [1.0], r"gain.K\[1\]: expected shape \(\) as .*0\] has, got \(1,\)"),
     (("certificate", "P", 4), ..., r"certificate.P: expected shape \(5, 5\), got \(4, 5\)"),
     (("certificate", "P", 1, 2), math.inf, r"certificate.P\[1\]\[2\]: expected a finite number"),
     (OUTPUTS, [], "design.outputs: expected at least one"),

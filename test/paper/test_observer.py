@@ -5,7 +5,6 @@
 from dataclasses import replace
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -200,7 +199,7 @@ def test_premises_that_the_method_does_not_measure_are_refused(
     assert isinstance(request, TSRequest)
     model = replace(request.model, **{name: np.array(matrix) for name, matrix in premises.items()})
     scheduled = ("y1", "y2")[: model.schedule.shape[1]]
-    names = msgspec.structs.replace(request.names, scheduled=scheduled)
+    names = replace(request.names, scheduled=scheduled)
     with pytest.raises(ModelError, match=message):
         paper_system_observer(replace(request, model=model, names=names))
     of_the_state = replace(request.model, premise=request.model.C[:1], schedule=np.zeros((1, 1)))

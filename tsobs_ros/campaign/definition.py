@@ -7,14 +7,12 @@ Wherever a scenario has a number, it may have a range [least, most], of which ea
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import sha256
 from os import PathLike
 from pathlib import Path
 from typing import Any
-
-import msgspec
 
 from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile, load_design_file
@@ -59,7 +57,8 @@ class ExcitationEntry(SignalEntry):
     kinds = EXCITATIONS
 
 
-class PayloadEntry(msgspec.Struct, kw_only=True, frozen=True):
+@dataclass(kw_only=True, frozen=True)
+class PayloadEntry:
     """What the link carries for a time; a duration of 0 is for ever."""
 
     mass: float = 0.0
@@ -70,14 +69,16 @@ class PayloadEntry(msgspec.Struct, kw_only=True, frozen=True):
     duration: float = 0.0
 
 
-class OutputEntries(msgspec.Struct, kw_only=True):
+@dataclass(kw_only=True)
+class OutputEntries:
     """One output: numbers of its sensor besides the design's noise, and its disturbance."""
 
-    sensor: dict[str, float | bool] = {}
-    disturbance: list[SignalEntry] = []
+    sensor: dict[str, float | bool] = field(default_factory=dict)
+    disturbance: list[SignalEntry] = field(default_factory=list)
 
 
-class ScenarioEntries(OutputEntries, kw_only=True):
+@dataclass(kw_only=True)
+class ScenarioEntries(OutputEntries):
     """A scenario, drawn; `config/campaign.yaml` describes the entries.
 
     The sensor and the disturbance are the first output's. What the campaign has too replaces that.
@@ -91,16 +92,17 @@ class ScenarioEntries(OutputEntries, kw_only=True):
     as_designed: bool = False
     noise: float = 1.0
     process_noise: float = 1.0
-    outputs: dict[str, OutputEntries] = {}
-    motor_torque: list[SignalEntry] = []
-    link_torque: list[SignalEntry] = []
-    torque_error: list[SignalEntry] = []
-    friction: Friction = Friction()
-    payload: PayloadEntry = PayloadEntry()
-    mismatch: Mismatch = Mismatch()
+    outputs: dict[str, OutputEntries] = field(default_factory=dict)
+    motor_torque: list[SignalEntry] = field(default_factory=list)
+    link_torque: list[SignalEntry] = field(default_factory=list)
+    torque_error: list[SignalEntry] = field(default_factory=list)
+    friction: Friction = field(default_factory=Friction)
+    payload: PayloadEntry = field(default_factory=PayloadEntry)
+    mismatch: Mismatch = field(default_factory=Mismatch)
 
 
-class CampaignEntries(msgspec.Struct, kw_only=True):
+@dataclass(kw_only=True)
+class CampaignEntries:
     """The entries of a campaign file; what is drawn is plain data here.
 
     Attributes:
@@ -122,23 +124,24 @@ class CampaignEntries(msgspec.Struct, kw_only=True):
     """
 
     design: str = SHIPPED_DESIGN
-    observer: dict[str, bool | int | float | str] = {}
+    observer: dict[str, bool | int | float | str] = field(default_factory=dict)
     runs: int = 1000
     repeats: int = 1
     seed: int = 0
     duration: float = 30.0
     settle_time: float = 5.0
     uncertainty: float | list[float] = 1.0
-    initial_state: list[float | list[float]] = msgspec.field(
+    initial_state: list[float | list[float]] = field(
         default_factory=lambda: [[-0.3, 0.3], 0.0, [-0.3, 0.3], 0.0]
     )
-    excitation: dict[str, Any] = msgspec.field(default_factory=lambda: {"kind": "sine"})
-    scenarios: dict[str, dict[str, Any]] = msgspec.field(
+    excitation: dict[str, Any] = field(default_factory=lambda: {"kind": "sine"})
+    scenarios: dict[str, dict[str, Any]] = field(
         default_factory=lambda: {"as_designed": {"as_designed": True}}
     )
 
 
-class _File(msgspec.Struct):
+@dataclass
+class _File:
     campaign: CampaignEntries
     format: str = FORMAT
     version: int = VERSION
@@ -225,7 +228,7 @@ class Campaign:
 
     def with_runs(self, runs: int) -> "Campaign":
         """Return the same campaign of another number of runs."""
-        return Campaign(msgspec.structs.replace(self.entries, runs=runs), self.file)
+        return Campaign(replace(self.entries, runs=runs), self.file)
 
 
 def load_campaign(path: str | PathLike[str]) -> Campaign:

@@ -8,13 +8,11 @@ about a T–S system given by its matrices has a top-level `system`, one about a
 """
 
 import hashlib
-from dataclasses import fields
+from dataclasses import dataclass, field, fields
 from os import PathLike
 from typing import Any, NamedTuple, TypeAlias
 
-import msgspec
 import numpy as np
-from msgspec import UNSET, UnsetType
 
 from tsobs_ros.checks import Array, as_matrix, meant, shown
 from tsobs_ros.design.names import NO_LABELS, Labels
@@ -34,6 +32,8 @@ Request: TypeAlias = ArmRequest | TSRequest
 Numbers: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 VERSION = 1
+_ANSWER = ("gain", "certificate", "solver")
+"""What a design file has besides its request."""
 _ARM_PARAMETERS = ("link_inertia", "motor_inertia", "stiffness", "gravity_torque")
 """Those of an arm that have no default in a file; dampings are 0."""
 IDENTITY_LENGTH = 12
@@ -165,7 +165,7 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
     if type(version) is not int or version != VERSION:
         raise DesignFileError(f"{path}: version: expected {VERSION}, got {shown(version)}")
     with naming(path):
-        names = [name for name in AnswerEntries.__struct_fields__ if name in data]
+        names = [name for name in _ANSWER if name in data]
         answer = decode({name: data.pop(name) for name in names}, AnswerEntries)
         request = (
             _arm_request(data, "design") if kind == _ARM else decode(data, SystemFile).request()
@@ -194,7 +194,7 @@ def load_request(path: FilePath) -> Request:
     2
     """
     data = read_yaml(path, "request")
-    found = [name for name in ("format", *AnswerEntries.__struct_fields__) if name in data]
+    found = [name for name in ("format", *_ANSWER) if name in data]
     if found:
         raise DesignFileError(
             f"{path}: {found[0]}: expected a request, got a finished design; a node runs it with "
@@ -242,19 +242,22 @@ def _arm_request(data: dict[Any, Any], place: str) -> ArmRequest:
     return decode(data, ArmFile).design if place else decode(data, ArmRequest)
 
 
-class GainEntry(msgspec.Struct):
+@dataclass
+class GainEntry:
     """The filter gain: a list of numbers for an arm, of rows for a T–S system."""
 
     K: Numbers
 
 
-class CertificateEntry(msgspec.Struct):
+@dataclass
+class CertificateEntry:
     """The matrix that proves the gain."""
 
     P: Numbers
 
 
-class AnswerEntries(msgspec.Struct):
+@dataclass
+class AnswerEntries:
     """What a design file has besides its request."""
 
     gain: GainEntry
@@ -262,32 +265,35 @@ class AnswerEntries(msgspec.Struct):
     solver: SolverReport
 
 
-class ArmFile(msgspec.Struct):
+@dataclass
+class ArmFile:
     """What a design file of an arm has of its request."""
 
     design: ArmRequest
 
 
-class PremiseEntry(msgspec.Struct):
+@dataclass
+class PremiseEntry:
     """One premise variable, linear in state, undisturbed outputs and scheduled signals."""
 
-    state: Numbers | UnsetType = UNSET
-    output: Numbers | UnsetType = UNSET
-    scheduled: Numbers | UnsetType = UNSET
+    state: Numbers | None = None
+    output: Numbers | None = None
+    scheduled: Numbers | None = None
 
     def row(self, source: str, width: int) -> Array:
         """Return the numbers that the premise takes of a source, shape (width,)."""
         numbers = getattr(self, source)
-        return np.zeros(width) if numbers is UNSET else as_matrix(source, numbers, (width,))
+        return np.zeros(width) if numbers is None else as_matrix(source, numbers, (width,))
 
 
-class RuleEntry(msgspec.Struct, kw_only=True):
+@dataclass(kw_only=True)
+class RuleEntry:
     """One rule: the memberships of its premises by shape and parameters, and its matrices."""
 
-    if_: dict[str, dict[str, str | float]] = msgspec.field(name="if", default_factory=dict)
+    if_: dict[str, dict[str, str | float]] = field(default_factory=dict, metadata={"name": "if"})
     A: Numbers
     B: Numbers
-    C: Numbers | UnsetType = UNSET
+    C: Numbers | None = None
 
     def memberships(self, premises: list[str]) -> tuple[Membership, ...]:
         """Return the memberships of all premises; one that the rule leaves out is always met."""
@@ -304,13 +310,14 @@ class RuleEntry(msgspec.Struct, kw_only=True):
         return tuple(chosen)
 
 
-class SystemEntry(msgspec.Struct):
+@dataclass
+class SystemEntry:
     """A T–S system; see `TSModel`."""
 
     premises: dict[str, PremiseEntry]
     rules: list[RuleEntry]
     C: Numbers
-    slope_vertices: list[Numbers] = msgspec.field(default_factory=list)
+    slope_vertices: list[Numbers] = field(default_factory=list)
 
     @classmethod
     def of(cls, request: TSRequest) -> "SystemEntry":
@@ -318,11 +325,11 @@ class SystemEntry(msgspec.Struct):
         model = request.model
         names = [f"z{j + 1}" for j in range(model.rule_base.premise_count)]
         premises = zip(names, model.premise, model.schedule, strict=True)
-        outputs = model.rule_count * [UNSET] if model.outputs is None else model.outputs
+        outputs = model.rule_count * [None] if model.outputs is None else model.outputs
         rules = zip(model.rule_base.rules, model.A, model.B, outputs, strict=True)
         return cls(
             premises={
-                name: PremiseEntry(state=state, scheduled=scheduled if scheduled.size else UNSET)
+                name: PremiseEntry(state=state, scheduled=scheduled if scheduled.size else None)
                 for name, state, scheduled in premises
             },
             rules=[
@@ -351,51 +358,53 @@ class SystemEntry(msgspec.Struct):
             with within(f"rules[{i}]"):
                 as_matrix("A", rule.A, (n, n))
                 as_matrix("B", rule.B, (n, *inputs[1:]))
-                own = C if isinstance(rule.C, UnsetType) else rule.C
+                own = C if rule.C is None else rule.C
                 outputs.append(as_matrix("C", own, (p, n)))
                 memberships.append(rule.memberships(list(self.premises)))
         scheduled = [each.scheduled for each in self.premises.values()]
-        signals = max(0 if isinstance(each, UnsetType) else len(each) for each in scheduled)
+        signals = max(0 if each is None else len(each) for each in scheduled)
         premise, schedule = [], []
         for name, each in self.premises.items():
             with within(f"premises.{name}"):
-                if all(given is UNSET for given in msgspec.structs.astuple(each)):
+                if all(given is None for given in vars(each).values()):
                     raise ValueError("expected one of state, output, scheduled")
                 premise.append(each.row("state", n) + each.row("output", p) @ C)
                 schedule.append(each.row("scheduled", signals))
         A, B = (np.array([getattr(rule, name) for rule in self.rules]) for name in "AB")
         rules = RuleBase(tuple(memberships))
-        differing = None if all(rule.C is UNSET for rule in self.rules) else np.array(outputs)
+        differing = None if all(rule.C is None for rule in self.rules) else np.array(outputs)
         return TSModel(A, B, C, rules, np.array(premise), np.array(schedule), differing)
 
 
-class DirectionEntry(msgspec.Struct):
+@dataclass
+class DirectionEntry:
     """An uncertain direction: one matrix, or one a rule; and the bound of its θ."""
 
     E: Numbers
     bound: float
 
 
-class SystemFile(msgspec.Struct, kw_only=True):
+@dataclass(kw_only=True)
+class SystemFile:
     """What a design file of a T–S system has of its request; see `TSRequest`."""
 
     system: SystemEntry
-    names: Labels | UnsetType = UNSET
-    units: Labels | UnsetType = UNSET
-    disturbance: list[list[DisturbanceTerm]] | UnsetType = UNSET
+    names: Labels | None = None
+    units: Labels | None = None
+    disturbance: list[list[DisturbanceTerm]] | None = None
     process_noise: Numbers
     measurement_std: Numbers
     rate: float
     decay_rate: float = 0.0
     initial_std: Numbers
     certify_uncertainty: bool = False
-    D_s: Numbers | UnsetType = UNSET
-    uncertainty: dict[str, DirectionEntry] | UnsetType = UNSET
+    D_s: Numbers | None = None
+    uncertainty: dict[str, DirectionEntry] | None = None
 
     @classmethod
     def of(cls, request: TSRequest) -> "SystemFile":
         """Return the entries that describe a request."""
-        own = {name: getattr(request, name) for name in cls.__struct_fields__[1:]}
+        own = {name: getattr(request, name) for name in _request_entries()}
         given = {
             name: each for name, each in own.items() if each is not None and each is not NO_LABELS
         }
@@ -410,8 +419,8 @@ class SystemFile(msgspec.Struct, kw_only=True):
         """Return the request; values out of range raise `ModelError`."""
         with within("system"):
             model = self.system.model()
-        own = {name: getattr(self, name) for name in self.__struct_fields__[1:]}
-        given = {name: each for name, each in own.items() if each is not UNSET}
+        own = {name: getattr(self, name) for name in _request_entries()}
+        given = {name: each for name, each in own.items() if each is not None}
         if entries := given.pop("uncertainty", {}):
             given["uncertainty"] = system_uncertainty(
                 model,
@@ -419,3 +428,8 @@ class SystemFile(msgspec.Struct, kw_only=True):
                 {name: entry.bound for name, entry in entries.items()},
             )
         return TSRequest(model=model, slope_vertices=self.system.slope_vertices, **given)
+
+
+def _request_entries() -> list[str]:
+    """Return the entries of a system's file that its request has under the same name."""
+    return [each.name for each in fields(SystemFile) if each.name != "system"]

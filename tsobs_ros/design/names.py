@@ -4,8 +4,8 @@
 
 import re
 from collections.abc import Mapping, Sequence
-
-import msgspec
+from dataclasses import dataclass
+from typing import ClassVar
 
 from tsobs_ros.checks import shown
 from tsobs_ros.errors import ModelError
@@ -14,7 +14,8 @@ _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _MAX_LENGTH = 60
 
 
-class Labels(msgspec.Struct, frozen=True, omit_defaults=True):
+@dataclass(frozen=True)
+class Labels:
     """Names, or units, of signals in the order of the model; a group left out has none.
 
     Attributes:
@@ -23,6 +24,9 @@ class Labels(msgspec.Struct, frozen=True, omit_defaults=True):
         inputs: Of u, scheduled signals not among them.
         scheduled: Of s.
     """
+
+    OMIT_EMPTY: ClassVar[bool] = True
+    """Groups without names are left out of files."""
 
     states: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()

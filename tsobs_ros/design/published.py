@@ -7,12 +7,13 @@ made with. It has the files' content to the byte, for their checksum and their s
 text is JSON, as YAML would change line ends.
 """
 
+import json
 from collections.abc import Mapping, Sequence
-
-import msgspec
+from dataclasses import dataclass
 
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import DesignFileError
+from tsobs_ros.schema import decode, encode
 from tsobs_ros.yaml_files import MAX_BYTES
 
 FORMAT, VERSION = "tsobs_ros observer", 1
@@ -21,7 +22,8 @@ Value = bool | int | float | str
 """A parameter's value."""
 
 
-class PublishedDesign(msgspec.Struct):
+@dataclass
+class PublishedDesign:
     """A design file, and the joints that are observed with it."""
 
     joints: list[str]
@@ -29,7 +31,8 @@ class PublishedDesign(msgspec.Struct):
     text: str
 
 
-class ObserverRecord(msgspec.Struct, kw_only=True):
+@dataclass(kw_only=True)
+class ObserverRecord:
     """What an observer runs.
 
     Attributes:
@@ -61,7 +64,7 @@ def record_text(
     record = ObserverRecord(
         measurements=measurements, designs=list(designs.values()), parameters=dict(parameters)
     )
-    return msgspec.json.encode(record).decode()
+    return json.dumps(encode(record))
 
 
 def read_record(text: str) -> ObserverRecord:
@@ -73,8 +76,8 @@ def read_record(text: str) -> ObserverRecord:
     if len(text) > MAX_BYTES:
         raise DesignFileError(f"larger than {MAX_BYTES} bytes")
     try:
-        record = msgspec.json.decode(text, type=ObserverRecord)
-    except (msgspec.MsgspecError, RecursionError) as error:
+        record = decode(json.loads(text), ObserverRecord)
+    except (ValueError, RecursionError) as error:
         raise DesignFileError(f"no record of an observer: {error}") from error
     if (record.format, record.version) != (FORMAT, VERSION):
         raise DesignFileError(

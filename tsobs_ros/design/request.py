@@ -11,13 +11,12 @@ error exactly. Without them only the blend of the rules is proved, and `TSReques
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import product
 from typing import Any, Self
 
 import numpy as np
-from msgspec import structs
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, finite, non_negative, positive, shown
@@ -182,7 +181,7 @@ class ArmRequest(Request):
         self._take(
             measurement_std=positive("measurement_std", self.measurement_std),
             outputs=tuple(self.outputs),
-            torque_disturbance=self.torque_disturbance,  # msgspec omits a class's default
+            torque_disturbance=self.torque_disturbance,
             rate=positive("rate", self.rate),
             decay_rate=non_negative("decay_rate", self.decay_rate),
             x_max=finite("x_max", self.x_max),
@@ -552,7 +551,7 @@ class TSRequest(Request):
     def _signal_counts(self) -> dict[str, int]:
         model = self.model
         counts = model.state_count, len(model.C), model.input_count, int(model.schedule.shape[1])
-        return dict(zip(Labels.__struct_fields__, counts, strict=True))
+        return dict(zip((each.name for each in fields(Labels)), counts, strict=True))
 
     @property
     def input_units(self) -> tuple[str, ...]:
@@ -641,8 +640,8 @@ class TSRequest(Request):
                 self,
                 model=replace(model, C=np.vstack([model.C, row])),
                 measurement_std=np.append(self.output_std, std),
-                names=structs.replace(self.names, outputs=names and (*names, f"{name}_measured")),
-                units=structs.replace(self.units, outputs=units and (*units, unit)),
+                names=replace(self.names, outputs=names and (*names, f"{name}_measured")),
+                units=replace(self.units, outputs=units and (*units, unit)),
                 **channels,
             )
             yield f"{labelled([name], [unit])[0]} with 1σ of {std:.3g}", added
