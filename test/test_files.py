@@ -99,10 +99,10 @@ def test_an_interrupted_command_leaves_nothing_partial(
     whole = written(tmp_path / "moment")
 
     nothing = 0
-    for number in range(12):
+    for number in range(6):
         output = tmp_path / str(number)
         output.mkdir()
-        with alarm((number + 0.5) / 12 * taken):
+        with alarm((number + 0.5) / 6 * taken):
             # What Matplotlib's renderer makes of an interruption while it reads a path.
             made = ValueError if command == "report" else ()
             try:

@@ -30,7 +30,6 @@ from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput, TorqueDisturbance
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import KINDS, Signal, parse_kinds
-from tsobs_ros.simulation.systems import SystemScenario
 
 if TYPE_CHECKING:
     from tsobs_ros.replay.estimate import Observer, Run
@@ -207,13 +206,10 @@ def simulate(
     >>> touched.torque_disturbance[-1].tolist()
     [0.0, 3.0]
     """
-    scenario: Scenario | SystemScenario
-    if isinstance(arm, Design | ArmRequest | TSRequest):
-        scenario = scenario_of(arm.request if isinstance(arm, Design) else arm, mismatch)
-    else:
-        scenario = scenario_of(ArmRequest(), mismatch)
-        assert isinstance(scenario, Scenario)
-        scenario = replace(scenario, arm=arm or ElasticJointArm())
+    request = arm.request if isinstance(arm, Design) else arm
+    if request is None or isinstance(request, ElasticJointArm):
+        request = ArmRequest(request or ElasticJointArm())
+    scenario = scenario_of(request, mismatch)
     excited = torque if isinstance(torque, Signal) else None
     changes: dict[str, Any] = {
         "rate": rate or scenario.rate,
@@ -234,12 +230,9 @@ def simulate(
             changes["initial_state"] = tuple(scenario.arm.from_physical(physical).tolist())
             changes["initial_spread"] = (0.0,) * 4
     else:
-        for name, unwanted in (
-            ("friction", friction),
-            ("torque_disturbance", torque_disturbance),
-            ("payload", payload),
-        ):
-            if unwanted:
+        unwanted = {"friction": friction, "torque_disturbance": torque_disturbance}
+        for name, given_one in {**unwanted, "payload": payload}.items():
+            if given_one:
                 raise ModelError(f"{name}: expected none for a T-S system, which has no torques")
         if excited is not None:
             m = scenario.model.input_count
@@ -249,7 +242,10 @@ def simulate(
     scenario = replace(scenario, **changes)
     count, m, given = scenario.sample_count, scenario.signals.input_count, None
     if torque is not None and excited is None:
-        given = _torques(torque, np.arange(count) / scenario.rate, m)
+        values: Any = torque
+        if callable(torque):
+            values = [torque(time) for time in (np.arange(count) / scenario.rate).tolist()]
+        given = _columns("torque", values, count, m)
     run = Plant(scenario, seed).run(count, given)
     alone = isinstance(scenario, Scenario) and len(scenario.outputs) == 1
     return Simulation(
@@ -504,12 +500,11 @@ def _outputs(
 
 
 def _payload(numbers: Mapping[str, float]) -> Payload:
-    known = [item.name for item in fields(Payload)]
     if "mass" in numbers or "distance" in numbers:
         check_names("payload", numbers, ["mass", "distance", "start", "duration"])
         return Payload.point(**{"mass": 0.0, "distance": 0.0, **numbers})
-    check_names("payload", numbers, known)
-    return Payload(**numbers)
+    payload: Payload = _changed("payload", Payload(), numbers)
+    return payload
 
 
 def _components(disturbance: Disturbance) -> tuple[Signal, ...]:
@@ -525,12 +520,6 @@ def _changed(name: str, record: Any, values: Mapping[str, float]) -> Any:
     """Return a dataclass record with some of its numbers changed."""
     check_names(name, values, [item.name for item in fields(record)])
     return replace(record, **values)
-
-
-def _torques(torque: Any, times: Array, inputs: int) -> Array:
-    if callable(torque):
-        torque = [torque(time) for time in times.tolist()]
-    return _columns("torque", torque, len(times), inputs)
 
 
 def _columns_of(rows: Rows, estimator: Estimator, outputs: tuple[int, ...]) -> dict[str, Any]:
