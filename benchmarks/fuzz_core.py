@@ -5,7 +5,8 @@
     make fuzz FUZZ_ARGS="--inputs 100000"
 
 Each input is the model, memory and ring of a tracker, some of whose sizes, places and values are
-changed, and samples with NaN, infinities and huge values. What is not refused is stepped. Only a
+changed, and samples with NaN, infinities and huge values. Places within states are not changed, as
+only the core writes them. What is not refused is stepped. Only a
 core with sanitizers shows what is read or written out of bounds; it ends the process then, and the
 file that --note names has the seed and the number of the input.
 """
@@ -64,6 +65,7 @@ class Subject:
         period: Of the samples [ns].
         words: All of it as an exported design.
         counts: Places of integers, which are sizes, places and flags, by the record.
+        values: Places of all other numbers of the ring.
     """
 
     name: str
@@ -77,6 +79,7 @@ class Subject:
     period: int
     words: Any
     counts: dict[str, list[int]]
+    values: list[int]
 
 
 def _places_of_integers(kind: Any, begin: int = 0) -> list[int]:
@@ -133,13 +136,12 @@ def _subject(name: str, design: Any, settings: Any) -> Subject:
         {
             "model": [*range(9), *_places_of_integers(tracker.estimator.model.dtype)],
             "memory": _places_of_integers(tracker.memory.dtype),
-            "ring": [
-                slot * tracker.ring.dtype.itemsize // 8 + place
-                for slot in range(_STEPS + 4)
-                for place in _places_of_integers(tracker.ring.dtype)
-            ],
         },
+        [],
     )
+    size = tracker.ring.dtype.itemsize // 8
+    integers = {*_places_of_integers(tracker.ring.dtype)}
+    subject.values = [place for place in range(ring) if place % size not in integers]
     begin = tracker.estimator.model.dtype.fields["flow"][1] // 8
     subject.counts["model"] += range(begin, begin + 12)  # the flow's own sizes
     numbers = np.random.default_rng(1)
@@ -192,43 +194,32 @@ def _values(random_: random.Random, rows: int, columns: int) -> Any:
 
 def attack(subject: Subject, random_: random.Random) -> str:
     """Change some records and step them; return whether they were refused, and where."""
-    kind = random_.choice(("model", "state", "memory", "export", "all"))
-    model = _changed(
-        subject.model,
-        random_,
-        3 if kind in ("model", "export", "all") else 0,
-        subject.counts["model"],
-    )
-    ring = _changed(
-        subject.ring, random_, 4 if kind in ("state", "all") else 0, subject.counts["ring"]
-    )
-    memory = _changed(
-        subject.memory, random_, 3 if kind in ("memory", "all") else 0, subject.counts["memory"]
-    )
-    for words, least in ((memory, 5), (ring, 0)):
+    kind = random_.choice(("model", "state", "memory", "both", "export"))
+    if kind in ("model", "export"):
+        model = _changed(subject.model, random_, 3, subject.counts["model"])
+        if kind == "export":
+            return _attack_export(subject, model, random_)
+        # States of another model are none of this one.
+        memory, ring = subject.words[-len(subject.memory) :].copy(), np.zeros_like(subject.ring)
+    else:
+        most = 0 if kind == "state" else 3
+        memory = _changed(subject.memory, random_, most, subject.counts["memory"])
+        model, ring = subject.model, subject.ring.copy()
+        for _ in range(0 if kind == "memory" else random_.randint(1, 4)):
+            ring.view(np.float64)[random_.choice(subject.values)] = random_.choice(_VALUES)
+    if len(memory) == len(subject.memory):
         # Gaps of years are settings, and only take long. So are counts that overflow.
-        clipped = words[least:]
-        clipped[np.abs(clipped) > 2**62] = 2**62
-    limits = memory[-5:-2] if len(memory) == len(subject.memory) else memory[:0]
-    np.minimum(limits, 2 * 10**8, out=limits)
-    if kind == "export":
-        return _attack_export(subject, model, random_)
-    tracker = (model, memory, ring, np.zeros(_scratch(model, ring, subject)))
+        memory[5:] = np.clip(memory[5:], -(2**62), 2**62)
+        np.minimum(memory[-5:-2], 2 * 10**8, out=memory[-5:-2])
     try:
-        if not native.history_is_sound(*tracker):
-            return "unsound"
+        scratch = min(native.history_scratch_size(model, _STEPS + 4), 2**24)
     except ValueError:
         return "refused"
-    _step(tracker, subject, random_)
-    return "stepped"
-
-
-def _scratch(model: Any, ring: Any, subject: Subject) -> int:
-    """Return the numbers of scratch that the changed records need, which are no more than that."""
-    try:
-        return min(native.history_scratch_size(model, _STEPS + 4), 2**24)
-    except ValueError:
-        return subject.scratch
+    return (
+        "stepped"
+        if _step((model, memory, ring, np.zeros(scratch)), subject, random_)
+        else "refused"
+    )
 
 
 def _attack_export(subject: Subject, model: Any, random_: random.Random) -> str:
@@ -252,8 +243,8 @@ def _attack_export(subject: Subject, model: Any, random_: random.Random) -> str:
     return "stepped"
 
 
-def _step(tracker: Any, subject: Subject, random_: random.Random) -> None:
-    """Offer samples in any order, and read estimates; a ValueError is a refusal here, too."""
+def _step(tracker: Any, subject: Subject, random_: random.Random) -> bool:
+    """Offer samples in any order, and read estimates; return whether this was not refused."""
     sizes = tracker[0][:10]
     p, m = int(sizes[3]), int(sizes[4])
     width = 2 * int(sizes[2]) + 3 * p + 2 * int(sizes[5]) + 2 * int(sizes[6]) + 9
@@ -276,8 +267,9 @@ def _step(tracker: Any, subject: Subject, random_: random.Random) -> None:
             )  # fmt: skip
             native.history_estimate(*tracker, at + random_.randint(-9, 9) * subject.period, row)
         except ValueError:
-            return
+            return False
         at += random_.randint(0, 20) * subject.period
+    return True
 
 
 def fuzz(inputs: int, seed: int, note: Callable[[str], object]) -> tuple[Counter[str], float]:

@@ -36,7 +36,7 @@ def test_hostile_records_are_refused_or_stepped(benchmark: Callable[[str], Modul
     results, _ = benchmark("fuzz_core").fuzz(1000, 1, lambda text: None)
 
     assert sum(results.values()) == 1000
-    assert min(results[name] for name in ("refused", "stepped", "unsound")) > 10
+    assert min(results[name] for name in ("refused", "stepped")) > 10
 
 
 @pytest.mark.parametrize(
