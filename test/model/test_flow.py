@@ -203,32 +203,6 @@ def test_a_long_prediction_is_nominal_steps_and_a_last_one(
     assert sum(durations) == pytest.approx(duration, rel=1e-13)
 
 
-@PROPERTY
-@given(st.data(), FLOWS, st.floats(0.1, 2.5))
-def test_a_batch_is_its_members_side_by_side(
-    data: st.DataObject, flow: ArmFlow, periods: float
-) -> None:
-    x, u = draw_state(data, flow, 2, 2), np.array([[[1.0], [-2.0]], [[0.0], [3.0]]])
-    root = data.draw(
-        hnp.arrays(np.float64, (2, 2, *[flow.state_count] * 2), elements=st.floats(-1.0, 1.0))
-    )
-    covariance = root @ np.swapaxes(root, -1, -2)
-    duration = periods * flow.period
-    after = flow.predict(x, u, duration)
-    tracked, spread = flow.predict_with_covariance(x, covariance, u, duration)
-    for place in np.ndindex(2, 2):
-        single = flow.predict(x[place], u[place], duration)
-        mean, one = flow.predict_with_covariance(x[place], covariance[place], u[place], duration)
-        for member, alone in (
-            (after[place], single),
-            (tracked[place], single),
-            (mean, single),
-            (spread[place], one),
-            (one, one.T),
-        ):
-            assert member.tobytes() == alone.tobytes()
-
-
 @settings(PROPERTY, max_examples=25)
 @given(st.data(), FLOWS, st.floats(0.05, math.pi), st.floats(-5.0, 5.0))
 def test_the_error_after_a_step_is_one_of_the_certified_error_systems(

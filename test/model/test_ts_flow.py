@@ -210,19 +210,3 @@ def test_wrong_matrices_are_named(change: dict[str, Array], message: str) -> Non
     }  # fmt: skip
     with pytest.raises(ModelError, match=message):
         TSModel(rule_base=RAMPS, **{**right, **change})
-
-
-def test_wrong_surroundings_are_named() -> None:
-    model = pendulum().model
-    with pytest.raises(ModelError, match="disturbance: expected 2 channels, one an output, got 1"):
-        TSFlow(model, bias(), [0.0, 1.0], 0.01)
-    with pytest.raises(ModelError, match=r"process_noise: expected shape \(2,\), got \(3,\)"):
-        TSFlow(model, clean(2), [0.0, 1.0, 1.0], 0.01)
-    with pytest.raises(ModelError, match=r"process_noise: expected densities of at least 0, got"):
-        TSFlow(model, clean(2), [0.0, -1.0], 0.01)
-    with pytest.raises(ModelError, match="period: expected a finite number above 0"):
-        TSFlow(model, clean(2), [0.0, 1.0], 0.0)
-    with pytest.raises(ModelError, match="duration: expected a finite number of at least 0"):
-        pendulum().predict(np.zeros(3), np.zeros(1), -0.1)
-    with pytest.raises(ModelError, match=r"vertex matrices: expected shape \(1, 2, 2\), got"):
-        pendulum().vertices(np.zeros((1, 3, 3)), ["one"])

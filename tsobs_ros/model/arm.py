@@ -156,11 +156,3 @@ class ElasticJointArm:
         rate = state @ self.spring_matrix.T + np.asarray(u, dtype=np.float64) @ self.input_matrix.T
         rate[..., LINK_VELOCITY] -= self.gravity_gain * np.sin(state[..., LINK_ANGLE])
         return np.asarray(rate)
-
-    def energy(self, x: ArrayLike) -> Array:
-        """Return kinetic + spring + gravity energy [J], zero at rest hanging down; shape (...)."""
-        q1, v1, q2, v2 = np.moveaxis(self.to_physical(x), -1, 0)
-        kinetic = 0.5 * (self.link_inertia * v1**2 + self.motor_inertia * v2**2)
-        # 2 sin²(q/2) = 1 − cos q without its cancellation near the hanging position.
-        gravity = self.gravity_torque * 2.0 * np.sin(0.5 * q1) ** 2
-        return np.asarray(kinetic + 0.5 * self.stiffness * (q1 - q2) ** 2 + gravity)

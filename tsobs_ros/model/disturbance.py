@@ -121,8 +121,8 @@ def bias(density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
         initial_std: 1σ before any measurement [rad].
     """
     root = math.sqrt(non_negative("bias density", density))
-    start = np.array([non_negative("bias initial_std", initial_std)])
-    return DisturbanceModel("bias", _rows([[0.0]]), _rows([[1.0]]), _rows([[root]]), start)
+    start = non_negative("bias initial_std", initial_std)
+    return _exosystem("bias", [[0.0]], [1.0], [root], [start])
 
 
 def gauss_markov(std: float = 0.1, time_constant: float = 20.0) -> DisturbanceModel:
@@ -134,9 +134,7 @@ def gauss_markov(std: float = 0.1, time_constant: float = 20.0) -> DisturbanceMo
     """
     tau = positive("gauss_markov time_constant", time_constant)
     root = positive("gauss_markov std", std) * math.sqrt(2.0 / tau)
-    return DisturbanceModel(
-        "gauss_markov", _rows([[-1.0 / tau]]), _rows([[1.0]]), _rows([[root]]), np.array([std])
-    )
+    return _exosystem("gauss_markov", [[-1.0 / tau]], [1.0], [root], [std])
 
 
 def sinusoid(frequency: float, density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
@@ -149,13 +147,8 @@ def sinusoid(frequency: float, density: float = 1e-4, initial_std: float = 0.3) 
     """
     w0 = positive("sinusoid frequency", frequency)
     root = math.sqrt(non_negative("sinusoid density", density))
-    return DisturbanceModel(
-        "sinusoid",
-        _rows([[0.0, w0], [-w0, 0.0]]),
-        _rows([[1.0, 0.0]]),
-        root * np.eye(2),
-        np.full(2, non_negative("sinusoid initial_std", initial_std)),
-    )
+    start = non_negative("sinusoid initial_std", initial_std)
+    return _exosystem("sinusoid", [[0.0, w0], [-w0, 0.0]], [1.0, 0.0], [root] * 2, [start] * 2)
 
 
 def ramp(
@@ -172,19 +165,11 @@ def ramp(
         initial_std: 1σ of the bias before any measurement [rad].
         initial_rate_std: 1σ of the rate before any measurement [rad/s].
     """
-    roots = [
-        math.sqrt(non_negative("ramp density", density)),
-        math.sqrt(non_negative("ramp rate_density", rate_density)),
-    ]
-    start = np.array(
-        [
-            non_negative("ramp initial_std", initial_std),
-            non_negative("ramp initial_rate_std", initial_rate_std),
-        ]
-    )
-    return DisturbanceModel(
-        "ramp", _rows([[0.0, 1.0], [0.0, 0.0]]), _rows([[1.0, 0.0]]), np.diag(roots), start
-    )
+    densities = {"density": density, "rate_density": rate_density}
+    stds = {"initial_std": initial_std, "initial_rate_std": initial_rate_std}
+    roots = [math.sqrt(non_negative(f"ramp {name}", each)) for name, each in densities.items()]
+    start = [non_negative(f"ramp {name}", each) for name, each in stds.items()]
+    return _exosystem("ramp", [[0.0, 1.0], [0.0, 0.0]], [1.0, 0.0], roots, start)
 
 
 def per_channel(models: Sequence[DisturbanceModel]) -> DisturbanceModel:
@@ -201,8 +186,17 @@ def per_channel(models: Sequence[DisturbanceModel]) -> DisturbanceModel:
     )
 
 
-def _rows(rows: Sequence[Sequence[float]]) -> Array:
-    return np.array(rows, dtype=np.float64)
+def _exosystem(
+    label: str,
+    S: Sequence[Sequence[float]],
+    H: Sequence[float],
+    roots: Sequence[float],
+    initial_std: Sequence[float],
+) -> DisturbanceModel:
+    """Return a model of one channel, driven in each state by noise of its own."""
+    return DisturbanceModel(
+        label, np.array(S), np.array([H]), np.diag(roots), np.array(initial_std)
+    )
 
 
 def _block_diag(*blocks: Array) -> Array:

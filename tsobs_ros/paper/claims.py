@@ -7,7 +7,6 @@ the code that reversed one would reverse the table, and fail the test that is na
 """
 
 import enum
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -74,14 +73,12 @@ class Claim:
         return {**vars(self), "verdict": self.verdict.value}
 
 
-def claims_text(claims: Iterable[Claim], width: int = 96) -> str:
+def claims_text(claims: Iterable[Claim]) -> str:
     """Return the claims for a terminal, each with its verdict in front."""
     lines = []
     for each in claims:
-        head = f"{each.verdict.value.upper():<15}{each.claim}"
-        lines += textwrap.wrap(head, width, subsequent_indent=" " * 15)
         detail = f"{each.condition}; {each.number}" if each.condition else each.number
-        lines += textwrap.wrap(detail, width, initial_indent=" " * 17, subsequent_indent=" " * 17)
+        lines += [f"{each.verdict.value.upper():<15}{each.claim}", f"{'':<17}{detail}"]
     return "\n".join(lines)
 
 
