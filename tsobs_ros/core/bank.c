@@ -210,22 +210,12 @@ static void renew(const model *m, state *at, long kind)
 /* Return whether a standing hypothesis differs from the design. */
 static int is_of_use(const model *m, const state *at, long kind)
 {
-    switch (kind) {
-    case FORCE:
-        return *m->force > 0.0;
-    case IMPERFECT:
-        return m->constants[IMPERFECTION] > 1.0;
-    case LOUD:
-        return m->constants[NOISE_FACTOR] > 1.0;
-    case COLOURED_NOISE:
-        return m->constants[COLOUR_SIZE] > 0.0;
-    case DRIFT:
-        return m->constants[DRIFT_SIZE] > 0.0;
-    case TONE:
-        return *hypothesis_of(m, at, kind).frequency > 0.0;
-    default:
-        return 1;
-    }
+    const double *c = m->constants;
+    const double sizes[STANDING] = {
+        1.0, *m->force, c[IMPERFECTION] - 1.0, c[NOISE_FACTOR] - 1.0, c[COLOUR_SIZE],
+        c[DRIFT_SIZE], *hypothesis_of(m, at, TONE).frequency,
+    };
+    return sizes[kind] > 0.0;
 }
 
 /* Consider all hypotheses for a while, and begin those that sleep. */

@@ -289,7 +289,6 @@ LAYOUT_DECLARE(estimate, ESTIMATE_FIELDS, estimator_sizes)
     F(VECTOR, drives, s->width - s->n + 1, 1)        \
     F(VECTOR, inputs, s->m, 1)                       \
     F(MATRIX, small, s->k, s->k)                     \
-    F(MATRIX, rows, 2 * s->k, s->n)                  \
     F(VECTOR, share, s->k, 1)                        \
     F(VECTOR, functional, s->width, 1)               \
     F(VECTOR, weights, s->hypotheses, 1)
@@ -303,7 +302,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
  * torque of which nothing is known. force: 1 sigma of an unknown
  * force, 0 without a hypothesis of one. C to innovation_covariance: outputs and gains, in physical
  * units from `scale` on. domain: 1 sigma of the plant's states where nothing is known of them.
- * limits, theta_deviation: of the parameters; joint: whether they are as states. stuck_samples: repetitions of a stuck sensor. */
+ * limits, theta_deviation: of the parameters. stuck_samples: repetitions of a stuck sensor. */
 #define MODEL_FIELDS(F, s)                         \
     F(COUNT, n, 1, 1)                              \
     F(COUNT, width, 1, 1)                          \
@@ -349,7 +348,6 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(VECTOR, limits, s->k, 1)                     \
     F(VECTOR, theta_deviation, s->k, 1)            \
     F(NUMBER, random_walk, 1, 1)                   \
-    F(COUNT, joint, 1, 1)                          \
     F(NUMBER, significance, 1, 1)                  \
     F(NUMBER, pass_time, 1, 1)                     \
     F(NUMBER, adaptation_start, 1, 1)              \

@@ -542,32 +542,8 @@ static void step_with_auxiliary(
     }
 }
 
-/* Let theta wander from now on as states do, whose covariance with x, Upsilon Gamma, and that of x,
- * P + Upsilon Gamma Upsilon', stay what they are (C.-S. Hsieh, F.-C. Chen, 1999). */
-static void wander_as_states(const model *m, hypothesis *h, double growth, work *scratch)
-{
-    const long k = (long)m->s.k, n = (long)m->s.n, width = (long)m->s.width;
-    double *before = scratch->rows, *change = before + k * n;
-    copy_matrix(h->upsilon, width, before, n, k, n);
-    for (long a = 0; a < k; a++) {
-        h->gamma[a * k + a] += growth;
-    }
-    solve(h->gamma, before, scratch->small, change, k, n);
-    for (long a = 0; a < k; a++) {
-        double *row = h->upsilon + a * width;
-        for (long i = 0; i < n; i++) {
-            row[i] -= growth * change[a * n + i];
-        }
-        for (long i = 0; i < n; i++) {
-            for (long j = 0; j < n; j++) {
-                h->covariance[i * width + j] += growth * before[a * n + i] * row[j];
-            }
-        }
-    }
-}
-
 /* Let the excitation fade and Gamma grow, but no variance beyond the initial one. */
-static void forget_slowly(const model *m, hypothesis *h, double duration, work *scratch)
+static void forget_slowly(const model *m, hypothesis *h, double duration)
 {
     const long k = (long)m->s.k;
     const double fade = 1.0 - share_of(duration, *m->memory);
@@ -575,10 +551,6 @@ static void forget_slowly(const model *m, hypothesis *h, double duration, work *
     *h->pass_age += *h->learning >= *m->adaptation_start ? duration : 0.0;
     for (long i = 0; i < k * k; i++) {
         h->gram[i] *= fade;
-    }
-    if (*m->joint != 0) {
-        wander_as_states(m, h, *m->random_walk * duration, scratch);
-        return;
     }
     for (long a = 0; a < k; a++) {
         const double most = m->theta_deviation[a] * m->theta_deviation[a];
@@ -625,6 +597,6 @@ void predict_hypothesis(
     *h->age += duration;
     *h->settling = maximum(0.0, *h->settling - duration);
     if (m->s.k > 0) {
-        forget_slowly(m, h, duration, scratch);
+        forget_slowly(m, h, duration);
     }
 }

@@ -24,7 +24,7 @@ is learnt from the first sample on, without limits; with Υ = ∂x/∂θ and the
 
     P_xx = P + Υ Γ Υ' ,     P_xθ = Υ Γ ,     P_θθ = Γ
 
-are those of θ as states. No observer here has a certificate.
+are those of θ as states, but for what it wanders. No observer here has a certificate.
 """
 
 import numpy as np
@@ -117,7 +117,7 @@ def extended_kalman(
         at_once = AdaptationOptions(THETA_STD, THETA_WANDER, start=0.0, significance=0.0)
         enter_adaptation(one, np.full(shape.k, np.inf), at_once, covered=False)
         # θ, always valid, is learnt in one pass without curvature.
-        one["joint"], one["pass_time"], one["excitation"] = True, np.inf, -1.0
+        one["pass_time"], one["excitation"] = np.inf, -1.0
         one["constants"][CONSTANTS["CURVED"]] = 0.0
     if isinstance(flow, ArmFlow):  # a torque that is no number is held, any other one taken
         enter_torque_limits(one, TorqueLimits(np.inf, np.inf, 0.0))

@@ -309,31 +309,14 @@ class Tracker:
         basis, claimed, valid, scale, coloured, learning, hypothesis, in_domain, age = row[
             self._scalars
         ].tolist()
-        x, bound, omega, rate, omega_bound, theta, theta_bound, torque, torque_bound = [
-            row[part] for part in self._vectors
-        ]
         # Arguments by name would take a tenth of a tick.
-        return Estimate(
-            stamp,
-            x,
-            bound,
-            omega,
-            rate,
-            omega_bound,
-            theta,
-            theta_bound,
-            torque,
-            torque_bound,
-            _BASES[int(basis)],
-            claimed != 0.0,
-            valid != 0.0,
-            scale,
-            coloured,
-            _LEARNINGS[int(learning)],
-            _HYPOTHESES[int(hypothesis)],
-            in_domain != 0.0,
-            age,
-        )
+        return Estimate._make(
+            (
+                stamp, *(row[part] for part in self._vectors), _BASES[int(basis)], claimed != 0.0,
+                valid != 0.0, scale, coloured, _LEARNINGS[int(learning)],
+                _HYPOTHESES[int(hypothesis)], in_domain != 0.0, age,
+            )
+        )  # fmt: skip
 
     @property
     def _judged(self) -> dict[RejectReason, int]:
