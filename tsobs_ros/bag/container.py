@@ -66,6 +66,8 @@ _FOOTER_SIZE = RECORD.size + 20
 _MAX_HEADER_SIZE = 2**16
 _RUN_SIZE = 1_000_000
 _FIELDS = 5
+# More than a robot's schemas and channels take.
+_MAX_DESCRIPTIONS = 2**24
 
 
 class RecordError(ValueError):
@@ -110,7 +112,7 @@ def split_records(data: bytes) -> Records:
         data: Whole records, one after the other, as in a decompressed chunk.
 
     Raises:
-        RecordError: A record is cut off or malformed, or there are more than `MAX_MESSAGES`.
+        RecordError: A record is cut off or malformed, or there are too many.
 
     >>> record = MESSAGE.pack(Opcode.MESSAGE, 24, 1, 0, 20, 10) + b"hi"
     >>> split_records(record).log_times.tolist()
@@ -122,6 +124,8 @@ def split_records(data: bytes) -> Records:
     if count < 0:
         many = f", or more than {MAX_MESSAGES} messages" if found.shape[1] == MAX_MESSAGES else ""
         raise RecordError(f"it holds bytes that are no record{many}")
+    if len(data) - MESSAGE.size * count - int(found[-1, :count].sum()) > _MAX_DESCRIPTIONS:
+        raise RecordError(f"more than {_MAX_DESCRIPTIONS} bytes of it are no messages")
     return Records(data, *found[:, :count])
 
 

@@ -101,11 +101,6 @@ class Rows(NamedTuple):
         """Return some of the messages, or all of them in another order."""
         return Rows(*(column[places] for column in self))
 
-    @property
-    def memory(self) -> int:
-        """What they take as objects, bytes."""
-        return int(self.sizes.sum()) + _OBJECT_SIZE * len(self.sizes)
-
 
 class BagReader:
     """Reads a finished bag; files are open only while messages are being read.
@@ -214,21 +209,23 @@ class BagReader:
         # Messages that are due after the start of the next span, in a heap by the first of them.
         waiting: list[tuple[int, int, Rows]] = []
         records: dict[int, bytes] = {}
+        sizes: dict[int, int] = {}
         held = 0
         for key, (span, following) in enumerate(pairwise(chain[Span | None](spans, (None,)))):
             assert span is not None
-            rows, records[key] = self._load(span, key, numbers, start, end)
+            rows, data = self._load(span, key, numbers, start, end)
             horizon = _LAST if following is None else min(following.start, _LAST)
             if len(rows.sizes):
+                records[key] = data
                 heappush(waiting, (int(rows.log_times[0]), key, rows))
-                held += rows.memory
+                sizes[key] = len(data) + _OBJECT_SIZE * len(rows.sizes)
+                held += sizes[key]
             due: list[tuple[int, int, Rows]] = []
             spent = []
             while waiting and waiting[0][0] < horizon:
                 _, one, rows = heappop(waiting)
                 count = int(np.searchsorted(rows.log_times, horizon))
                 due.append((spans[one].rank, spans[one].offset, rows.take(slice(count))))
-                held -= due[-1][2].memory
                 if count < len(rows.sizes):
                     rest = rows.take(slice(count, None))
                     heappush(waiting, (int(rest.log_times[0]), one, rest))
@@ -242,6 +239,8 @@ class BagReader:
                 yield found, records
             for one in spent:
                 del records[one]
+                held -= sizes.pop(one)
+            del data
             if held > _MAX_HELD:
                 text = "too many chunks overlap in time to be read in order of log time"
                 raise BagReadError(f"{self.path}: {text}")

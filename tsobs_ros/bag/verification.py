@@ -24,6 +24,7 @@ from tsobs_ros.bag.container import (
     MESSAGE,
     RECOVER_HINT,
     Integers,
+    RecordError,
     Records,
     Summary,
     parse_record,
@@ -300,7 +301,11 @@ class _File:
     def _check_part(self, stream: IO[bytes], part: Part) -> None:
         if part.content is not None:
             for description in part.content.descriptions():
-                self._describe(parse_record(description))
+                try:
+                    self._describe(parse_record(description))
+                except RecordError:
+                    text = f"a record of kind {description[0]:#04x} in it is malformed"
+                    self._error(f"at byte {part.at}: {text}", rule="record")
             self._check_messages(part.content)
             self.unchecked += 0 if part.is_checked else len(part.content.sizes)
             if isinstance(part.record, Chunk):
