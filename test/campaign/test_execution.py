@@ -160,15 +160,6 @@ def test_a_scheduler_that_goes_away_ends_the_campaign_with_one_line(
         )  # fmt: skip
 
 
-def test_a_campaign_goes_on_that_was_killed_while_its_folder_was_made(
-    short: Campaign, tmp_path: Path
-) -> None:
-    folder = CampaignFolder.make(tmp_path, short)
-    (tmp_path / "campaign.yaml").unlink()
-    (tmp_path / ".tsobs-x.partial").mkdir()
-    assert CampaignFolder.make(tmp_path, short).missing() == folder.missing()
-
-
 def test_a_scheduler_that_is_not_there(short: Campaign, tmp_path: Path) -> None:
     with pytest.raises(CampaignError, match="scheduler tcp//nowhere: cannot be reached"):
         run_campaign(short, tmp_path / "campaign", scheduler="tcp//nowhere")

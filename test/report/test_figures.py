@@ -61,12 +61,12 @@ SERIES = ("measurements", "truth", "true_disturbance", "innovations", "health", 
           "parameter_bounds")  # fmt: skip
 
 
-@pytest.mark.parametrize("gap", ["stamps", "nan", "start", "all"])
+@pytest.mark.parametrize("gap", ["stamps", "nan", "all"])
 def test_a_figure_has_gaps_where_its_series_have_them(troubled, tmp_path, gap: str) -> None:
-    """Of five seconds: without stamps there, with numbers that are none, or from the start."""
+    """Of five seconds, or of all: without stamps there, or with numbers that are none."""
     learnt = Series(troubled.stamps[::10], 0.01 * np.ones((len(troubled.stamps[::10]), 2)))
     whole = replace(troubled, parameters=learnt, parameter_bounds=learnt)
-    begin, end = {"start": (0.0, 5.0), "all": (0.0, 99.0)}.get(gap, (6.0, 11.0))
+    begin, end = (0.0, 99.0) if gap == "all" else (6.0, 11.0)
     begin, end = (whole.stamps[0] + int(1e9 * time) for time in (begin, end))
 
     gaps = {}
@@ -119,7 +119,7 @@ def test_thinning_keeps_every_extreme_and_gap() -> None:
     assert np.isnan(thinned[gap]).all()
 
 
-def test_plots_hold_the_run_in_its_units(simulated) -> None:
+def test_plots_hold_the_run_in_its_units(simulated, troubled) -> None:
     shown = picture(simulated, measure(simulated), innovation_std=(0.03,))
     plots = [row[0] for row in shown.rows]
 
@@ -147,19 +147,12 @@ def test_plots_hold_the_run_in_its_units(simulated) -> None:
     assert np.abs(curve(plots[7], "autocorrelation").values).max() < 4.0 * plots[7].level
     assert [plot.axis == TIME for plot in plots].count(False) == 1
     np.testing.assert_allclose(curve(plots[8], "interval").values, 5.0)
+    noise = picture(troubled, measure(troubled)).plots[-2]
+    np.testing.assert_array_equal(curve(noise, "noise scale").values, troubled.health.values[:, 0])
+    assert noise.spans == (pytest.approx((8.1, 10.0), abs=0.01),)
+    assert "25 % force" in noise.remark
     # What does not count as settled is what the windows leave.
     assert list(shown.unsettled) == [pytest.approx((0.0013, 5.0013)), pytest.approx((8.0, 13.0))]
-
-
-def test_noise_and_void_bounds_have_a_plot(troubled) -> None:
-    plots = picture(troubled, measure(troubled)).plots
-    (plot,) = (one for one in plots if one.label == "noise scale")
-
-    health = troubled.health.values
-    np.testing.assert_array_equal(curve(plot, "noise scale").values, health[:, 0])
-    np.testing.assert_array_equal(curve(plot, "coloured power").values, health[:, 1])
-    assert plot.spans == (pytest.approx((8.1, 10.0), abs=0.01),)
-    assert "25 % force" in plot.remark
 
 
 def test_wild_first_guesses_do_not_flatten_the_rest(simulated) -> None:
