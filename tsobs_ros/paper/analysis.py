@@ -129,7 +129,6 @@ def analyse(
     *,
     delta_A: ArrayLike | None = None,
     L: ArrayLike | None = None,
-    output_rule: int = 0,
 ) -> Analysis:
     """Return the limits of the adaptive observer for a system with an arbitrary disturbance.
 
@@ -139,7 +138,6 @@ def analyse(
         delta_A: An uncertainty to try the matching assumption on, shape (r, n, n); αᵢI by
             default, and the answer is the same for all.
         L: Shape (n + p, p); [0; I] by default.
-        output_rule: Index of the rule whose Cᵢ is the common C.
 
     Raises:
         ModelError: A matrix has the wrong shape, or E_L is singular.
@@ -150,7 +148,7 @@ def analyse(
     >>> analyse(arm_system(ElasticJointArm())).feasible
     False
     """
-    augmentation = Augmentation(system, output_rule, L)
+    augmentation = Augmentation(system, free_matrix=L)
     n, r = augmentation.state_count, augmentation.rule_count
     bounds = np.zeros(r) if alpha is None else np.asarray(alpha, dtype=np.float64)
     stability = check_stability(system.A, augmentation.alpha_1(bounds))

@@ -96,7 +96,6 @@ def design_adaptive_observer(
     *,
     Gamma: ArrayLike | None = None,
     L: ArrayLike | None = None,
-    output_rule: int = 0,
     innovation_rate: float = INNOVATION_RATE,
 ) -> AdaptiveDesign:
     """Run Steps 1–5.
@@ -107,7 +106,6 @@ def design_adaptive_observer(
         xi: Bounds ‖Ξᵢ‖ ≤ ξᵢ, shape (r,).
         Gamma: Γᵢ, shape (r, p, p), or one for all rules, shape (p, p); the identity by default.
         L: Shape (n + p, p); [0; I] by default.
-        output_rule: Index of the rule whose Cᵢ is the common C.
         innovation_rate: Asked decay of the innovation [1/s], which (37) leaves open. It is asked
             for in the direction of the smallest P; in others the rate may be lower by up to
             cond(P).
@@ -124,7 +122,7 @@ def design_adaptive_observer(
     True
     """
     started = time.perf_counter()
-    augmentation = Augmentation(system, output_rule, L)
+    augmentation = Augmentation(system, free_matrix=L)
     r, p = augmentation.rule_count, augmentation.output_count
     gains = checked_gamma(np.eye(p) if Gamma is None else Gamma, r, p)
     non_negative("innovation_rate", innovation_rate)
