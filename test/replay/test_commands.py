@@ -73,6 +73,27 @@ def test_estimate_says_how_much_of_the_live_run_it_has_reproduced(bag: Path, cap
     assert "/joint_measurements" not in BagReader(again).topics
 
 
+def test_estimate_warns_as_the_node_does(arms, write_bag, capsys) -> None:
+    """Half the design's rate, and then messages without effort."""
+    slow = write_bag(arms.messages(200)[::2], "slow")
+    encode = JointStateEncoder(["elbow"])
+    silent = [
+        ("/joint_measurements", encode(START + k * PERIOD, [0.0]), START + k * PERIOD)
+        for k in range(100)
+    ]
+    silent = write_bag(silent, "silent")
+
+    assert main(["estimate", str(slow)]) == 0
+    text = "warning: elbow: measurements come at 100 Hz, the design is for 200 Hz: the bound may"
+    assert capsys.readouterr().out.count(text) == 1
+    assert main(["estimate", str(silent)]) == 1
+    warning = "warning: effort is empty in all 100 messages, which are not used"
+    assert capsys.readouterr().out.count(warning) == 1
+    again = ["estimate", str(silent), "--output", f"{silent}_0", "--param"]
+    assert main([*again, "assume_zero_torque=true"]) == 0
+    assert "effort" not in capsys.readouterr().out
+
+
 def test_estimate_lists_what_happened_to_the_estimates(arms, write_bag, capsys) -> None:
     """Noise of three times the design's, a silence, and good measurements after it."""
     encode, random = JointStateEncoder(["elbow"]), np.random.default_rng(4)

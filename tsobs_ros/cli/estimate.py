@@ -170,6 +170,7 @@ def estimate(
             after_window=scores.add if scores is not None else lambda: None,
         )
     errors = [] if scores is None else scores.errors()
+    remarks += dict.fromkeys(text for run in runs for text in run.warnings())
     mapping, text = _result(source, runs, errors, output, time.monotonic() - begin, remarks)
     show(mapping, text, options.json)
     if source.damage is not None:

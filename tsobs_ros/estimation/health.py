@@ -19,6 +19,9 @@ from tsobs_ros.settings import check, live_setting
 T = TypeVar("T")
 
 _MINUTE = 60_000_000_000
+# Distances of measurements in periods of the design that are worth a word. Beyond the one the
+# estimate may never settle below the certified bound; below the other much is wasted.
+_MAX_PERIODS, _MIN_PERIODS = 1.02, 0.7
 
 
 class Level(enum.IntEnum):
@@ -300,3 +303,24 @@ class LastMinute:
         self.growth += grown
         while self._past[0][0] <= now - _MINUTE:
             self.growth -= self._past.popleft()[1]
+
+
+def judge_rate(measured: float, wanted: float) -> tuple[int, str]:
+    """Compare the rate of measurements with the design's.
+
+    Args:
+        measured: Of the measurements [Hz].
+        wanted: Of the design [Hz].
+
+    Returns:
+        1 if it is too slow, -1 if much faster, else 0; and a sentence on it, with what to do.
+    """
+    text = f"measurements come at {measured:{'.3g' if measured < 1000.0 else '.0f'}} Hz, the design"
+    off = int(wanted > _MAX_PERIODS * measured) - int(wanted < _MIN_PERIODS * measured)
+    if not off:
+        return 0, f"{text} is for that"
+    what = "the bound may never be certified" if off > 0 else "no narrower bound comes of it"
+    return off, (
+        f"{text} is for {wanted:g} Hz: {what}; set `rate` of its request to what comes and "
+        "design again, or let the driver send as often as it says"
+    )

@@ -32,6 +32,7 @@ from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagWriteError, LogError, ModelError
+from tsobs_ros.estimation.health import judge_rate
 from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.replay.designs import STRING
@@ -293,6 +294,15 @@ class Run:
             for joint, design, counts in each
             if len(counts) > 1
         }
+
+    def warnings(self) -> list[str]:
+        """Return what the node would have warned of: measurements at another rate, or no effort."""
+        found = []
+        each = zip(self._source.joints, self.observer.designs, self.loop.rates, strict=True)
+        for joint, design, rate in each:
+            off, text = judge_rate(rate, design.request.rate)
+            found += [f"warning: {joint}: {text}"] if off else []
+        return found
 
     def events(self) -> list[JointEvent]:
         """Return the events that the node would have logged, in order."""

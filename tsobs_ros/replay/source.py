@@ -363,7 +363,7 @@ class BagSource(Source):
         self.signals = self.signals_of(self._requests)
         self._survey()
         if not self.same_clock:
-            self.remarks = (
+            self.remarks += (
                 "note: the bag's stamps and log times are of different clocks, so each measurement "
                 "is taken to have arrived when it was sampled",
             )
@@ -477,7 +477,8 @@ class BagSource(Source):
             there |= given.any(axis=0)
             named |= measured.named[:, joints].any(axis=0)
             inputs = measured.given[:, joints.stop :].any(axis=(1, 2))
-            self.without_input += int((given.any(axis=(1, 2)) & ~inputs).sum())
+            if not self._assume_zero_torque:
+                self.without_input += int((given.any(axis=(1, 2)) & ~inputs).sum())
             others |= dict.fromkeys(measured.other_names)
         if not count:
             raise self.damage or BagReadError(f"{self.path}: no message on {self.topic}")
@@ -494,6 +495,12 @@ class BagSource(Source):
                 f"joints: {names}"
             )
         self._require_outputs(there, others)
+        if self.without_input and any(isinstance(one, ArmRequest) for one in self._requests):
+            of = "all" if self.without_input == count else f"{self.without_input:,} of"
+            self.remarks += (
+                f"warning: effort is empty in {of} {count:,} messages, which are not used: if no "
+                "torque acts, set assume_zero_torque: --param assume_zero_torque=true",
+            )
         self.count, self.span = count, (min(times), max(times))
         # As of the median of the differences.
         self.same_clock = bool(2 * apart_by.max() < count)

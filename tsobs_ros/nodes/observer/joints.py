@@ -27,6 +27,7 @@ from tsobs_ros.estimation.health import (
     Level,
     Phase,
     Status,
+    judge_rate,
     meaning,
     phase_of,
 )
@@ -53,10 +54,7 @@ OF_INPUT = (IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT)
 """Of such a sample the outputs are used all the same."""
 
 _ACCEPTED = (*CORRECTING, GATED)
-# Distances of measurements in periods of the design that are worth a word, and for how many seconds
-# they must last. Beyond the one the estimate may never settle below the certified bound; below the
-# other much is wasted.
-_FAR, _NEAR = 1.02, 0.7
+# For how many seconds measurements must come at another rate before that is worth a word.
 _LASTING = 3.0
 # Stamps that make a median period.
 _ENOUGH = 8
@@ -310,20 +308,11 @@ class ObservedJoint:
         if len(stamps) < _ENOUGH:
             return None
         self.measured_rate = NANOSECONDS / max(1.0, float(np.median(np.diff(stamps))))
-        wanted, before = self.loaded.design.request.rate, self._pace.value
-        periods = wanted / self.measured_rate
-        now = self._pace.update(steady, int(periods > _FAR) - int(periods < _NEAR), _LASTING)
-        if now == before:
+        before = self._pace.value
+        off, text = judge_rate(self.measured_rate, self.loaded.design.request.rate)
+        if self._pace.update(steady, off, _LASTING) == before:
             return None
-        digits = ".3g" if self.measured_rate < 1000.0 else ".0f"
-        text = f"measurements come at {self.measured_rate:{digits}} Hz, the design"
-        if not now:
-            return Level.OK, f"{text} is for that"
-        what = "the bound may never be certified" if now > 0 else "no narrower bound comes of it"
-        return Level.WARN, (
-            f"{text} is for {wanted:g} Hz: {what}; set `rate` of its request to what comes and "
-            "design again, or let the driver send as often as it says"
-        )
+        return Level.WARN if off else Level.OK, text
 
     @property
     def rejected(self) -> Counter[str]:
