@@ -133,7 +133,7 @@ def check(source: Path, target: Path, topics: tuple[str, ...]) -> None:
     assert [one[2] for one in each] == sorted(one[2] for one in each)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     entries,
     st.sampled_from(["none", "lz4", "zstd"]),

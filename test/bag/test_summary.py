@@ -50,16 +50,16 @@ def test_the_last_time_there_is_and_an_empty_bag_are_told(tmp_path: Path) -> Non
 
 
 def test_chunks_that_overlap_in_any_way_are_looked_at_in_a_few_steps(tmp_path: Path) -> None:
-    """Five thousand chunks of two messages each, the first and the last there are."""
+    """A thousand chunks of two messages each, the first and the last there are."""
     with (tmp_path / "x.mcap").open("wb") as stream:
         writer = Writer(stream, chunk_size=1)
         writer.start(profile="ros2")
         schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
         channel = writer.register_channel("/a", "cdr", schema)
-        for number in range(5_000):
+        for number in range(1_000):
             writer.add_message(channel, number, b"", 0)
             writer.add_message(channel, 10**9 - number, b"", 0)
         writer.finish()
-    assert summarise(tmp_path / "x.mcap").largest_gaps_ns == {"/a": 10**9 - 9_998}
+    assert summarise(tmp_path / "x.mcap").largest_gaps_ns == {"/a": 10**9 - 1_998}
     times = [message.log_time for message in BagReader(tmp_path / "x.mcap").messages()]
     assert times == sorted(times)

@@ -72,7 +72,7 @@ def records(path: Path, *, whole_chunks: bool = False) -> Iterator[McapRecord]:
             return
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(entries, st.sampled_from(["none", "lz4", "zstd"]))
 def test_every_reader_gives_back_what_was_written(written: list[Entry], compression: str) -> None:
     with TemporaryDirectory() as folder:
