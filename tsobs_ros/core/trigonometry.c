@@ -6,6 +6,7 @@
 #include <math.h>
 
 #define PI 3.14159265358979323846
+#define TWO_PI 6.28318530717958647693
 
 /* Return the largest whole number up to x, for |x| < 2^51, without a call. */
 static double round_down(double x)

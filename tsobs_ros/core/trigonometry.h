@@ -11,9 +11,6 @@
 #ifndef TSOBS_TRIGONOMETRY_H
 #define TSOBS_TRIGONOMETRY_H
 
-#define HALF_PI 1.57079632679489661923
-#define TWO_PI 6.28318530717958647693
-
 /* Return sin or cos of an angle [rad]. */
 double sine(double angle);
 double cosine(double angle);
