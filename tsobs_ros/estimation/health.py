@@ -279,7 +279,7 @@ class LastMinute:
     Example:
         >>> recent = LastMinute()
         >>> for second in range(100):
-        ...     recent.update(second * 1_000_000_000, {"received": 200 * (second + 1)})
+        ...     grown = recent.update(second * 1_000_000_000, {"received": 200 * (second + 1)})
         >>> recent.growth["received"]
         12000
     """
@@ -289,8 +289,8 @@ class LastMinute:
         self._totals: Counter[str] = Counter()
         self._past: deque[tuple[int, Counter[str]]] = deque()
 
-    def update(self, now: int, totals: Mapping[str, int]) -> None:
-        """Take in counts since the start.
+    def update(self, now: int, totals: Mapping[str, int]) -> Counter[str]:
+        """Take in counts since the start; return how much they have grown since the last.
 
         Args:
             now: A steady time [ns].
@@ -303,6 +303,7 @@ class LastMinute:
         self.growth += grown
         while self._past[0][0] <= now - _MINUTE:
             self.growth -= self._past.popleft()[1]
+        return grown
 
 
 def judge_rate(measured: float, wanted: float) -> tuple[int, str]:

@@ -348,9 +348,7 @@ def replayed(watcher: Watcher, observer: Observer, sent: Iterable[Event]) -> int
         order = sorted(range(len(places.states)), key=lambda i: places.states[i].field)
         expected = {
             "joint_states": estimate.state[order],
-            "error_bound": estimate.state_bound[
-                order if observer.joints[0].tracker.estimator.bounded else []
-            ],
+            "error_bound": estimate.state_bound[order if estimate.state_bound.size else []],
             "disturbance": np.concatenate([estimate.disturbance, estimate.disturbance_rate]),
             "disturbance_bound": estimate.disturbance_bound,
         }

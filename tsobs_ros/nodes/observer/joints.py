@@ -11,11 +11,10 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.request import ArmRequest
-from tsobs_ros.design.signals import Place, signals
+from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import Event, EventKind, EventLog
 from tsobs_ros.estimation.faults import (
-    FaultKind,
     FaultMonitor,
     add_estimates,
     add_samples,
@@ -184,7 +183,7 @@ class ObservedJoint:
         self.events.restart()
         self.received = 0
         self.recent = LastMinute()
-        self.newly, self._totals = Counter[str](), Counter[str]()
+        self.newly = Counter[str]()
         self.in_vain = Counter[str]()
         self.measured_rate = math.nan
         self._stamps: list[int] = []
@@ -201,7 +200,6 @@ class ObservedJoint:
         self.torques = TorqueWatch(
             self._sides, self._parameters.torque_warn_of[self.name], limits.hold
         )
-        self._known_missing: set[str] = set()
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
@@ -274,29 +272,14 @@ class ObservedJoint:
             innovations[output_codes != USED] = math.nan
         return codes, innovations
 
-    def missing(self, since: int) -> list[tuple[str, Place]]:
-        """Return the outputs missing since a stamp [ns] or before, each only once, and places."""
-        found = []
-        for output, place, monitor in zip(
-            self.loaded.design.request.output_names, self.signals.outputs, self.faults, strict=True
-        ):
-            fault = monitor.fault
-            if fault.kind is not FaultKind.MISSING or fault.since is None:
-                self._known_missing.discard(output)
-            elif fault.since <= since and output not in self._known_missing:
-                self._known_missing.add(output)
-                found.append((output, place))
-        return found
-
     def count(self, steady: int) -> None:
         """Enter the counts there are into those of the last minute.
 
         Args:
             steady: Time that neither stands still nor goes back [ns].
         """
-        totals = Counter({"received": self.received, **self.rejected, **self.tracker.events})
-        self.newly, self._totals = totals - self._totals, totals
-        self.recent.update(steady, totals)
+        totals = {"received": self.received, **self.rejected, **self.tracker.events}
+        self.newly = self.recent.update(steady, totals)
 
     def pace_news(self, steady: int) -> tuple[Level, str] | None:
         """Measure the rate of samples since the last call; return a change that has lasted.

@@ -17,6 +17,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.design.published import record_text
 from tsobs_ros.errors import printable
 from tsobs_ros.estimation.events import Event
+from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.health import Level, Status, meaning
 from tsobs_ros.estimation.history import REASONS
 from tsobs_ros.estimation.records import Estimate
@@ -78,6 +79,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._newest = b""
         self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
         self._next_warning: dict[object, float] = {}
+        self._missing: set[tuple[str, str]] = set()
         # That of the design, as its `rate` is that of the measurements; of several the fastest.
         own = max(joint.loaded.design.request.rate for joint in self._joints)
         self._rate = parameters.rate or min(own, _FASTEST)
@@ -251,13 +253,22 @@ class Observer(ManagedNode[ObserverParameters]):
     def _report_missing(self, now: int) -> None:
         """Log the outputs that messages have lacked for some seconds, each time once."""
         for joint in self._joints:
-            for output, place in joint.missing(now - _PATIENCE):
-                text = (
-                    f"{output} is missing for {_PATIENCE * 1e-9:g} s: expected {place.described}; "
-                    f"the newest message: {self._reader.describe(self._newest, joint.name)}; "
-                    "estimation goes on without it"
-                )
-                self._log(joint, Level.WARN, text)
+            names = joint.loaded.design.request.output_names
+            for output, place, monitor in zip(
+                names, joint.signals.outputs, joint.faults, strict=True
+            ):
+                fault, key = monitor.fault, (joint.name, output)
+                if fault.kind is not FaultKind.MISSING or fault.since is None:
+                    self._missing.discard(key)
+                elif fault.since <= now - _PATIENCE and key not in self._missing:
+                    self._missing.add(key)
+                    text = (
+                        f"{output} is missing for {_PATIENCE * 1e-9:g} s: expected "
+                        f"{place.described}; the newest message: "
+                        f"{self._reader.describe(self._newest, joint.name)}; "
+                        "estimation goes on without it"
+                    )
+                    self._log(joint, Level.WARN, text)
 
     def _may_warn(self, subject: object) -> bool:
         """Return whether the last warning of a subject was long enough ago."""
