@@ -30,8 +30,10 @@ def repeat(bag: Path, output: Path, seconds: float) -> int:
     times = [one.log_time for one in messages if one.topic.endswith(_MEASUREMENTS)]
     length = times[-1] - times[0] + _PERIOD
     # Latched messages come before the measurements, and once.
-    first = [one for one in messages if one.log_time < times[0]]
-    rest = [one for one in messages if times[0] <= one.log_time <= times[-1]]
+    latched = [one.log_time < times[0] or one.topic.endswith("/design") for one in messages]
+    first = [one for one, is_first in zip(messages, latched, strict=True) if is_first]
+    rest = [one for one, is_first in zip(messages, latched, strict=True)
+            if not is_first and one.log_time <= times[-1]]  # fmt: skip
     count = max(1, round(1e9 * seconds / length))
     with BagWriter(output) as writer:
         for topic in reader.topics.values():

@@ -8,7 +8,6 @@ from dataclasses import fields
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.simulation.plant import Mismatch, Scenario
-from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import BiasStep, GaussMarkov, Ramp, Signal, Sinusoid
 
 _EPSILON = 1e-9
@@ -51,7 +50,7 @@ def violated(scenario: Scenario, request: ArmRequest) -> tuple[str, ...]:
             found.add("disturbance")
         if _is_more(output.sensor.noise_std, asked.measurement_std):
             found.add("noise")
-        found |= _of_sensor(output.sensor)
+        found |= {what for number, what in _SENSOR.items() if getattr(output.sensor, number)}
     return tuple(sorted(found))
 
 
@@ -78,10 +77,6 @@ def _thetas(mismatch: Mismatch, arm: ElasticJointArm) -> Mapping[str, float]:
         "link_inverse_inertia": 1.0 / (1.0 + changes["link_inertia"]) - 1.0,
         "motor_inverse_inertia": 1.0 / (1.0 + changes["motor_inertia"]) - 1.0,
     }
-
-
-def _of_sensor(sensor: Sensor) -> set[str]:
-    return {what for number, what in _SENSOR.items() if getattr(sensor, number)}
 
 
 def _foresees(terms: Iterable[DisturbanceTerm], components: Iterable[Signal]) -> bool:

@@ -202,7 +202,7 @@ class RecordedRun:
     @cached_property
     def _true_values(self) -> dict[str, Array | None]:
         """Truth at the estimates' stamps by kind, NaN if unknown."""
-        rated = self.quantities[1].key == "link_velocity"
+        rated = self.quantities[:4] == QUANTITIES[:4]
         return {
             kind: None if series is None else read(series, self.stamps)
             for kind, series, read in (

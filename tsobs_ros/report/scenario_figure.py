@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from tsobs_ros.report.comparison import DIVERGED
+from tsobs_ros.report.comparison import DIVERGED, number_text
 from tsobs_ros.report.scenario_table import BOUNDS, Cell, ScenarioComparison
 from tsobs_ros.style import INK, MUTED, STYLE
 
@@ -46,13 +46,14 @@ def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
         figure = Figure(figsize=(_WIDTH, _FRAME + _ROW * count), layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.subplots()
+        first_bounded = next((row for row in comparison.rows if row.bounds), None)
         for number, row in enumerate(comparison.rows):
             for place, name in enumerate(comparison.observers):
                 height = number + 0.72 * ((place + 0.5) / len(comparison.observers) - 0.5)
                 _draw_observer(axes, name, row.cells[name], height, labelled=number == 0)
             for name, style in zip(BOUNDS, (":", "-"), strict=True):
                 if (bound := row.bounds.get(name)) is not None and bound.typical is not None:
-                    label = name if row is _first_bounded(comparison) else None
+                    label = name if row is first_bounded else None
                     axes.plot(
                         [bound.typical] * 2, [number - 0.42, number + 0.42],
                         color=INK, linestyle=style, linewidth=1.6, label=label,
@@ -82,25 +83,20 @@ def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
         figure.savefig(path, dpi=_DPI, metadata={"Software": None})
 
 
-def _first_bounded(comparison: ScenarioComparison) -> object:
-    return next((row for row in comparison.rows if row.bounds), None)
-
-
 def _draw_observer(axes: Axes, name: str, cell: Cell, height: float, *, labelled: bool) -> None:
     marker, colour = _MARKERS[name]
     label = name if labelled else None
     typical = cell.typical
-    right = axes.get_yaxis_transform()
+    if typical is None or not typical <= 3.0:
+        beyond = f"{number_text(typical)} →" if typical is not None else "no estimate"
+        axes.text(
+            0.995, height, f"{name}: {beyond}", transform=axes.get_yaxis_transform(),
+            ha="right", va="center", fontsize=7.5, color=MUTED,
+        )  # fmt: skip
     if typical is None or not typical <= DIVERGED:
-        text = "no estimate" if typical is None else "diverged"
-        axes.text(0.995, height, f"{name}: {text}", transform=right, ha="right", va="center",
-                  fontsize=7.5, color=MUTED)  # fmt: skip
         axes.plot([], [], marker, color=colour, label=label)
         return
     reach = np.percentile(cell.normalised, (_FEWEST, _MOST))
     axes.plot(reach, [height, height], color=colour, linewidth=1.4, solid_capstyle="butt")
     axes.plot([typical], [height], marker, color=colour, markersize=6.5, label=label,
               markeredgecolor="white", markeredgewidth=0.6)  # fmt: skip
-    if typical > 3.0:
-        axes.text(0.995, height, f"{name}: {typical:.3g} →", transform=right, ha="right",
-                  va="center", fontsize=7.5, color=MUTED)  # fmt: skip
