@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.problem import Request
@@ -146,7 +145,7 @@ def _check_vertex(
     closed = vertex.transition @ (np.eye(K.shape[0]) - K @ problem.flow.output_matrix)
     # With P = L Lᵀ the error map is Lᵀ A (I − K C̄) L⁻ᵀ, and M L⁻ᵀ is the transpose of the
     # solution Z of L Z = Mᵀ.
-    error_map = solve_triangular(root, closed.T @ root, lower=True, check_finite=False).T
+    error_map = np.linalg.solve(root, closed.T @ root).T
     noise_map = root.T @ vertex.transition @ K
     noise = noise_map @ problem.measurement_covariance @ noise_map.T
     noise += root.T @ vertex.noise @ root

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.design.certificate import CertificateReport, check_certificate
@@ -121,9 +120,9 @@ class Design:
         for share in (0.25, 0.5, 0.75, 1.0):  # of a period that the sample is late
             problem = replace(self.request, rate=self.request.rate / share)
             for vertex in problem.vertices():
-                moved = solve_triangular(root, vertex.transition @ root, lower=True)
-                half = solve_triangular(root, vertex.noise, lower=True)
-                noise = solve_triangular(root, half.T, lower=True)
+                moved = np.linalg.solve(root, vertex.transition @ root)
+                half = np.linalg.solve(root, vertex.noise)
+                noise = np.linalg.solve(root, half.T)
                 growth = np.linalg.eigvalsh(moved @ moved.T + (noise + noise.T) / 2)[-1]
                 worst = max(worst, float(growth))
         return math.ceil(1e4 * math.sqrt(worst) * (1.0 + 1e-9)) / 1e4

@@ -14,11 +14,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
 
 from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.matrices import product
+from tsobs_ros.model.matrices import block_diagonal, product
 
 
 @dataclass(frozen=True)
@@ -79,9 +78,9 @@ class DisturbanceModel:
         labels = [model.label for model in (self, other) if model.state_count or model.arbitrary]
         return DisturbanceModel(
             label="+".join(labels) or "clean",
-            S=_block_diag(self.S, other.S),
+            S=block_diagonal(self.S, other.S),
             H=np.hstack([self.H, other.H]),
-            G=_block_diag(self.G, other.G),
+            G=block_diagonal(self.G, other.G),
             initial_std=np.concatenate([self.initial_std, other.initial_std]),
             arbitrary=self.arbitrary or other.arbitrary,
         )
@@ -178,9 +177,9 @@ def per_channel(models: Sequence[DisturbanceModel]) -> DisturbanceModel:
         raise ModelError("per_channel: expected at least one disturbance model")
     return DisturbanceModel(
         label=", ".join(model.label for model in models),
-        S=_block_diag(*(model.S for model in models)),
-        H=_block_diag(*(model.H for model in models)),
-        G=_block_diag(*(model.G for model in models)),
+        S=block_diagonal(*(model.S for model in models)),
+        H=block_diagonal(*(model.H for model in models)),
+        G=block_diagonal(*(model.G for model in models)),
         initial_std=np.concatenate([model.initial_std for model in models]),
         arbitrary=any(model.arbitrary for model in models),
     )

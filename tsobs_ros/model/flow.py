@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
 
 from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.core import native
@@ -37,6 +36,7 @@ from tsobs_ros.model.arm import (
 )
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.linear_flow import LinearFlow
+from tsobs_ros.model.matrices import block_diagonal
 from tsobs_ros.model.prediction import Flow, Transition
 from tsobs_ros.model.uncertainty import EXTERNAL, SINE, TORQUE, Uncertainty
 from tsobs_ros.model.vertices import (
@@ -111,14 +111,14 @@ class ArmFlow(Flow):
         own = 4 + disturbance.state_count
         self.motor_torque, self.link_torque = self._placed(torques, own)
         models = [disturbance] if torque_disturbance is None else [disturbance, torque_disturbance]
-        drift = np.asarray(block_diag(arm.spring_matrix, *(model.S for model in models)))
+        drift = block_diagonal(arm.spring_matrix, *(model.S for model in models))
         drift[MOTOR_VELOCITY, own:] = arm.input_matrix[MOTOR_VELOCITY] * torques[0]
         drift[LINK_VELOCITY, own:] = torques[1] / arm.link_inertia
         known = np.zeros((self.state_count, 1))
         known[:4] = arm.input_matrix
         scale = arm.stiffness / arm.link_inertia
         white = np.diag([0.0, process_noise.link, 0.0, process_noise.motor * (scale * scale)])
-        density = block_diag(white, *(model.noise_density for model in models))
+        density = block_diagonal(white, *(model.noise_density for model in models))
         self._drift = drift
         self.linear = LinearFlow(drift, known, np.asarray(density), self.period)
 

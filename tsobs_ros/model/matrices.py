@@ -32,6 +32,18 @@ def joseph(C: ArrayLike, R: ArrayLike, covariance: ArrayLike, gain: ArrayLike) -
     return congruent(closed, covariance, congruent(gain, R))
 
 
+def block_diagonal(*blocks: ArrayLike) -> Array:
+    """Return a matrix with these ones along its diagonal."""
+    given = [np.asarray(block, np.float64) for block in blocks]
+    result = np.zeros(np.sum([block.shape for block in given], axis=0))
+    row = column = 0
+    for block in given:
+        rows, columns = block.shape
+        result[row : row + rows, column : column + columns] = block
+        row, column = row + rows, column + columns
+    return result
+
+
 def inverse(matrix: ArrayLike) -> Array:
     """Return the inverse of a symmetric positive definite matrix; not finite if it is not."""
     s = np.array(matrix, np.float64)

@@ -26,13 +26,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
 
 from tsobs_ros.checks import Array, as_matrix, positive
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.linear_flow import LinearFlow
+from tsobs_ros.model.matrices import block_diagonal
 from tsobs_ros.model.prediction import Flow, Transition
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty
@@ -85,7 +85,7 @@ class TSFlow(Flow):
         self._mean = mean[:, :n]
         self.deviations = model.rates - mean
         self.directions = self.deviations.shape
-        density = block_diag(np.diag(self.process_noise), disturbance.noise_density)
+        density = block_diagonal(np.diag(self.process_noise), disturbance.noise_density)
         inputs = np.vstack([mean[:, n:], np.zeros((disturbance.state_count, model.input_count))])
         self.linear = LinearFlow(
             self.augmented(self._mean), inputs, np.asarray(density), 0.5 * self.period
@@ -93,7 +93,7 @@ class TSFlow(Flow):
 
     def augmented(self, A: Array) -> Array:
         """Return diag(A, S), shape (n, n), for a state matrix of the plant."""
-        return np.asarray(block_diag(A, self.disturbance.S))
+        return block_diagonal(A, self.disturbance.S)
 
     def transition(self, duration: float) -> Transition:
         """Return the linear flow over half of `duration` [s]."""

@@ -22,10 +22,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
+from tsobs_ros.model.matrices import block_diagonal
 from tsobs_ros.model.ts_model import TSModel
 
 # Reciprocal condition number below which E_L counts as singular.
@@ -106,7 +106,7 @@ class Augmentation:
     def E_L(self) -> Array:
         """Ē + L C̄, shape (n + p, n + p)."""
         n, p = self.state_count, self.output_count
-        return np.asarray(block_diag(np.eye(n), np.zeros((p, p))) + self.L @ self.C_bar)
+        return block_diagonal(np.eye(n), np.zeros((p, p))) + self.L @ self.C_bar
 
     @cached_property
     def E_L_inverse(self) -> Array:

@@ -3,18 +3,20 @@
 """The places of joints' numbers in the topics of an observer and of a simulator."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
-from tsobs_ros.bag.writer import MessageSeries
 from tsobs_ros.checks import Array
 from tsobs_ros.design.signals import Field, Place, Signals, positions
 from tsobs_ros.estimation.records import HEALTH
+from tsobs_ros.series import Stamps
+
+if TYPE_CHECKING:
+    from tsobs_ros.bag.writer import MessageSeries
 
 Places: TypeAlias = Mapping[str, Sequence[Place]]
 """The places of a joint's numbers by topic."""
@@ -93,7 +95,7 @@ class Layout:
         return there
 
     def encode(
-        self, stamps: Times, values: Array, entries: Sequence[int] | None = None
+        self, stamps: Stamps, values: Array, entries: Sequence[int] | None = None
     ) -> NDArray[np.uint8]:
         """Return messages of some entries, a row each; fields in which none has a place are empty.
 
@@ -117,9 +119,9 @@ class Layout:
 class Times3(NamedTuple):
     """Header stamps, log times and publish times of m messages [ns], shape (m,) each."""
 
-    stamps: Times
-    log_times: Times
-    publish_times: Times
+    stamps: Stamps
+    log_times: Stamps
+    publish_times: Stamps
 
     def take(self, places: NDArray[np.intp] | NDArray[np.bool_] | slice) -> "Times3":
         """Return some of them."""
@@ -147,15 +149,18 @@ class EstimateEncoder:
         """Full names of the topics."""
         return tuple(self._prefix + name for name in self._layouts)
 
-    def messages(self, topic: str, at: Times3, values: Sequence[Array]) -> list[MessageSeries]:
+    def messages(self, topic: str, at: Times3, values: Sequence[Array]) -> list["MessageSeries"]:
         """Return messages of what there is.
 
         Args:
             topic: One of `bag.estimate_topics`.
-            at: Times of the messages.
+            at: Stamps of the messages.
             values: Of each joint in the order of `places_of`, NaN for none, shape (m, width);
                 a joint without any may have fewer.
         """
+        # Not above: the observer encodes messages without what files take.
+        from tsobs_ros.bag.writer import MessageSeries
+
         if topic not in self._layouts:
             return []
         layout, found = self._layouts[topic], []
