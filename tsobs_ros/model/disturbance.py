@@ -196,8 +196,3 @@ def _exosystem(
     return DisturbanceModel(
         label, np.array(S), np.array([H]), np.diag(roots), np.array(initial_std)
     )
-
-
-def _block_diag(*blocks: Array) -> Array:
-    # SciPy's keeps the rows and columns of empty blocks, which "clean" relies on.
-    return np.asarray(block_diag(*blocks), dtype=np.float64)
