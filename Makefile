@@ -9,8 +9,8 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
 SOURCES := setup.py setup.cfg pyproject.toml package.xml \
   $(wildcard config/*.yaml examples/*.py tsobs_ros/core/*.[ch])
-# What the demo and the tutorial need, and everything that the README shows; tests need more.
-DEMO_EXTRAS ?= report,design,watch
+# What the demo needs, and everything that the README shows; tests need more.
+DEMO_EXTRAS ?= report,watch
 EXTRAS := design,report,export,campaign,watch
 # The NumPy that a ROS found was built for; another one breaks its messages.
 NUMPY = $$(test -s $(VENV)/.ros || $(BIN)/python -c 'import numpy; print("numpy==" + numpy.__version__)')
@@ -45,9 +45,9 @@ help: ## Say what can be made
 
 demo: $(VENV)/.demo ## Simulate the arm, observe it, record, and report (DEMO_ARGS=…)
 	@$(BIN)/tsobs demo $(DEMO_ARGS)
-	@echo "the tsobs command is in $(BIN): source $(BIN)/activate, then try" \
-	  "tsobs design config/elastic_joint.request.yaml --output my_arm.design.yaml" >&2
-	@echo "Parquet files and campaigns take more: pip install -e '.[export,campaign]'" >&2
+	@echo "the tsobs command is in $(BIN): source $(BIN)/activate" >&2
+	@echo "Designs, Parquet files and campaigns take more: pip install -e" \
+	  "'.[design,export,campaign]'" >&2
 
 test: lint ## Lint, check types and run the tests, but for those marked slow (PYTEST_ARGS=…)
 	$(BIN)/pytest -m "not slow" $(PYTEST_ARGS)

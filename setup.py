@@ -136,7 +136,6 @@ setup(
     # Never rclpy: a sourced ROS provides it without pip's knowledge, and wheels would outrank it.
     install_requires=[
         "numpy>=1.26",
-        "scipy",
         "pyyaml",
         "msgspec>=0.18.5",  # the first with wheels for Python 3.12
         "mcap>=1.5",
@@ -145,7 +144,11 @@ setup(
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
-        "design": ["cvxpy-base", "clarabel"],  # cvxpy adds 150 MB of solvers that are not used
+        "design": [
+            "cvxpy-base",
+            "clarabel",
+            "scipy",
+        ],  # cvxpy adds 150 MB of solvers that are not used
         "report": ["matplotlib", "plotly", "tqdm", "mcap-ros2-support"],
         "export": ["mcap-ros2-support", "pyarrow"],
         "campaign": ["distributed", "pyarrow", "tqdm"],
@@ -162,6 +165,7 @@ setup(
             "pytest-xdist",
             "rosbags",
             "ruff>=0.17,<0.18",
+            "scipy",
             "setuptools>=70.1",  # tests build wheels without network
         ],
     },

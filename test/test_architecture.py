@@ -180,6 +180,23 @@ def test_a_violation_is_found(path: str, source: str, message: str) -> None:
     assert message in violation
 
 
+def test_the_nodes_of_a_robot_need_numpy_and_a_yaml_reader_alone() -> None:
+    """With what rosdep gets from Ubuntu's apt they start, observe and draw."""
+    code = (
+        f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r})\n"
+        "sys.modules.update(dict.fromkeys(('scipy', 'msgspec', 'mcap', 'zstandard', 'lz4')))\n"
+        "import rclpy\n"
+        "from tsobs_ros.nodes import observer, plant_simulator, visualizer\n"
+        "rclpy.init()\n"
+        "nodes = [each.create() for each in (observer, plant_simulator, visualizer)]\n"
+        "assert all(each.active for each in nodes)\n"
+        "for each in nodes: each.close()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.mark.parametrize(
     ("blocked", "parts"),
     [

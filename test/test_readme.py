@@ -73,6 +73,7 @@ NOT_RUN = {
     "export ROS_SECURITY_": "Fast DDS of the wheels has no security",
     "tsobs demo --duration 60 ": "minutes; demo runs on another page",
     "python3 -m pip ": "the network",
+    "pip install ": "the network",
     "CORE=": "this core",
     "cc ": "test_c_programs.py runs it",
     "./step_log ": "test_c_programs.py runs it",

@@ -12,13 +12,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-_BASE = ("scipy", "pyyaml", "msgspec>=0.18.5", "mcap>=1.5", "zstandard", "lz4")
-_DESIGN = ("cvxpy-base", "clarabel")
+_BASE = ("pyyaml", "msgspec>=0.18.5", "mcap>=1.5", "zstandard", "lz4")
+_DESIGN = ("cvxpy-base", "clarabel", "scipy")
 _REPORT = ("matplotlib", "plotly", "tqdm", "mcap-ros2-support")
 LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "rclpy": ("ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"),
-    **dict.fromkeys(("numpy", "scipy", "yaml", "msgspec", "mcap", "zstandard", "lz4"), _BASE),
-    **dict.fromkeys(("cvxpy", "clarabel"), _DESIGN),
+    **dict.fromkeys(("numpy", "yaml", "msgspec", "mcap", "zstandard", "lz4"), _BASE),
+    **dict.fromkeys(("cvxpy", "clarabel", "scipy"), _DESIGN),
     **dict.fromkeys(("matplotlib", "plotly", "tqdm", "mcap_ros2"), _REPORT),
     "pyarrow": ("pyarrow", "mcap-ros2-support"),
     "rich": ("rich",),
