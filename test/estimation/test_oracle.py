@@ -520,7 +520,7 @@ def test_one_filter_is_that_of_the_formulas(name: str, gain_mode: GainMode) -> N
     p, m, rng = len(plan.C), system.flow.input_count, np.random.default_rng(5)
     oracle, rest, sensors, state = Filter(plan), Rest(plan), Sensors(plan), observer.initial()
     gains = []
-    for step in range(150):
+    for step in range(100):
         y = drawn(oracle, np.ones(p), rng, 3.0)  # of what moves enough to be learnt from
         if step % 40 == 35 and p > 1:
             y[step // 40 % p] = np.nan
@@ -593,7 +593,7 @@ def test_the_bank_is_bayes_rule_over_filters(name: str) -> None:
         each.score = -2.0 * (each.kind % 3)
     state, rest, sensors = begin(observer, filters), Rest(plan), Sensors(plan)
     led = set()
-    for step in range(70):
+    for step in range(55):
         best = max(filters, key=lambda each: each.score)
         led.add(best.kind)
         # As it expects, and then louder.

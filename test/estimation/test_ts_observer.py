@@ -20,7 +20,7 @@ from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.resources import config_path
 
 Array = NDArray[np.float64]
-RUNS, NOISE = 1000, np.array([0.01, 0.02])
+RUNS, NOISE = 500, np.array([0.01, 0.02])
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def campaign(pendulum: Design, runge_kutta: Callable[..., Array]) -> Campaign:
     design["x"][:, :3] = np.hstack([x, bias]) + start
     design["settling"], design["certified"] = 0.0, 1
     errors, widest = [], 0.0
-    for k in range(800):
+    for k in range(400):
         widest = max(widest, float(np.abs(x[:, 0]).max()))
         if k % 100 == 99:
             errors.append(state.x - np.hstack([x, bias]))
@@ -76,13 +76,13 @@ def test_the_covariance_of_the_errors_stays_below_the_bound_which_is_not_idle(
     campaign: Campaign, pendulum: Design
 ) -> None:
     """For samples whose covariance is X the largest eigenvalue of X⁻¹cov(e) tends to
-    (1 + √(3/1000))² = 1.11, with a deviation of about 0.03.
+    (1 + √(3/500))² = 1.16, with a deviation of about 0.04.
     """
     assert 0.9 < campaign.widest < 1.2
     root = np.linalg.cholesky(pendulum.P)
     for errors in campaign.errors:
         spread = root.T @ (errors.T @ errors / RUNS) @ root
-        assert np.linalg.eigvalsh(spread)[-1] < 1.2
+        assert np.linalg.eigvalsh(spread)[-1] < 1.3
     share = np.sqrt((campaign.errors**2).mean(axis=(0, 1))) / pendulum.bound_std
     assert (share > 0.7).all()
     assert (share < 1.03).all()
