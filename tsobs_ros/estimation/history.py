@@ -158,18 +158,6 @@ class History:
         """
         native.history_advance(*self._records, *arguments)
 
-    def copy_to(self, other: "History") -> None:
-        """Copy to a history of the same sizes, without the states that are forgotten."""
-        memory = self.memory[0]
-        first, length, slots = int(memory["first"]), int(memory["length"]), len(self.ring) - SPARE
-        other.memory[:] = self.memory
-        for used in (
-            slice(first, min(first + length, slots)),
-            slice(0, max(0, first + length - slots)),
-            slice(slots, slots + 1),  # the state in a gap
-        ):
-            other.ring[used] = self.ring[used]
-
     def forget(self) -> None:
         """Forget all measurements, but not the counts."""
         if (last := self.last) is not None:
