@@ -314,10 +314,27 @@ class FileWalker:
                 return part
             is_bare = opcode == Opcode.MESSAGE and channel in self._bare_channels
             if is_bare and end <= self._written_end:
-                return part._replace(content=split_records(self._bytes(at, part.size)))
+                return self._read_run(part)
             if opcode == Opcode.ATTACHMENT or opcode >= 0x80:
                 return part
         raise RecordError("not a record")
+
+    def _read_run(self, first: Part) -> Part:
+        """Return a message outside of chunks and those behind it."""
+        block = self._bytes(first.at, max(first.size, _BLOCK_SIZE))
+        last, end = 0, first.size
+        stop = min(len(block), self._written_end - first.at)
+        while end + MESSAGE.size <= stop:
+            opcode, length, channel, _, _, _ = MESSAGE.unpack_from(block, end)
+            following = end + RECORD.size + length
+            if opcode != Opcode.MESSAGE or channel not in self._bare_channels:
+                break
+            if length < MESSAGE.size - RECORD.size or following > stop:
+                break
+            last, end = end, following
+        if last and not self._starts_record(first.at + end):
+            end = last
+        return first._replace(size=end, content=split_records(block[:end]))
 
     def _starts_record(self, at: int) -> bool:
         """Whether there may be a record, even one that is cut off, or the end."""
