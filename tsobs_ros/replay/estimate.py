@@ -449,7 +449,8 @@ def run_all(
                 def run(one: Run, window: Window = window) -> list[MessageSeries]:
                     return one.run(window, encode=write is not None)
 
-                made = list(chain.from_iterable(pool.map(run, runs)))
+                each = pool.map(run, runs) if len(runs) > 1 else map(run, runs)
+                made = list(chain.from_iterable(each))
                 if write is not None:
                     write(made, window.horizon)
                 progress(window.samples.count * len(runs))
