@@ -57,6 +57,8 @@ _ARMS_ONLY = ("ekf_plain", "ekf_augmented", "high_gain", "proportional_integral"
 class ObserverSettings:
     """How an observer is run, live and offline: all that decides numbers.
 
+    The observer's `--help` and the reference of its parameters describe each of them.
+
     Raises:
         ParameterError: A value is out of range, or there is no such method.
     """

@@ -245,17 +245,21 @@ def test_messages_of_any_joints_in_any_order_give_each_joint_what_it_has_alone(
 
 
 @pytest.mark.parametrize(
-    ("method", "disturbed"),
-    [("paper", True), ("high_gain", False), ("proportional_integral", False)],
+    ("method", "others"),
+    [
+        ("paper", {"disturbance"}),
+        ("high_gain", set()),
+        ("ekf", {"disturbance", "error_bound", "disturbance_bound"}),
+    ],
 )
-def test_methods_to_compare_with_publish_no_bound(
-    stage: Stage, method: str, disturbed: bool
+def test_methods_to_compare_with_publish_what_they_have(
+    stage: Stage, method: str, others: set[str]
 ) -> None:
     stage.add(method=method)
     stage.step(BEGIN - PERIOD)
     stage.play(samples(0, 60))
     topics = {each.topic for each in stage.watcher.published}
-    assert topics == {"joint_states", "innovation"} | ({"disturbance"} if disturbed else set())
+    assert topics == {"joint_states", "innovation"} | others
 
 
 def test_a_numerical_failure_is_an_error_and_a_fresh_start_of_its_joint(
