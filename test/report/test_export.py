@@ -52,10 +52,8 @@ def array(length: int) -> Any:
 
 
 def joint_state(names: list[str], position: list[float]) -> Any:
-    empty, angles = np.zeros(0), np.array(position, dtype=np.float64)
-    return made(
-        JOINT_STATE, header=header(), name=names, position=angles, velocity=empty, effort=empty
-    )
+    numbers = {"position": np.array(position), "velocity": np.zeros(0), "effort": np.zeros(0)}
+    return made(JOINT_STATE, header=header(), name=names, **numbers)
 
 
 @pytest.fixture
