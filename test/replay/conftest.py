@@ -17,7 +17,7 @@ from tsobs_ros.bag.tick_log import TICK_LOG
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
-from tsobs_ros.replay.designs import DIAGNOSTICS, STRING
+from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -27,7 +27,7 @@ PERIOD = 5_000_000
 LATENCY = 300_000
 JOINTS = ("elbow", "wrist")
 
-TYPES = {"design": STRING, "diagnostics": DIAGNOSTICS, "ticks": TICK_LOG}
+TYPES = {"design": STRING, "ticks": TICK_LOG}
 
 Message = tuple[str, bytes, int]
 """Topic, data and log time, which is the publish time too."""

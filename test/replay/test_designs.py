@@ -21,7 +21,6 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.replay.designs import DIAGNOSTICS
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 SHIPPED, FIXED = (str(config_path(name)) for name in (SHIPPED_DESIGN, FIXED_DESIGN))
@@ -57,20 +56,6 @@ def record(*designs: str, joints: tuple[str, ...] = ("elbow",), **parameters: An
     files = [load_design_file(each) for each in designs]
     known = ObserverSettings().as_parameters() | parameters
     return encode_text(record_text("/joint_measurements", joints, files, known))
-
-
-def diagnostics(node: str, design: str, sha256: str, joint: str) -> bytes:
-    def value(key: str, text: str) -> Any:
-        return TYPES.types["diagnostic_msgs/msg/KeyValue"](key=key, value=text)
-
-    status = TYPES.types["diagnostic_msgs/msg/DiagnosticStatus"](
-        level=0, name=f"{node}: certificate", message="holds", hardware_id=joint,
-        values=[value("design", design), value("design sha256", sha256)],
-    )  # fmt: skip
-    stamp = TYPES.types["builtin_interfaces/msg/Time"](sec=1, nanosec=2)
-    header = TYPES.types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-    message = TYPES.types[DIAGNOSTICS](header=header, status=[status])
-    return bytes(TYPES.serialize_cdr(message, DIAGNOSTICS))
 
 
 def test_each_joint_is_estimated_as_live_with_its_own_design_and_parameters(
@@ -123,28 +108,6 @@ def test_a_report_is_of_one_joint_and_names_those_there_are(
         assert report["joint"] == joint
         known = load_design_file(file)
         assert report["design"] == {"file": known.name, "sha256": known.sha256}
-
-
-def test_a_bag_without_records_falls_back_on_diagnostics(
-    arms: Any, write_bag: Callable[..., Path], soft: str, capsys: Any
-) -> None:
-    """Bags of earlier versions have the checksums alone."""
-    for name, file in (("shipped", FIXED), ("unknown", soft)):
-        known = load_design_file(file)
-        data = diagnostics("observer", "/robot/my.yaml", known.identity, "elbow")
-        messages = [*arms.messages(50), ("/diagnostics", data, START), ("/diagnostics", b"", START)]
-        bag = write_bag(messages, name)
-        if name == "shipped":
-            assert estimate(bag) == 0
-            assert f"design {FIXED} ({known.identity})" in capsys.readouterr().out
-            assert estimate(bag, "--design", SHIPPED) == 1
-        else:
-            assert estimate(bag) == 1
-            line = capsys.readouterr().err
-            assert f"ran /robot/my.yaml (SHA-256 {known.identity}) for elbow" in line
-            assert "neither in the bag nor shipped; name that file with --design" in line
-            assert estimate(bag, "--design", soft) == 0
-        capsys.readouterr()
 
 
 def test_a_live_run_of_unknown_design_is_estimated_with_a_warning(

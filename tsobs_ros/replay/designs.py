@@ -1,31 +1,23 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The designs of a recorded observer, and the choice between them and those that are named.
-
-A bag has them on the observer's topic `design`; one from before there was that topic has their
-checksums on /diagnostics.
-"""
+"""The designs of a recorded observer, and the choice between them and those that are named."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain, islice
 from pathlib import Path
 from typing import NamedTuple
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import CdrReader
-from tsobs_ros.bag.diagnostics import DIAGNOSTICS, read_statuses
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.design.file import IDENTITY_LENGTH, DesignFile, checksum, load_design_file
 from tsobs_ros.design.published import Value, read_record
 from tsobs_ros.errors import BagReadError, DesignFileError, MessageError, TsobsError
 from tsobs_ros.methods import SETTING_NAMES, ObserverSettings
-from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 STRING = "std_msgs/msg/String"
 
-# /diagnostics of other nodes come in between the observer's.
-_FIRST, _LAST = 200, 50
 _MAX_RECORDS = 100
 
 
@@ -34,20 +26,16 @@ class RanDesign(NamedTuple):
 
     Attributes:
         file: Its path where it ran.
-        sha256: Its checksum, or the beginning of that.
-        text: Its content, None if the bag does not have it.
+        sha256: Its checksum.
+        text: Its content.
     """
 
     file: str
     sha256: str
-    text: str | None = None
+    text: str
 
     def __str__(self) -> str:
         return f"{self.file:.200} (SHA-256 {self.sha256:.{IDENTITY_LENGTH}})"
-
-    def equals(self, file: DesignFile) -> bool:
-        """Return whether it is a file's content."""
-        return len(self.sha256) >= IDENTITY_LENGTH and file.sha256.startswith(self.sha256)
 
 
 @dataclass(frozen=True)
@@ -100,19 +88,14 @@ def recorded_observer(reader: BagReader, name: str) -> RecordedObserver:
     Raises:
         BagReadError: Its topic `design` has something else.
     """
-    for topic, kind, read in (
-        (f"{name}/{topics.DESIGN}", STRING, _of_records),
-        ("/diagnostics", DIAGNOSTICS, _of_diagnostics),
-    ):
-        info = reader.topics.get(topic)
-        if info is not None and info.type == kind and info.count:
-            try:
-                found = read(reader, topic, name)
-            except (MessageError, DesignFileError) as error:
-                raise BagReadError(f"{reader.path}: {topic}: {error}") from error
-            if found is not None:
-                return found
-    return RecordedObserver()
+    topic = f"{name}/{topics.DESIGN}"
+    info = reader.topics.get(topic)
+    if info is None or info.type != STRING or not info.count:
+        return RecordedObserver()
+    try:
+        return _of_records(reader, topic)
+    except (MessageError, DesignFileError) as error:
+        raise BagReadError(f"{reader.path}: {topic}: {error}") from error
 
 
 def choose_designs(
@@ -134,8 +117,7 @@ def choose_designs(
         others_allowed: Whether the files that are given may be others than those that it ran.
 
     Raises:
-        DesignFileError: A file is no design, is not the one that the observer ran, or the one that
-            it ran is not known here.
+        DesignFileError: A file is no design, is not the one that the observer ran.
         BagReadError: The bag's own design is none.
     """
     own = dict(argument.split("=", 1) for argument in given if "=" in argument)
@@ -155,7 +137,7 @@ def choose_designs(
         file = loaded[path] if path in loaded else load_design_file(path)
         loaded[path] = file
         for each in ran.designs.get(joint, ()):
-            if not (others_allowed or each.equals(file)):
+            if not (others_allowed or each.sha256 == file.sha256):
                 raise DesignFileError(
                     f"--design {path} (SHA-256 {file.identity}): the observer of {bag} ran {each} "
                     f"for {joint}; leave --design out to use that one, or add --other-design to "
@@ -200,15 +182,6 @@ def _recorded(
             f"with --design FILE --other-design"
         )
     (one,) = designs
-    if one.text is None:
-        for name in (SHIPPED_DESIGN, FIXED_DESIGN):
-            shipped = load_design_file(config_path(name))
-            if one.equals(shipped):
-                return shipped
-        raise DesignFileError(
-            f"{bag}: its observer ran {one} for {joint}, which is neither in the bag nor shipped; "
-            f"name that file with --design"
-        )
     if one.text not in loaded:
         try:
             loaded[one.text] = load_design_file(f"{one.file:.200}", one.text)
@@ -217,7 +190,7 @@ def _recorded(
     return loaded[one.text]
 
 
-def _of_records(reader: BagReader, topic: str, _name: str) -> RecordedObserver | None:
+def _of_records(reader: BagReader, topic: str) -> RecordedObserver:
     texts: dict[str, None] = {}
     for message in reader.messages([topic]):
         texts[CdrReader(message.data).text("data")] = None
@@ -245,24 +218,6 @@ def _of_records(reader: BagReader, topic: str, _name: str) -> RecordedObserver |
     return RecordedObserver(
         topic, _by_joint(pairs), first.parameters, first.measurements, tuple(remarks)
     )
-
-
-def _of_diagnostics(reader: BagReader, topic: str, name: str) -> RecordedObserver | None:
-    assert reader.end_time is not None
-    # Those in between would take long to read, and tell nothing but a restart.
-    messages = chain(
-        islice(reader.messages([topic]), _FIRST),
-        reader.last_before(reader.end_time + 1, [topic], _LAST),
-    )
-    pairs = []
-    for message in messages:
-        for status in read_statuses(message.data):
-            if status.name[0] == name.strip("/") and status.name[-1] == "certificate":
-                values = status.values
-                ran = RanDesign(values.get("design", ""), values.get("design sha256", ""))
-                pairs += [(status.hardware, ran)] if ran.sha256 else []
-    designs = _by_joint(pairs)
-    return RecordedObserver(topic, designs) if designs else None
 
 
 def _by_joint(pairs: Iterable[tuple[str, RanDesign]]) -> dict[str, tuple[RanDesign, ...]]:
