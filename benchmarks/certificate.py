@@ -23,6 +23,7 @@ from common import at_least, design_of, parser, show, use_one_thread
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
+from tsobs_ros.estimation.records import Basis
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.plant import Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor
@@ -114,7 +115,7 @@ def _campaign(
             y = part.measurements[:, : index + 1].copy()
             y[:, index] = np.nan
             known = observer.observe(y, part.torques[:, : index + 1], start=start)
-            assert known.certified.all()
+            assert (known.basis == Basis.CERTIFIED).all()
             last = [arm.from_physical(known.state[:, index]), known.disturbance[:, index]]
             errors.append((truth[:, index] - np.hstack(last)) / scale.sensor)
             angles = (truth[:, : index + 1, 0], known.state[..., 0])

@@ -176,21 +176,6 @@ def test_after_a_gap_the_history_is_empty_again() -> None:
     assert feed(gap, nothing, 3.0, begin=26.0)[-1].kind is FaultKind.NONE
 
 
-def test_the_status_has_the_fault_in_words_and_numbers() -> None:
-    monitor = FaultMonitor(STD)
-    assert monitor.status(0).message == "none"
-    fault = feed(monitor, lambda t: 0.3 * math.sin(3.0 * t), 20.0)[-1]
-    assert fault.since is not None
-    status = monitor.status(fault.since + 12_340_000_000)
-    assert status.values["since"] == "for 12.3 s"
-    assert status[:3] == ("sensor fault", Level.WARN, "oscillation")
-    assert status.values["frequency [rad/s]"] == f"{fault.frequency:.4g}"
-    assert status.values["magnitude [rad]"] == f"{fault.magnitude:.4g}"
-    assert "rate [rad/s]" not in status.values
-    feed(monitor, lambda t: 0.02 * t, 20.0, begin=40.0)
-    assert monitor.status(0).values["rate [rad/s]"] == f"{monitor.fault.rate:.4g}"
-
-
 @pytest.mark.parametrize(
     ("kind", "scenario"),
     [
