@@ -108,7 +108,8 @@ class Listener:
     @staticmethod
     def core(count: int, seed: int = 0, **changes: Any) -> list[Sample]:
         """Return the samples that a simulator with such parameters must publish."""
-        plant = Plant(PlantSimulatorParameters(**changes).scenario(), seed)
+        (scenario,) = PlantSimulatorParameters(**changes).scenarios().values()
+        plant = Plant(scenario, seed)
         return [plant.step() for _ in range(count)]
 
     @staticmethod

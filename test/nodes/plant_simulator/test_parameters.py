@@ -64,7 +64,7 @@ def test_senseless_sets_are_refused_with_a_reason(
     ("overrides", "reason"),
     [
         ({"rate": -1.0}, "rate"),
-        ({"initial_state": [0.1, 0.2]}, "initial_state: expected four"),
+        ({"initial_state": [0.1, 0.2]}, "initial_state: expected 4"),
         ({"mismatch__stiffness": -1.0}, "mismatch stiffness"),
         ({"arm__link_inertia": 0.0}, "link_inertia"),
         ({"excitation__kind": "triangle"}, "excitation.kind"),
@@ -114,7 +114,7 @@ def test_parameters_describe_arms_sensors_and_torques_that_no_design_foresees(ro
         parameter_overrides=overrides,
         automatically_declare_parameters_from_overrides=True,
     )
-    scenario = ParameterBinding(node, PlantSimulatorParameters).value.scenario()
+    (scenario,) = ParameterBinding(node, PlantSimulatorParameters).value.scenarios().values()
     sensor = Sensor(
         noise_std=0.05,
         outlier_probability=0.02,
@@ -136,4 +136,5 @@ def test_parameters_describe_arms_sensors_and_torques_that_no_design_foresees(ro
     assert scenario.friction == Friction(0.1, 0.05, 0.3, 0.15)
     assert scenario.excitation == Constant(4.5)
     assert scenario.torque_error == (Pulses(50.0, 2.0, 0.01, 4.0),)
-    assert PlantSimulatorParameters().scenario().torque_error == ()
+    (default,) = PlantSimulatorParameters().scenarios().values()
+    assert default.torque_error == ()

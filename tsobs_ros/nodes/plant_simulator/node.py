@@ -11,12 +11,12 @@ node itself, which then publishes /clock (publish_clock) ahead of each sample.
 
 import math
 from collections.abc import Iterator
-from fractions import Fraction
 from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 
+from tsobs_ros.bag.playback import Ticks, Timeline
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
@@ -66,11 +66,11 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._publish_sample = SamplePublisher(self, parameters)
         self._commands = TorqueCommands(self, parameters)
         self.offer_triggers({"reset": self._reset})
-        self._schedule = SampleSchedule(parameters.sample_rate)
-        self._driven: ScaledTime | None = None
+        self._schedule = Ticks(parameters.sample_rate)
+        self._schedule.start(_DRIVEN_START if parameters.publish_clock else 0)
+        self._driven: Timeline | None = None
         if parameters.publish_clock:
-            self._driven = ScaledTime(parameters.real_time_factor)
-            self._schedule.start(_DRIVEN_START)
+            self._driven = Timeline(_DRIVEN_START, parameters.real_time_factor)
         else:
             jumps = self.get_clock().create_jump_callback(_BACKWARD, post_callback=self._tick)
             self.at_cleanup(jumps.unregister)
@@ -140,8 +140,9 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             return
         self.destroy_timer(self._start_timer)
         if self._driven is not None:
-            self._driven.start(self._steady_ns(), self._schedule.next_stamp)
-        elif self._schedule.lag(now := self._now_ns()) > 0:
+            self._driven.anchor(self._schedule.due, self._steady_ns())
+            self._driven.paused = False
+        elif (now := self._now_ns()) > self._schedule.due:
             self._schedule.start(now)
         what = "going on" if self._index else "started"
         subscribers = self._publish_sample.subscribers
@@ -154,48 +155,20 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
     def _is_subscribed(self, waited: int) -> bool:
         wanted, there = self._settings.wait_for_subscribers, self._publish_sample.subscribers
-        if there >= wanted:
-            return True
         timeout = self._settings.wait_timeout
-        if timeout == 0.0 or waited < timeout * NANOSECONDS:
-            return False
-        self.get_logger().warning(
-            f"starting with {there} of {wanted} subscriptions of joint_measurements "
-            f"after {timeout:g} s"
-        )
-        return True
+        is_over = timeout > 0.0 and waited >= timeout * NANOSECONDS
+        if there < wanted and is_over:
+            self.get_logger().warning(
+                f"starting with {there} of {wanted} subscriptions of joint_measurements "
+                f"after {timeout:g} s"
+            )
+        return there >= wanted or is_over
 
     def _tick(self, _jump: Any = None) -> None:
         """Publish every sample that is due and sleep until the next one is."""
         now = self._now_ns()
-        if self._timer is None or self._went_back(now):
+        if self._timer is None or now == 0:
             return
-        self._latest = now
-        self._commands.take(self._index)
-        now = self._limit_lag(now)
-        while not self._is_over and (stamp := self._schedule.take(now)) is not None:
-            torques = self._commands.at(self._index)
-            samples = [
-                plant.step(torque) for plant, torque in zip(self._plants, torques, strict=True)
-            ]
-            self._publish_sample(stamp, samples)
-        if self._is_over:
-            self._timer.cancel()
-            return
-        self._sleep()
-
-    def _sleep(self) -> None:
-        """Wake up again when the next sample is due."""
-        wait = self._schedule.next_stamp - self._now_ns()
-        if self._driven is not None:
-            wait = math.ceil(wait / self._settings.real_time_factor)
-        self._timer.timer_period_ns = max(wait, 1)
-        self._timer.reset()
-
-    def _went_back(self, now: int) -> bool:
-        """Restart if the clock went back, and return whether there is no time yet."""
-        if now == 0:
-            return True
         back = self._latest - now
         if back > (0 if self._follows_clock else _SLEW_MARGIN):
             self.get_logger().warning(
@@ -203,11 +176,31 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             )
             self._new_plant()
             self._schedule.start(now)
-        return False
+        self._latest = now
+        self._commands.take(self._index)
+        now = self._limit_lag(now)
+        while not self._is_over and now >= self._schedule.due:
+            torques = self._commands.at(self._index)
+            samples = [
+                plant.step(torque) for plant, torque in zip(self._plants, torques, strict=True)
+            ]
+            self._publish_sample(self._schedule.take(), samples)
+        if self._is_over:
+            self._timer.cancel()
+        else:
+            self._sleep()
+
+    def _sleep(self) -> None:
+        """Wake up again when the next sample is due."""
+        wait = self._schedule.due - self._now_ns()
+        if self._driven is not None:
+            wait = math.ceil(wait / self._settings.real_time_factor)
+        self._timer.timer_period_ns = max(wait, 1)
+        self._timer.reset()
 
     def _limit_lag(self, now: int) -> int:
         """Give up catching up after too long a stop; return the time to publish up to."""
-        lag = self._schedule.lag(now)
+        lag = now - self._schedule.due
         pace = 1.0 if self._driven is None else self._settings.real_time_factor
         if lag <= _LONGEST_LAG * max(1.0, pace):
             return now
@@ -215,12 +208,12 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             f"{lag / NANOSECONDS:.3f} s behind: going on from here",
             throttle_duration_sec=_WARN_EVERY,
         )
-        if self._driven is not None:
-            self._driven.hold_back(lag)
-            self._latest = now - lag
-            return self._latest
-        self._schedule.start(now)
-        return now
+        if self._driven is None:
+            self._schedule.start(now)
+            return now
+        self._latest = now - lag
+        self._driven.anchor(self._latest, self._steady_ns())
+        return self._latest
 
     def _new_plant(self) -> None:
         self._plants = plants_of(self._settings)
@@ -267,21 +260,20 @@ def exchange(plant: Plant, old: PlantScenario, new: PlantScenario) -> Iterator[s
         What is disturbed otherwise from the next sample on.
     """
     former, signals = old.signals, new.signals
-    pairs = zip(former.outputs, signals.outputs, strict=True)
-    for place, (before, after) in enumerate(pairs):
-        if after.disturbance != before.disturbance:
+    for place, after in enumerate(signals.outputs):
+        if after.disturbance != former.outputs[place].disturbance:
             plant.exchange_disturbance(after.disturbance, place)
-            yield f"disturbance of {after.measures} is now {kinds_of(after.disturbance)}"
+            yield f"disturbance of {after.measures} is now {_kinds_of(after.disturbance)}"
         plant.exchange_sensor(after.sensor, place)
-    for side, (was, now) in enumerate(zip(former.torques, signals.torques, strict=True)):
-        if now != was:
-            plant.exchange_torque_disturbance(now, side)
-            yield f"torque disturbance of the {SIDES[side]} is now {kinds_of(now)}"
+    for side, torque in enumerate(signals.torques):
+        if torque != former.torques[side]:
+            plant.exchange_torque_disturbance(torque, side)
+            yield f"torque disturbance of the {SIDES[side]} is now {_kinds_of(torque)}"
     for place, excitation in enumerate(signals.inputs):
         plant.exchange_excitation(excitation, place)
 
 
-def kinds_of(components: tuple[Signal, ...]) -> str:
+def _kinds_of(components: tuple[Signal, ...]) -> str:
     """Return the kinds of components as a parameter has them."""
     return "+".join(each.kind for each in components) or "none"
 
@@ -289,53 +281,3 @@ def kinds_of(components: tuple[Signal, ...]) -> str:
 def create(**node_kwargs: Any) -> PlantSimulatorNode:
     """Return the node, for the runtime or any executor."""
     return PlantSimulatorNode(**node_kwargs)
-
-
-class SampleSchedule:
-    """The stamps t₀ + k/rate, each once, in order, when they are due; rate in Hz.
-
-    Each k/rate is rounded to a nanosecond alone, so no error adds up.
-    """
-
-    def __init__(self, rate: float) -> None:
-        self._period = NANOSECONDS / Fraction(rate)
-        self.start(0)
-
-    def start(self, now: int) -> None:
-        """Make `now` [ns] the stamp of the next sample, and t₀."""
-        self._anchor = now
-        self._index = 0
-        self.next_stamp = now
-
-    def lag(self, now: int) -> int:
-        """Return by how much [ns] the next sample is late; negative if it is not due yet."""
-        return now - self.next_stamp
-
-    def take(self, now: int) -> int | None:
-        """Return the stamp [ns] of the next sample if it is due, and go on to the one after."""
-        if now < self.next_stamp:
-            return None
-        stamp = self.next_stamp
-        self._index += 1
-        self.next_stamp = self._anchor + round(self._index * self._period)
-        return stamp
-
-
-class ScaledTime:
-    """A time that passes by a factor faster than a steady one, and can be held back."""
-
-    def __init__(self, factor: float) -> None:
-        self._factor = factor
-        self.start(0, 0)
-
-    def start(self, steady: int, time: int) -> None:
-        """Begin at `time` [ns] when the steady time is `steady` [ns]."""
-        self._steady, self._time = steady, time
-
-    def at(self, steady: int) -> int:
-        """Return the time [ns] at a steady time [ns]."""
-        return self._time + int((steady - self._steady) * self._factor)
-
-    def hold_back(self, amount: int) -> None:
-        """Turn the time back by an amount [ns] that was lost."""
-        self._time -= amount

@@ -7,7 +7,7 @@ its process noise. A joint without is the one arm of the parameters, with an enc
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ParameterError, TsobsError
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import design_paths
 from tsobs_ros.nodes.plant_simulator.scenarios import scenarios_of
@@ -24,35 +25,48 @@ from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch, Scenario
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
+    EXCITATIONS,
+    KINDS,
     BiasStep,
-    Chirp,
-    Constant,
     GaussMarkov,
-    Multisine,
-    NoTorque,
     Pulses,
     Ramp,
     Signal,
-    Sine,
     Sinusoid,
-    Square,
     StuckSensor,
     TwoTone,
+    numbers_of,
     parse_kinds,
 )
 from tsobs_ros.simulation.systems import SystemScenario
 
+_ARM = {
+    "link_inertia": (1.0, "Link inertia J1", "kg m^2"),
+    "motor_inertia": (2.0, "Motor inertia J2", "kg m^2"),
+    "stiffness": (10.0, "Joint stiffness k", "N m/rad"),
+    "gravity_torque": (10.0, "Torque mgl that holds the link horizontal", "N m"),
+    "link_damping": (0.0, "Link damping b1", "N m s/rad"),
+    "motor_damping": (0.0, "Motor damping b2", "N m s/rad"),
+}
+"""Default, description and unit of each parameter of an arm."""
 
-def _start() -> Any:
-    return live_setting(0.0, "Start, counted from when the disturbance was put in", unit="s")
 
-
-@dataclass(frozen=True)
-class StuckParameters:
-    """A measured value that freezes."""
-
-    start: float = _start()
-    duration: float = live_setting(1.0, "How long; 0 for ever", unit="s", minimum=0.0)
+def _numbers(
+    kind: type[Signal], unit: str = "rad", live: bool = True, **defaults: float
+) -> dict[str, Any]:
+    """Return a signal's numbers as settings; its values have the unit."""
+    units = {"": unit, "1/s": f"{unit}/s"}
+    return {
+        name: setting(
+            defaults.get(name, number.default),
+            number.description,
+            unit=units.get(number.unit, number.unit),
+            # What must be above a bound is checked by the signal.
+            minimum=None if number.above else number.minimum,
+            live=live,
+        )
+        for name, number in numbers_of(kind).items()
+    }
 
 
 @dataclass(frozen=True)
@@ -61,68 +75,34 @@ class DisturbanceParameters:
 
     kind: str = live_setting(
         "none",
-        "none, or a sum of bias_step, sinusoid, ramp, two_tone, gauss_markov, stuck and pulses, "
-        "such as bias_step+sinusoid; changing it injects a fault",
+        f"none, or a sum of {', '.join(KINDS)}, such as bias_step+sinusoid; changing it injects a "
+        "fault",
     )
-    bias_step: BiasStep = settings_group(
-        BiasStep, amplitude=live_setting(0.1, "Bias", unit="rad"), start=_start()
+    bias_step: BiasStep = settings_group(BiasStep, **_numbers(BiasStep))
+    sinusoid: Sinusoid = settings_group(Sinusoid, **_numbers(Sinusoid))
+    ramp: Ramp = settings_group(Ramp, **_numbers(Ramp))
+    two_tone: TwoTone = settings_group(TwoTone, **_numbers(TwoTone))
+    gauss_markov: GaussMarkov = settings_group(GaussMarkov, **_numbers(GaussMarkov))
+    stuck: StuckSensor = settings_group(
+        StuckSensor,
+        start=live_setting(0.0, "Start, counted from when it was put in", unit="s"),
+        duration=live_setting(1.0, "How long; 0 for ever", unit="s", minimum=0.0),
     )
-    sinusoid: Sinusoid = settings_group(
-        Sinusoid,
-        amplitude=live_setting(0.2, "Amplitude", unit="rad"),
-        frequency=live_setting(3.0, "Frequency", unit="rad/s"),
-        start=_start(),
-        phase=live_setting(0.0, "Phase at the start", unit="rad"),
-    )
-    ramp: Ramp = settings_group(
-        Ramp, rate=live_setting(0.004, "Growth", unit="rad/s"), start=_start()
-    )
-    two_tone: TwoTone = settings_group(
-        TwoTone,
-        amplitude=live_setting(0.4, "Amplitude of a (sin 2t + cos 3t)", unit="rad"),
-        start=_start(),
-    )
-    gauss_markov: GaussMarkov = settings_group(
-        GaussMarkov,
-        std=live_setting(0.1, "Stationary standard deviation", unit="rad", minimum=0.0),
-        time_constant=live_setting(20.0, "Time constant", unit="s"),
-        start=_start(),
-    )
-    stuck: StuckParameters = settings_group(StuckParameters)
-    pulses: Pulses = settings_group(
-        Pulses,
-        amplitude=live_setting(0.5, "Height of a pulse", unit="rad"),
-        start=_start(),
-        duration=live_setting(1.5, "Length of a pulse", unit="s", minimum=0.0),
-        interval=live_setting(
-            8.0, "Time between the beginnings of pulses; 0 for one", unit="s", minimum=0.0
-        ),
-    )
+    pulses: Pulses = settings_group(Pulses, **_numbers(Pulses))
 
     def build(self) -> tuple[Signal, ...]:
-        """Return the components of the chosen kinds; the numbers of all kinds are checked."""
-        components: tuple[Signal, ...] = (
-            self.bias_step,
-            self.sinusoid,
-            self.ramp,
-            self.two_tone,
-            self.gauss_markov,
-            StuckSensor(self.stuck.start, self.stuck.duration or math.inf),
-            self.pulses,
+        """Return the components of the chosen kinds."""
+        ever = replace(self.stuck, duration=self.stuck.duration or math.inf)
+        return tuple(
+            ever if name == "stuck" else getattr(self, name) for name in parse_kinds(self.kind)
         )
-        kinds = {component.kind: component for component in components}
-        return tuple(kinds[name] for name in parse_kinds(self.kind))
 
 
 @dataclass(frozen=True)
 class ExcitationParameters:
     """The torque in the absence of a command."""
 
-    kind: str = live_setting(
-        "sine",
-        "Torque signal",
-        choices=("none", "constant", "sine", "multisine", "square", "chirp"),
-    )
+    kind: str = live_setting("sine", "Torque signal", choices=tuple(EXCITATIONS))
     amplitude: float = live_setting(1.0, "Amplitude; of a multisine, of all its tones", unit="N m")
     frequency: float = live_setting(1.0, "Frequency of sine and square", unit="rad/s")
     lowest: float = live_setting(0.5, "Lowest frequency of multisine and chirp", unit="rad/s")
@@ -132,15 +112,11 @@ class ExcitationParameters:
 
     def build(self) -> Signal:
         """Return the excitation; every kind is checked, the chosen one is returned."""
-        kinds: dict[str, Signal] = {
-            "none": NoTorque(),
-            "constant": Constant(self.amplitude),
-            "sine": Sine(self.amplitude, self.frequency),
-            "square": Square(self.amplitude, self.frequency),
-            "multisine": Multisine(self.amplitude, self.lowest, self.highest, self.tones),
-            "chirp": Chirp(self.amplitude, self.lowest, self.highest, self.sweep),
+        signals = {
+            name: kind(**{number: getattr(self, number) for number in numbers_of(kind)})
+            for name, kind in EXCITATIONS.items()
         }
-        return kinds[self.kind]
+        return signals[self.kind]
 
 
 @dataclass(frozen=True)
@@ -177,24 +153,12 @@ class PayloadParameters:
     joints: tuple[str, ...] = setting((), "Arms that carry it; none: all of them")
     mass: float = setting(0.0, "Mass of the payload", unit="kg", minimum=0.0)
     distance: float = setting(0.0, "Its distance from the axis", unit="m", minimum=0.0)
-    link_inertia: float = setting(
-        0.0, "What it adds to the link's inertia besides", unit="kg m^2", minimum=0.0
-    )
-    gravity_torque: float = setting(
-        0.0, "What it adds to the gravity torque besides", unit="N m", minimum=0.0
-    )
     start: float = setting(0.0, "When it is put on", unit="s", minimum=0.0)
     duration: float = setting(0.0, "How long it is carried; 0: for ever", unit="s", minimum=0.0)
 
     def build(self) -> Payload:
         """Return the payload of one arm."""
-        point = Payload.point(self.mass, self.distance)
-        return Payload(
-            point.link_inertia + self.link_inertia,
-            point.gravity_torque + self.gravity_torque,
-            self.start,
-            self.duration or math.inf,
-        )
+        return Payload.point(self.mass, self.distance, self.start, self.duration or math.inf)
 
 
 @dataclass(frozen=True)
@@ -297,21 +261,14 @@ class PlantSimulatorParameters(ManagedParameters):
     )
     arm: ElasticJointArm = settings_group(
         ElasticJointArm,
-        link_inertia=setting(1.0, "Link inertia J1", unit="kg m^2"),
-        motor_inertia=setting(2.0, "Motor inertia J2", unit="kg m^2"),
-        stiffness=setting(10.0, "Joint stiffness k", unit="N m/rad"),
-        gravity_torque=setting(10.0, "Torque mgl that holds the link horizontal", unit="N m"),
-        link_damping=setting(0.0, "Link damping b1", unit="N m s/rad"),
-        motor_damping=setting(0.0, "Motor damping b2", unit="N m s/rad"),
+        **{name: setting(value, what, unit=unit) for name, (value, what, unit) in _ARM.items()},
     )
     mismatch: Mismatch = settings_group(
         Mismatch,
-        link_inertia=setting(0.0, "Relative change of J1; 0.2 is 20 % more"),
-        motor_inertia=setting(0.0, "Relative change of J2"),
-        stiffness=setting(0.0, "Relative change of k"),
-        gravity_torque=setting(0.0, "Relative change of mgl"),
-        link_damping=setting(0.0, "Relative change of b1"),
-        motor_damping=setting(0.0, "Relative change of b2"),
+        **{
+            name: setting(0.0, f"{what}: relative change; 0.2 is 20 % more")
+            for name, (_, what, _) in _ARM.items()
+        },
     )
     joint_mismatch: tuple[str, ...] = setting(
         (),
@@ -320,10 +277,11 @@ class PlantSimulatorParameters(ManagedParameters):
     )
     friction: Friction = settings_group(
         Friction,
-        link_viscous=setting(0.0, "Viscous friction of the link", unit="N m s/rad"),
-        link_coulomb=setting(0.0, "Coulomb friction of the link", unit="N m"),
-        motor_viscous=setting(0.0, "Viscous friction of the motor", unit="N m s/rad"),
-        motor_coulomb=setting(0.0, "Coulomb friction of the motor", unit="N m"),
+        **{
+            f"{side}_{kind}": setting(0.0, f"{kind.capitalize()} friction of the {side}", unit=unit)
+            for side in ("link", "motor")
+            for kind, unit in (("viscous", "N m s/rad"), ("coulomb", "N m"))
+        },
     )
     payload: PayloadParameters = settings_group(PayloadParameters)
     process_noise: ProcessNoiseParameters = settings_group(ProcessNoiseParameters)
@@ -344,11 +302,8 @@ class PlantSimulatorParameters(ManagedParameters):
     dropouts: DropoutParameters = settings_group(DropoutParameters)
     effort_error: Pulses = settings_group(
         Pulses,
-        amplitude=setting(0.0, "Error of the published effort; 0 for none", unit="N m"),
-        start=setting(30.0, "Start of the first error", unit="s"),
-        duration=setting(0.005, "Length of an error", unit="s", minimum=0.0),
-        interval=setting(
-            0.0, "Time between the beginnings of errors; 0 for one", unit="s", minimum=0.0
+        **_numbers(
+            Pulses, "N m", live=False, amplitude=0.0, start=30.0, duration=0.005, interval=0.0
         ),
     )
 
@@ -367,11 +322,16 @@ class PlantSimulatorParameters(ManagedParameters):
 
     @cached_property
     def requests(self) -> dict[str, ArmRequest | TSRequest]:
-        """What describes each joint's signals; of one without a file the default request."""
-        return {
-            joint: _request(path) if path else ArmRequest()
-            for joint, path in self.design_of.items()
-        }
+        """What describes each joint; one without a file is the arm of the parameters."""
+        noise = self.process_noise
+        arm = ArmRequest(
+            arm=self.arm,
+            process_noise=ProcessNoise(
+                link=noise.link_acceleration_density, motor=noise.motor_acceleration_density
+            ),
+            uncertainty={},
+        )
+        return {joint: _request(path) if path else arm for joint, path in self.design_of.items()}
 
     @property
     def sample_rate(self) -> float:
@@ -380,25 +340,22 @@ class PlantSimulatorParameters(ManagedParameters):
 
     def sensor(self, noise_std: float) -> Sensor:
         """Return the sensor of an output with a standard deviation of its noise."""
+        noise, outliers, dropouts = self.noise, self.outliers, self.dropouts
         return Sensor(
-            noise_std * self.noise.factor,
-            self.outliers.probability,
-            self.outliers.size,
-            self.dropouts.interval,
-            self.dropouts.duration,
-            self.outliers.uniform,
-            self.noise.time_constant,
-            self.noise.degrees_of_freedom,
-            self.noise.burst_interval,
-            self.noise.burst_duration,
-            self.noise.burst_factor,
-            self.latency,
-            self.resolution,
+            noise_std=noise_std * noise.factor,
+            outlier_probability=outliers.probability,
+            outlier_size=outliers.size,
+            outlier_is_uniform=outliers.uniform,
+            dropout_interval=dropouts.interval,
+            dropout_duration=dropouts.duration,
+            noise_time_constant=noise.time_constant,
+            noise_degrees=noise.degrees_of_freedom,
+            burst_interval=noise.burst_interval,
+            burst_duration=noise.burst_duration,
+            burst_factor=noise.burst_factor,
+            latency=self.latency,
+            resolution=self.resolution,
         )
-
-    def scenario(self) -> Scenario | SystemScenario:
-        """Return the scenario of the first joint; see `scenarios`."""
-        return next(iter(self.scenarios().values()))
 
     def scenarios(self) -> dict[str, Scenario | SystemScenario]:
         """Return what the parameters describe, by joint.

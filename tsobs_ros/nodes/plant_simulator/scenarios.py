@@ -3,40 +3,31 @@
 """The scenarios of a plant simulator's joints, from its parameters and their design files."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
+from functools import partial
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tsobs_ros.checks import finite, shown
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError, ParameterError
+from tsobs_ros.model.arm import SIDES
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.nodes.plant_simulator.entries import (
-    Entry,
-    component,
-    entries_of,
-    excitation,
-    number,
-)
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.simulation.integrator import Payload
-from tsobs_ros.simulation.plant import (
-    Mismatch,
-    Scenario,
-    SimulatedOutput,
-    TorqueDisturbance,
-)
+from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput, TorqueDisturbance
 from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Signal, signal_of
 from tsobs_ros.simulation.systems import SystemScenario
+from tsobs_ros.yaml_files import load_yaml
 
 if TYPE_CHECKING:
     from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 
-Named = Mapping[str, list[Entry]]
-"""Entries of one joint by what they name."""
-
-_TORQUES = {"motor_torque": "motor", "link_torque": "link"}
-"""Names of an arm's torques in `signals`, and their sides."""
+Readers = Mapping[str, Callable[[Any], Any]]
+"""What an entry may name of one joint, each with the function that reads the entry's value."""
 
 
 def scenarios_of(parameters: "PlantSimulatorParameters") -> dict[str, Scenario | SystemScenario]:
@@ -46,174 +37,129 @@ def scenarios_of(parameters: "PlantSimulatorParameters") -> dict[str, Scenario |
         ModelError: They do not describe a plant.
         ParameterError: An entry of a list names no signal of the joints.
     """
-    requests = parameters.requests
-
-    def outputs(joint: str) -> tuple[str, ...]:
-        return tuple(requests[joint].output_names)
-
-    def signals(joint: str) -> tuple[str, ...]:
-        torques = tuple(_TORQUES) if isinstance(requests[joint], ArmRequest) else ()
-        return (*outputs(joint), *requests[joint].input_names, *torques)
-
-    def changes(joint: str) -> tuple[str, ...]:
-        request = requests[joint]
-        if isinstance(request, ArmRequest):
-            return tuple(item.name for item in fields(Mismatch))
-        return request.uncertainty_model.names
-
-    given = _by_joint("signals", parameters.signals, requests, signals)
-    changed = _by_joint("joint_mismatch", parameters.joint_mismatch, requests, changes)
-    chosen = [f"{name}: true" for name in parameters.affected]
-    affected = _by_joint("affected", chosen, requests, outputs)
-    starts = _states("initial_state", parameters)
-    spreads = _states("initial_spread", parameters)
-    found = {}
-    for joint, path in parameters.design_of.items():
-        mismatch = {name: number(each[-1]) for name, each in changed[joint].items()}
-        base: Scenario | SystemScenario
-        if path:
-            request = requests[joint]
-            if isinstance(request, ArmRequest):
-                mismatch = {
-                    name: getattr(parameters.mismatch, name) for name in changes(joint)
-                } | mismatch
-            base = scenario_of(request, mismatch)
-        else:
-            base = _own_arm(parameters, mismatch)
-        own: dict[str, Any] = {
-            "rate": parameters.sample_rate,
-            "duration": parameters.duration,
-            "outputs": tuple(
-                _output(
-                    parameters, each, given[joint], not chosen or each.measures in affected[joint]
-                )
-                for each in base.signals.outputs
-            ),
-            "initial_state": starts[joint],
-            "initial_spread": spreads[joint],
+    signals: dict[str, Readers] = {}
+    changes: dict[str, Readers] = {}
+    outputs: dict[str, Readers] = {}
+    for joint, request in parameters.requests.items():
+        torques, uncertain = [f"{side}_torque" for side in SIDES], fields(Mismatch)
+        is_arm = isinstance(request, ArmRequest)
+        disturbed = (*request.output_names, *(torques if is_arm else ()))
+        signals[joint] = {
+            name: partial(signal_of, KINDS if name in disturbed else EXCITATIONS)
+            for name in (*request.output_names, *request.input_names, *disturbed)
         }
-        if isinstance(base, SystemScenario):
-            own |= _of_system(parameters, joint, base, given[joint])
-        else:
-            own |= _of_arm(parameters, joint, base, given[joint])
-            for name in ("initial_state", "initial_spread"):
-                own[name] = tuple(base.arm.from_physical(own[name]).tolist())
-        found[joint] = replace(base, **own)
-    return found
+        names = [each.name for each in uncertain] if is_arm else request.uncertainty_model.names
+        changes[joint] = {name: partial(finite, "value") for name in names}
+        outputs[joint] = dict.fromkeys(request.output_names, bool)
+    given = _by_joint("signals", parameters.signals, signals)
+    changed = _by_joint("joint_mismatch", parameters.joint_mismatch, changes)
+    chosen = [f"{name}: true" for name in parameters.affected]
+    affected = _by_joint("affected", chosen, outputs)
+    starts, spreads = (_states(parameters, name) for name in ("initial_state", "initial_spread"))
+    return {
+        joint: _scenario(
+            parameters,
+            joint,
+            {name: each[-1] for name, each in changed[joint].items()},
+            given[joint],
+            affected[joint] if chosen else outputs[joint],
+            {"initial_state": starts[joint], "initial_spread": spreads[joint]},
+        )
+        for joint in parameters.requests
+    }
 
 
-def _own_arm(parameters: "PlantSimulatorParameters", mismatch: Mapping[str, float]) -> Scenario:
-    densities = parameters.process_noise
-    return Scenario(
-        arm=parameters.arm,
-        mismatch=replace(parameters.mismatch, **mismatch),
-        process_noise=ProcessNoise(
-            link=densities.link_acceleration_density,
-            motor=densities.motor_acceleration_density,
-        ),
-        sensor=Sensor(parameters.noise_std),
-    )
-
-
-def _output(
+def _scenario(
     parameters: "PlantSimulatorParameters",
-    output: SimulatedOutput,
-    signals: Named,
-    is_affected: bool,
-) -> SimulatedOutput:
-    """Return an output with the sensor and the disturbance that the parameters give it."""
-    own = tuple(map(component, signals.get(output.measures, ())))
-    if not is_affected:
-        return replace(output, disturbance=own)
-    return SimulatedOutput(
-        output.measures,
-        parameters.sensor(output.sensor.noise_std),
-        parameters.disturbance.build() + own,
+    joint: str,
+    mismatch: dict[str, float],
+    signals: Mapping[str, list[Signal]],
+    affected: Iterable[str],
+    states: dict[str, Any],
+) -> Scenario | SystemScenario:
+    """Return the scenario of one joint: that of its request, with what the parameters change."""
+    request, factor = parameters.requests[joint], parameters.process_noise.factor
+    common = asdict(parameters.mismatch) if isinstance(request, ArmRequest) else {}
+    base = scenario_of(request, common | mismatch)
+    outputs = []
+    for output in base.signals.outputs:
+        sensor, disturbance = output.sensor, tuple(signals.get(output.measures, ()))
+        if not parameters.design_of[joint]:
+            sensor = replace(sensor, noise_std=parameters.noise_std)
+        if output.measures in affected:
+            sensor = parameters.sensor(sensor.noise_std)
+            disturbance = parameters.disturbance.build() + disturbance
+        outputs.append(SimulatedOutput(output.measures, sensor, disturbance))
+    own: dict[str, Any] = {"rate": parameters.sample_rate, "duration": parameters.duration}
+    own["outputs"] = tuple(outputs)
+    count = base.signals.input_count
+    free = (parameters.excitation.build(),) * count + base.signals.inputs[count:]
+    inputs = tuple(
+        signals[name][-1] if name in signals and name not in request.output_names else default
+        for name, default in zip(request.input_names, free, strict=True)
+    )
+    if isinstance(base, SystemScenario):
+        noise = np.asarray(base.process_noise) * factor
+        return replace(base, **own, **states, process_noise=noise, inputs=inputs)
+    payload, error, density = parameters.payload, parameters.effort_error, base.process_noise
+    torques = {side: tuple(signals.get(f"{side}_torque", ())) for side in SIDES}
+    own |= {name: tuple(base.arm.from_physical(each).tolist()) for name, each in states.items()}
+    return replace(
+        base,
+        **own,
+        process_noise=ProcessNoise(density.link * factor, density.motor * factor),
+        friction=parameters.friction,
+        payload=payload.build() if joint in (payload.joints or (joint,)) else Payload(),
+        excitation=inputs[0],
+        torque_disturbance=TorqueDisturbance(**torques),
+        torque_error=(error,) if error.amplitude else (),
+        sensor=Sensor(),
     )
 
 
-def _of_arm(
-    parameters: "PlantSimulatorParameters", joint: str, base: Scenario, signals: Named
-) -> dict[str, Any]:
-    """Return what only the scenario of an arm has."""
-    excited = parameters.excitation.build()
-    for name in parameters.requests[joint].input_names:
-        if name in signals:
-            excited = excitation(signals[name][-1])
-    torques = {
-        side: tuple(map(component, signals.get(name, ()))) for name, side in _TORQUES.items()
-    }
-    payload = parameters.payload
-    noise, factor = base.process_noise, parameters.process_noise.factor
-    return {
-        "process_noise": ProcessNoise(noise.link * factor, noise.motor * factor),
-        "friction": parameters.friction,
-        "payload": payload.build() if joint in (payload.joints or (joint,)) else Payload(),
-        "excitation": excited,
-        "torque_disturbance": TorqueDisturbance(**torques),
-        "torque_error": (parameters.effort_error,) if parameters.effort_error.amplitude else (),
-        "sensor": Sensor(),
-    }
-
-
-def _of_system(
-    parameters: "PlantSimulatorParameters", joint: str, base: SystemScenario, signals: Named
-) -> dict[str, Any]:
-    """Return what only the scenario of a T–S system has."""
-    names, measured = (
-        parameters.requests[joint].input_names,
-        [each.measures for each in base.outputs],
-    )
-    m = base.model.input_count
-    free = (parameters.excitation.build(),) * m + base.inputs[m:]
-    return {
-        "process_noise": np.asarray(base.process_noise) * parameters.process_noise.factor,
-        "inputs": tuple(
-            excitation(signals[name][-1]) if name in signals and name not in measured else own
-            for name, own in zip(names, free, strict=True)
-        ),
-    }
-
-
-def _states(name: str, parameters: "PlantSimulatorParameters") -> dict[str, tuple[float, ...]]:
+def _states(parameters: "PlantSimulatorParameters", name: str) -> dict[str, tuple[float, ...]]:
     """Return the numbers of a parameter that each joint's states get."""
     values: tuple[float, ...] = getattr(parameters, name)
-    designed = {joint: bool(path) for joint, path in parameters.design_of.items()}
-    sizes = [len(request.state_names) for request in parameters.requests.values()]
-    if values == getattr(type(parameters), name) and any(designed.values()):
-        own = [
-            (0.0,) * n if is_designed else values
-            for n, is_designed in zip(sizes, designed.values(), strict=True)
-        ]
-    elif len(values) == sum(sizes):
-        ends = np.cumsum(sizes).tolist()
-        own = [values[end - n : end] for end, n in zip(ends, sizes, strict=True)]
-    elif set(sizes) == {len(values)}:
-        own = [values] * len(sizes)
-    elif set(sizes) == {4}:
-        raise ModelError(f"{name}: expected four numbers, or four a joint, got {values}")
-    else:
-        expected = " + ".join(map(str, sizes))
-        raise ModelError(f"{name}: expected {expected} numbers, got {len(values)}")
-    return dict(zip(designed, own, strict=True))
+    sizes = {joint: len(each.state_names) for joint, each in parameters.requests.items()}
+    if values == getattr(type(parameters), name):
+        designed = parameters.design_of
+        return {joint: (0.0,) * n if designed[joint] else values for joint, n in sizes.items()}
+    if len(values) == sum(sizes.values()):
+        numbers = iter(values)
+        return {joint: tuple(islice(numbers, n)) for joint, n in sizes.items()}
+    if set(sizes.values()) == {len(values)}:
+        return dict.fromkeys(sizes, values)
+    expected = " + ".join(map(str, sizes.values()))
+    raise ModelError(f"{name}: expected {expected} numbers, got {len(values)}")
 
 
 def _by_joint(
-    parameter: str,
-    lines: Iterable[str],
-    joints: Iterable[str],
-    names: Callable[[str], Iterable[str]],
-) -> dict[str, dict[str, list[Entry]]]:
-    """Return the entries of a list by joint and by what they name."""
-    found: dict[str, dict[str, list[Entry]]] = {joint: {} for joint in joints}
-    known = {f"{joint}/{name}": (joint, name) for joint in found for name in names(joint)}
+    parameter: str, lines: Iterable[str], readers: Mapping[str, Readers]
+) -> dict[str, dict[str, list[Any]]]:
+    """Return the values of a list parameter by joint and by what they are about.
+
+    ROS parameters hold lists of texts only, so an entry is a line of YAML:
+    "elbow/motor_angle: {kind: ramp}", without "elbow/" if there is one joint.
+    """
+    found: dict[str, dict[str, list[Any]]] = {joint: {} for joint in readers}
+    known = {f"{joint}/{name}": (joint, name) for joint, own in readers.items() for name in own}
     if len(found) == 1:
         known |= {name: (joint, name) for joint, name in known.values()}
-    for entry in entries_of(parameter, lines):
-        if entry.target not in known:
-            raise ParameterError(
-                f"{entry.where}: expected one of {', '.join(known)}, got {entry.target!r}"
-            )
-        joint, name = known[entry.target]
-        found[joint].setdefault(name, []).append(entry)
+    for place, line in enumerate(lines):
+        where = f"parameter '{parameter}[{place}]'"
+        try:
+            data = load_yaml(line)
+        except ValueError as error:
+            raise ParameterError(f"{where}: not valid YAML: {error}") from error
+        if not isinstance(data, dict) or len(data) != 1:
+            raise ParameterError(f"{where}: expected one 'name: value', got {shown(line)}")
+        ((target, value),) = data.items()
+        if target not in known:
+            expected = ", ".join(known)
+            raise ParameterError(f"{where}: expected one of {expected}, got {str(target)!r}")
+        joint, name = known[target]
+        try:
+            found[joint].setdefault(name, []).append(readers[joint][name](value))
+        except (ModelError, ValueError) as error:
+            raise ParameterError(f"{where}: {target}: {error}") from error
     return found

@@ -4,6 +4,7 @@
 
 import math
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from std_msgs.msg import Float64MultiArray
 
 from tsobs_ros.bag.estimate_topics import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, sides
 from tsobs_ros.design.request import ArmRequest
-from tsobs_ros.design.signals import Place, signals
+from tsobs_ros.design.signals import Place, positions, signals
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import set_stamp
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
@@ -60,31 +61,29 @@ class TorqueCommands:
     def take(self, sample: int) -> None:
         """Take what has arrived, to hold from a sample on."""
         for message, _ in self._subscription.drain():
-            values = message.data
-            count = sum(self._counts)
-            if len(values) != count or not all(map(math.isfinite, values)):
-                self.rejected += 1
-                expected = "one finite number" if count == 1 else f"{count} finite numbers"
-                self._node.get_logger().warning(
-                    f"rejected {self.rejected} torque commands so far: expected {expected}, "
-                    f"got {list(values)[:4]}",
-                    throttle_duration_sec=_WARN_EVERY,
-                )
+            if len(message.data) == sum(self._counts) and all(map(math.isfinite, message.data)):
+                self._take(sample, message.data)
                 continue
-            given, numbers = self.parameters, iter(values)
-            self._torques = []
-            for is_arm, inputs in zip(self._is_arm, self._counts, strict=True):
-                limit = given.torque_limit if is_arm else math.inf
-                own = [min(max(next(numbers), -limit), limit) for _ in range(inputs)]
-                self._torques.append(own)
-            held = math.inf
-            if given.command_timeout > 0.0:
-                held = max(1, round(given.command_timeout * given.sample_rate))
-            self._end = sample + held
+            self.rejected += 1
+            self._node.get_logger().warning(
+                f"rejected {self.rejected} torque commands so far: expected "
+                f"{sum(self._counts)} finite numbers, got {list(message.data)[:4]}",
+                throttle_duration_sec=_WARN_EVERY,
+            )
 
     def at(self, sample: int) -> list[list[float]] | list[None]:
         """Return each joint's inputs commanded at a sample, None without a command."""
         return self._torques if sample < self._end else [None] * len(self._counts)
+
+    def _take(self, sample: int, values: Sequence[float]) -> None:
+        given, numbers = self.parameters, iter(values)
+        self._torques = []
+        for is_arm, count in zip(self._is_arm, self._counts, strict=True):
+            limit = given.torque_limit if is_arm else math.inf
+            self._torques.append([min(max(next(numbers), -limit), limit) for _ in range(count)])
+        self._end = math.inf
+        if given.command_timeout > 0.0:
+            self._end = sample + max(1, round(given.command_timeout * given.sample_rate))
 
 
 class Filled:
@@ -103,11 +102,12 @@ class Filled:
             (getattr(self.message, place.field), names.index(place.name)) for place in places
         ]
 
-    def fill(self, stamp: int, numbers: Sequence[float]) -> None:
-        """Overwrite the stamp [ns] and all numbers, one a place."""
+    def fill(self, stamp: int, numbers: Sequence[float]) -> JointState:
+        """Overwrite the stamp [ns] and all numbers, one per place, and return the message."""
         set_stamp(self.message.header.stamp, stamp)
         for (field, row), value in zip(self._cells, numbers, strict=True):
             field[row] = value
+        return self.message
 
 
 class SamplePublisher:
@@ -119,16 +119,8 @@ class SamplePublisher:
             signals(request, joint, alone=len(requests) == 1) for joint, request in requests.items()
         ]
         arms = [joint for joint, each in requests.items() if isinstance(each, ArmRequest)]
+        # One for each set of joints that have a measurement.
         self._measurements: dict[tuple[int, ...], Filled] = {}
-        self._states = Filled([place for each in self._joints for place in each.states])
-        self._disturbance = Filled(
-            [Place(name, "position") for each in self._joints for name in each.disturbances]
-        )
-        # The motor's first, as in the truth of a sample.
-        self._torque = Filled(
-            [Place(name, "effort") for joint in arms for name in reversed(sides(joint))]
-        )
-        self._clock = ClockMessage()
         self._to_measurements = node.create_publisher(
             JointState, "joint_measurements", qos_profile_sensor_data
         )
@@ -136,11 +128,22 @@ class SamplePublisher:
         # suits all usual subscribers, so only the best-effort one is asked about mismatches.
         silent = PublisherEventCallbacks(use_default_callbacks=False)
         options = {"qos_profile": QoSProfile(depth=10), "event_callbacks": silent}
-        self._to_states = node.create_publisher(JointState, TRUE_STATES, **options)
-        self._to_disturbance = node.create_publisher(JointState, TRUE_DISTURBANCE, **options)
-        self._to_torque: Any = None
-        if arms:
-            self._to_torque = node.create_publisher(JointState, TRUE_TORQUE, **options)
+        disturbances = positions(name for each in self._joints for name in each.disturbances)
+        truths: dict[str, tuple[str, Sequence[Place]]] = {
+            TRUE_STATES: ("physical", [place for each in self._joints for place in each.states]),
+            TRUE_DISTURBANCE: ("disturbance", disturbances),
+            # The motor's first, as in the truth of a sample.
+            TRUE_TORQUE: (
+                "torque_disturbance",
+                [Place(name, "effort") for joint in arms for name in reversed(sides(joint))],
+            ),
+        }
+        self._truths = [
+            (attrgetter(of), Filled(places), node.create_publisher(JointState, topic, **options))
+            for topic, (of, places) in truths.items()
+            if places
+        ]
+        self._clock = ClockMessage()
         self._to_clock: Any = None
         if parameters.publish_clock:
             self._to_clock = node.create_publisher(ClockMessage, "/clock", **options)
@@ -160,41 +163,27 @@ class SamplePublisher:
         if self._to_clock is not None:
             set_stamp(self._clock.clock, stamp)
             self._to_clock.publish(self._clock)
-        self._states.fill(stamp, [x for each in samples for x in each.physical.tolist()])
-        self._to_states.publish(self._states.message)
-        self._disturbance.fill(stamp, [d for each in samples for d in each.disturbance.tolist()])
-        self._to_disturbance.publish(self._disturbance.message)
-        if self._to_torque is not None:
-            torques = [d for each in samples for d in each.torque_disturbance.tolist()]
-            self._torque.fill(stamp, torques)
-            self._to_torque.publish(self._torque.message)
+        for truth, filled, publisher in self._truths:
+            numbers = [number for each in samples for number in truth(each).tolist()]
+            publisher.publish(filled.fill(stamp, numbers))
         lost = [np.isnan(each.measurement).all() for each in samples]
-        measured = tuple(place for place, gone in enumerate(lost) if not gone)
-        if measured:
-            filled = self._of(measured)
-            # Outputs last: of an output that is an input too, a lost value shall be NaN.
-            filled.fill(
-                stamp,
-                [
-                    value
-                    for place in measured
-                    for numbers in (samples[place].torque, samples[place].measurement)
-                    for value in numbers.tolist()
-                ],
-            )
-            self._to_measurements.publish(filled.message)
-
-    def wait_for_acknowledgement(self) -> None:
-        """Wait at most a second until subscribers have the truth that was published."""
-        for publisher in (self._to_states, self._to_disturbance, self._to_torque):
-            if publisher is not None:
-                publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
-
-    def _of(self, measured: tuple[int, ...]) -> Filled:
-        """Return the message of the joints that have a measurement."""
+        measured = tuple(place for place, is_lost in enumerate(lost) if not is_lost)
+        if not measured:
+            return
         if measured not in self._measurements:
             joints = [self._joints[place] for place in measured]
             self._measurements[measured] = Filled(
                 [place for each in joints for place in (*each.inputs, *each.outputs)]
             )
-        return self._measurements[measured]
+        # Outputs last: of an output that is an input too, a lost value shall be NaN.
+        numbers = [
+            number
+            for each in (samples[place] for place in measured)
+            for number in (*each.torque.tolist(), *each.measurement.tolist())
+        ]
+        self._to_measurements.publish(self._measurements[measured].fill(stamp, numbers))
+
+    def wait_for_acknowledgement(self) -> None:
+        """Wait at most a second until subscribers have the truth that was published."""
+        for *_, publisher in self._truths:
+            publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
