@@ -21,6 +21,7 @@ from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from staging.stamps import to_nanoseconds
 from std_msgs.msg import Int64MultiArray
+from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import BagReader
 from tsobs_ros.design.file import DesignFile
@@ -100,7 +101,10 @@ def recording(ros: Any, tmp_path: Path) -> Recording:
     ros.spin_until(lambda: plant.finished, TIMEOUT, "the end of the run")
     ros.spin_until(lambda: estimating.received == SAMPLES, TIMEOUT, "all samples' use")
 
-    estimating.trigger_deactivate()
+    client = node.create_client(SetBool, "observer/enable")
+    ros.spin_until(client.service_is_ready, TIMEOUT, "the service")
+    silenced = client.call_async(SetBool.Request(data=False))
+    ros.spin_until(silenced.done, TIMEOUT, "the observer's silence")
     for publisher in (*estimating.publishers, *plant.publishers):
         assert publisher.wait_for_all_acked(Duration(seconds=10))
 

@@ -118,6 +118,20 @@ def test_whatever_the_order_of_arrival_the_estimate_is_that_of_the_order_of_stam
     assert tracker.rejected == in_order.rejected
 
 
+def test_a_clock_that_goes_back_may_be_waited_for_instead(stage: Stage) -> None:
+    observer, arm = stage.add(reset_on_backward_jump=False), Arm(BEGIN)
+    stage.step(BEGIN - PERIOD)
+    stage.play(good(arm, BEGIN, 0.2), BEGIN + 200 * MS)
+    last = stage.watcher.stamps[-1]
+    stage.step(stage.now - 50 * MS)
+    stage.play((), stage.now + 50 * MS)
+    assert stage.watcher.stamps[-1] == last
+    stage.play(good(arm, stage.now + PERIOD, 0.1), stage.now + 105 * MS)
+    assert stage.watcher.stamps == sorted(set(stage.watcher.stamps))
+    assert stage.watcher.stamps[-1] == stage.now > last
+    assert observer.joints[0].tracker.used == observer.received == 60
+
+
 @pytest.mark.parametrize("back", [0.05, 30.0], ids=lambda back: f"{back:g} s")
 def test_a_clock_that_goes_back_restarts_each_time(
     stage: Stage, back: float, capfd: pytest.CaptureFixture[str]

@@ -14,6 +14,7 @@ from staging.arm import Arm
 from staging.stage import (
     BEGIN,
     ESTIMATES,
+    MS,
     OUTPUTS,
     PERIOD,
     TOPIC,
@@ -25,7 +26,7 @@ from staging.stage import (
     values,
 )
 from staging.stamps import to_stamp
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.estimation.records import Innovation
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
@@ -153,27 +154,42 @@ def test_a_silence_of_rejected_messages_is_told_from_one_without_messages(
     assert stage.statuses()["observer: state"].message == "STALE"
 
 
+@pytest.mark.parametrize("how", ["enable", "activate"])
 def test_a_silenced_observer_discards_what_comes_and_then_restarts(
-    stage: Stage, manage: Callable[[Any], Any]
+    stage: Stage, manage: Callable[[Any], Any], how: str
 ) -> None:
     observer = stage.add()
     manager = manage(observer)
+
+    def work(on: bool) -> None:
+        if how == "activate":
+            assert manager.change("activate" if on else "deactivate")
+        else:
+            answer = stage.call(SetBool, "/observer/enable", SetBool.Request(data=on))
+            assert answer.success
+            assert answer.message == ("enabled" if on else "disabled: nothing is published")
+
     stage.step(BEGIN - PERIOD)
     stage.play(samples(0, 20))
-    assert manager.change("deactivate")
+    work(False)
     stage.watcher.read()
     stage.watcher.published.clear()
     stage.play(samples(20, 20))
     status = stage.statuses()["observer: state"]
-    assert (status.message, status.level) == ("INACTIVE", DiagnosticStatus.WARN)
+    message = "DISABLED" if how == "enable" else "INACTIVE"
+    assert (status.message, status.level) == (message, DiagnosticStatus.WARN)
     stage.watcher.read()
     assert (stage.watcher.published, observer.received) == ([], 20)
-    assert manager.change("activate")
+    work(True)
     stage.wait_until(lambda: observer.received == 0, "the restart")
     events = samples(60, 30)
     stage.play(events)
     assert observer.joints[0].tracker.used == 30
     assert replayed(stage.watcher, observer, events) >= 30
+    if how == "enable":
+        work(True)
+        assert observer.received == 30
+        assert values(stage.statuses()["observer: state"])["resets"] == "1"
 
 
 def test_an_observer_is_unconfigured_until_its_design_is_there(
@@ -242,6 +258,19 @@ def test_messages_of_any_joints_in_any_order_give_each_joint_what_it_has_alone(
     last = stage.watcher.of("joint_states")[-1].message
     assert list(last.name) == [f"{j}_{side}" for j in JOINTS for side in ("link", "motor")]
     assert list(stage.watcher.of("disturbance")[-1].message.name) == JOINTS
+
+
+def test_a_stale_joint_may_hold_its_last_estimate_without_bounds(stage: Stage) -> None:
+    stage.add(stale_after=0.2, when_stale="hold")
+    stage.step(BEGIN - PERIOD)
+    fresh_until = BEGIN + 19 * PERIOD + 200 * MS
+    stage.play(samples(0, 20), fresh_until + 20 * PERIOD)
+    states = {each.stamp: each for each in stage.watcher.of("joint_states")}
+    held = [stamp for stamp in states if stamp > fresh_until]
+    assert len(held) == 20
+    assert {states[stamp].bits for stamp in held} == {states[fresh_until].bits}
+    for topic in ("error_bound", "disturbance_bound"):
+        assert stage.watcher.of(topic)[-1].stamp == fresh_until
 
 
 @pytest.mark.parametrize(

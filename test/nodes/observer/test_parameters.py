@@ -39,6 +39,7 @@ def test_senseless_or_structural_changes_are_refused_with_a_reason(
     node = make()
     for name, value, reason in (
         ("design", "other.yaml", "read-only"),
+        ("when_stale", "loud", "must be one of"),
         ("coast_after", 10.0, "coast_after: expected at most stale_after"),
         ("supervision.gate", 0.5, "out of range"),
         ("fault.warn", 0.6, "'fault.*': disturbance error level: expected at least"),

@@ -33,7 +33,7 @@ def feed(joints: Iterable[ObservedJoint], count: int, bias: float = 0.0, first: 
     for stamp in range(BEGIN + first * PERIOD, BEGIN + (first + count) * PERIOD, PERIOD):
         for joint in joints:
             offer(joint, stamp, bias)
-            joint.estimate(stamp)
+            joint.estimate(stamp, hold=False)
     return stamp
 
 
@@ -56,7 +56,7 @@ def statuses(
     failed: bool = False,
 ) -> tuple[dict[str, Status], dict[str, dict[str, Status]]]:
     of_all, parts = of_node(
-        joints, TickMeter(200.0), now, method, steady=steady, resets=3, failed=failed
+        joints, TickMeter(200.0), now, method, steady=steady, resets=3, enabled=True, failed=failed
     )
     return (
         {each.name: each for each in of_all},
@@ -64,14 +64,15 @@ def statuses(
     )
 
 
-def test_a_joint_waits_tracks_coasts_and_is_stale() -> None:
+@pytest.mark.parametrize("hold", [False, True])
+def test_a_joint_waits_tracks_coasts_and_is_stale(hold: bool) -> None:
     joints = joints_of(coast_after=0.1, stale_after=1.0)
     (joint,) = joints
     waiting, _ = statuses(joints, BEGIN)
     assert waiting["state"][1:3] == (Level.WARN, "WAITING")
     assert waiting["premise domain"].message == "no estimate yet"
     assert not any("nan" in value for each in waiting.values() for value in each.values.values())
-    assert joint.estimate(BEGIN)[0] is None
+    assert joint.estimate(BEGIN, hold=hold)[0] is None
     last = feed(joints, 40)
     for age, phase, level in (
         (100 * MS, "TRACKING", Level.OK),
@@ -82,8 +83,15 @@ def test_a_joint_waits_tracks_coasts_and_is_stale() -> None:
         state = statuses(joints, last + age)[0]["state"]
         assert (state.level, state.message) == (level, phase)
         assert state.values["measurement age [s]"] == f"{age * 1e-9:.4f}"
-    assert joint.estimate(last + NANOSECONDS)[0] is not None
-    assert joint.estimate(last + NANOSECONDS + 1)[0] is None
+    before, _ = joint.estimate(last + NANOSECONDS, hold=hold)
+    stale, _ = joint.estimate(last + NANOSECONDS + 1, hold=hold)
+    if not hold:
+        assert stale is None
+    else:
+        assert before is not None
+        assert stale is not None
+        assert stale.state.tobytes() == before.state.tobytes()
+        assert (stale.state_bound.size, stale.disturbance_bound.size) == (0, 0)
 
 
 def test_each_concern_of_one_joint_has_a_status() -> None:

@@ -29,6 +29,7 @@ topics, sensor_msgs/msg/JointState without another type:
 
 services:
   ~/reset                      std_srvs/srv/Trigger: start as a new observer
+  ~/enable                     std_srvs/srv/SetBool: whether anything is published
 """
 
 from tsobs_ros.nodes.observer.node import Observer, create

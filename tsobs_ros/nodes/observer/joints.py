@@ -313,15 +313,16 @@ class ObservedJoint:
             f"{meaning(RejectReason(main)).remedy}"
         )
 
-    def estimate(self, now: int) -> tuple[Estimate | None, Status | None]:
+    def estimate(self, now: int, *, hold: bool) -> tuple[Estimate | None, Status | None]:
         """Return the estimate to publish, and a change of the torque that it shows, if any.
 
         Args:
             now: Time on the node's clock [ns].
+            hold: Whether a stale joint keeps its latest estimate, without bounds.
         """
         if self.phase(now) in (Phase.WAITING, Phase.STALE):
             # To predict through a long silence would take long, and tell nothing.
-            return None, None
+            return self._held() if hold else None, None
         estimate = self.tracker.estimate(now)
         if estimate is None:
             return None, None
@@ -334,6 +335,15 @@ class ObservedJoint:
                 for monitor, each in zip(self.faults, pairs, strict=True):
                     monitor.judge(*each)
         return estimate, self.torques.update(estimate)
+
+    def _held(self) -> Estimate | None:
+        nothing = np.zeros(0)
+        return self.latest and self.latest._replace(
+            state_bound=nothing,
+            disturbance_bound=nothing,
+            torque_disturbance_bound=nothing,
+            parameters_valid=False,
+        )
 
 
 def observed_joints(

@@ -12,6 +12,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.design.published import record_text
@@ -73,6 +74,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._joints = observed_joints(parameters, self.resolve_topic_name("joint_measurements"))
         self._resets = 0
         self._reported_failures = 0
+        self._enabled = True
         self._is_new = True
         self._last_now = 0
         self._last_output = 0
@@ -101,6 +103,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._record = self.create_publisher(String, f"~/{topics.DESIGN}", LATCHED)
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=", ".join(parameters.joints))
         self.offer_triggers({"reset": self._on_reset})
+        self.create_service(SetBool, "~/enable", self._on_enable)
         self._ticker = Ticker(self, 1.0 / self._rate, self._on_tick)
         # Only an executor notices arrivals.
         self.ticker = None if at_once else self._ticker
@@ -164,8 +167,9 @@ class Observer(ManagedNode[ObserverParameters]):
             return None
         if now < self._last_now:
             self._meter.restart()
-            self._last_output = 0
-            self._restart(f"the clock went back by {(self._last_now - now) * 1e-9:.3f} s")
+            if self.parameters.reset_on_backward_jump:
+                self._last_output = 0
+                self._restart(f"the clock went back by {(self._last_now - now) * 1e-9:.3f} s")
         self._last_now = now
         return now
 
@@ -173,7 +177,7 @@ class Observer(ManagedNode[ObserverParameters]):
         """Take what has arrived, as much as there is time for; return whether any was used."""
         until = time.monotonic() + min(_MAX_SHARE / self._rate, _MAX_BACKLOG)
         taken = self._measurements.drain(until=until)
-        if not taken:
+        if not taken or not self._enabled:
             return False
         self._is_new = False
         messages = [data for data, _ in taken]
@@ -208,16 +212,20 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _publish(self, now: int) -> bool:
         """Publish the estimates for the present; return whether there were any."""
+        if not self._enabled:
+            return False
         if now <= self._last_output:
             self._tick_log.publish(now, estimated=False)
             return False
-        estimates: list[Estimate | None] = []
+        hold, estimates = self.parameters.when_stale == "hold", list[Estimate | None]()
         for joint in self._joints:
-            estimate, contact = joint.estimate(now)
+            estimate, contact = joint.estimate(now, hold=hold)
             estimates.append(estimate)
             if contact is not None:
                 self._log(joint, contact.level, contact.message)
-        self._tick_log.publish(now, estimated=any(estimates))
+        # One that is held is of an earlier time.
+        fresh = [each if each is not None and each.stamp == now else None for each in estimates]
+        self._tick_log.publish(now, estimated=any(fresh))
         published = self._publisher.publish(now, estimates)
         if published:
             self._last_output = now
@@ -225,13 +233,13 @@ class Observer(ManagedNode[ObserverParameters]):
             for arrived in self._unanswered:
                 self._meter.answered(done - arrived)
             self._unanswered.clear()
-        self._report_health(now, estimates)
+        self._report_health(now, fresh)
         return published
 
-    def _report_health(self, now: int, estimates: Sequence[Estimate | None]) -> None:
+    def _report_health(self, now: int, fresh: Sequence[Estimate | None]) -> None:
         """Publish what the estimates are worth, if that is due, and log what has changed."""
-        due = self._publisher.publish_health(now, estimates)
-        for joint, estimate in zip(self._joints, estimates, strict=True):
+        due = self._publisher.publish_health(now, fresh)
+        for joint, estimate in zip(self._joints, fresh, strict=True):
             events: Sequence[Event] = ()
             if estimate is None:
                 events = joint.events.silence(now)
@@ -309,6 +317,15 @@ class Observer(ManagedNode[ObserverParameters]):
         self._restart("reset service")
         return True, "restarted"
 
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if request.data and not self._enabled:
+            self._forget_waiting()
+            self._restart("enabled")
+        self._enabled = request.data
+        response.success = True
+        response.message = "enabled" if request.data else "disabled: nothing is published"
+        return response
+
     def _diagnose(self) -> None:
         if not self.active:
             self._diagnostics.publish([Status("state", Level.WARN, "INACTIVE", {})])
@@ -331,6 +348,7 @@ class Observer(ManagedNode[ObserverParameters]):
                 self.parameters.method,
                 steady=steady,
                 resets=self._resets,
+                enabled=self._enabled,
                 failed=failed,
             )
         )

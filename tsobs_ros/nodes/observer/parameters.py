@@ -46,6 +46,14 @@ class ObserverParameters(ObserverSettings, ManagedParameters):
         minimum=1e-3,
         maximum=60.0,
     )
+    reset_on_backward_jump: bool = live_setting(
+        True, "Restart when the clock goes back; else nothing is published until it has caught up"
+    )
+    when_stale: str = live_setting(
+        "silent",
+        "What is published of a joint that is STALE: nothing, or its last estimate without bounds",
+        choices=("silent", "hold"),
+    )
     fault: DisturbanceLimits = settings_group(DisturbanceLimits)
     torque_warn: tuple[float, ...] = live_setting(
         (),

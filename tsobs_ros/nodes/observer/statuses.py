@@ -45,6 +45,7 @@ def of_node(
     *,
     steady: int,
     resets: int,
+    enabled: bool,
     failed: bool,
 ) -> tuple[list[Status], dict[str, list[Status]]]:
     """Return the statuses of the node and, if it has several joints, of each joint.
@@ -56,6 +57,7 @@ def of_node(
         method: The node's `method`.
         steady: Time that neither stands still nor goes back [ns], for the last minute.
         resets: Number of restarts of the whole node.
+        enabled: Whether the node works.
         failed: Whether there was a numerical failure since the last statuses.
     """
     for joint in joints:
@@ -69,12 +71,12 @@ def of_node(
         for joint in joints:
             own = _tracking_values(joint, now)
             parts[joint.name] = [
-                _state_status([joint], now, own, failed=False),
+                _state_status([joint], now, own, enabled=enabled, failed=False),
                 _measurement_status([joint]),
                 *_estimate_statuses(joint, method, now),
             ]
         further = [_summary_status(parts)]
-    state = _state_status(joints, now, values, failed=failed)
+    state = _state_status(joints, now, values, enabled=enabled, failed=failed)
     return [state, _measurement_status(joints), meter.status(steady), *further], parts
 
 
@@ -83,11 +85,14 @@ def _state_status(
     now: int,
     values: dict[str, str],
     *,
+    enabled: bool,
     failed: bool,
 ) -> Status:
     """Return the worst state of joints, and why their samples are all refused if they are."""
     phases = [joint.phase(now) for joint in joints]
     phase = max(phases, key=_FROM_BEST_TO_WORST.index)
+    if not enabled:
+        return Status("state", Level.WARN, "DISABLED", values)
     if failed:
         return Status("state", Level.ERROR, f"{phase.value}, after a numerical failure", values)
     level, message = meaning(phase).level, phase.value
