@@ -43,8 +43,8 @@ UNNAMED_SYSTEM = "system"
 
 # Stamps this far back are not late any more: time restarted (a looped bag, a new simulation).
 _RESTART = NANOSECONDS
-RESTART_MESSAGES = 10
-"""So many messages in a row must lie back: one straggler is no restart."""
+# So many messages in a row must lie back: one straggler is no restart.
+_RESTART_MESSAGES = 10
 _SAME_CLOCK = NANOSECONDS
 _FIRST_MESSAGES = 1000
 _SURVEYED = 2**15
@@ -145,7 +145,7 @@ def restarts(stamps: Sequence[int] | Times, highest: int = 0) -> list[int]:
         stamps = stamps.tolist()
     for place, stamp in enumerate(stamps):
         floor = highest - _RESTART
-        if 0 < stamp < floor and max(stamps[place : place + RESTART_MESSAGES]) < floor:
+        if 0 < stamp < floor and max(stamps[place : place + _RESTART_MESSAGES]) < floor:
             found.append(place)
             highest = stamp
         highest = max(highest, stamp)

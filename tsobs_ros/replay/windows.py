@@ -244,15 +244,7 @@ class _RateClock:
         self, samples: Samples, arrivals: Times, begins: list[int], size: int | None, *,
         is_last: bool,
     ) -> Iterator[Window]:  # fmt: skip
-        """Yield windows up to the last arrival, or restart; what no tick takes comes later.
-
-        Args:
-            samples: The next ones.
-            arrivals: Of these [ns], shape (n,).
-            begins: Places at which time restarts.
-            size: The largest number of ticks at once; None for any.
-            is_last: Whether nothing follows.
-        """
+        """Yield windows up to the last arrival, or restart; what no tick takes comes later."""
         for number, (begin, end) in enumerate(pairwise([0, *begins, samples.count])):
             if number:
                 self._begin, self._made, self._reset = None, 0, 1
