@@ -329,7 +329,7 @@ def prelude(page: Path) -> dict[str, Any]:
         case "method":
             example = import_module("tsobs_ros.paper.examples").example_1()
             return {"system": example.system, "alpha": example.alpha}
-        case "offline":
+        case "recordings":
             shutil.copytree("run1", "demo/bag")
     return {}
 
