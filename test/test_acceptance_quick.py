@@ -12,7 +12,6 @@ from functools import lru_cache
 from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pytest
 
 from tsobs_ros.design.file import load_design
@@ -55,17 +54,6 @@ def error(outcome: Any) -> float:
     return float(outcome.errors["settled"].mean())
 
 
-def test_a_stiffer_joint_is_learnt(bench: ModuleType) -> None:
-    learning, fixed = (judged(bench, "stiff", "ours", adapt=adapt) for adapt in (True, False))
-
-    assert error(learning) < 0.03
-    assert error(learning) < 0.1 * error(fixed)
-    assert np.abs(learning.theta).max() < 0.03
-    assert learning.theta_inside.min() > 0.95
-    assert learning.inside.min() > 0.95
-    assert fixed.theta is None
-
-
 def test_under_plain_noise_it_is_as_good_as_an_ekf_and_better_than_high_gains(
     bench: ModuleType,
 ) -> None:
@@ -103,10 +91,3 @@ def test_a_step_of_the_sensor_is_forgotten_in_seconds(
     assert [events["sensor jumps"] for events in outcome.events] == [1, 1]
     assert (outcome.settled_after > 0.0).all()
     assert (outcome.settled_after < 4.0).all()
-
-
-def test_the_ekf_with_parameters_as_states_learns_them(bench: ModuleType) -> None:
-    outcome = judged(bench, "stiff", "kalman", learns=True)
-
-    assert error(outcome) < 0.04
-    assert np.abs(outcome.theta).max() < 0.03

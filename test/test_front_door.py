@@ -69,17 +69,10 @@ def test_a_simulation_is_reproducible_and_in_physical_units(design: Design) -> N
     assert moved == pytest.approx(run.state[1:, 0::2] - run.state[0, 0::2], abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    "disturbance",
-    [
-        {"bias_step": {"amplitude": 0.2, "start": 0.5}},
-        (BiasStep(0.2, 0.5),),
-    ],
-)
-def test_a_disturbance_is_named_or_passed(disturbance) -> None:
-    run = ts.simulate(duration=1.0, disturbance=disturbance)
-
-    assert run.disturbance.tolist() == [0.0] * 100 + [0.2] * 101
+def test_a_disturbance_is_named_or_passed() -> None:
+    for disturbance in ({"bias_step": {"amplitude": 0.2, "start": 0.5}}, (BiasStep(0.2, 0.5),)):
+        run = ts.simulate(duration=1.0, disturbance=disturbance)
+        assert run.disturbance.tolist() == [0.0] * 100 + [0.2] * 101
 
 
 def test_a_ts_system_is_simulated_and_estimated_by_its_design() -> None:
@@ -106,13 +99,8 @@ def test_a_ts_system_is_simulated_and_estimated_by_its_design() -> None:
         ({"disturbance": {"ramp": {"slope": 1.0}}}, "disturbance ramp: expected some of rate"),
         ({"mismatch": {"mass": 0.1}}, "mismatch: expected some of link_inertia"),
         ({"torque": [1.0, 2.0]}, r"torque: expected shape \(201,\) or \(201, 1\).*got \(2,\)"),
-        ({"rate": -1.0}, "rate"),
-        ({"disturbance": {"link_angle": "ramp", "elbow": "ramp"}}, "disturbance: expected some of"),
         ({"torque_disturbance": {"elbow": "ramp"}}, "torque_disturbance: expected some of motor"),
         ({"payload": {"mass": 1.0, "inertia": 0.1}}, "payload: expected some of mass, distance"),
-        ({"friction": {"motor": 0.1}}, "friction: expected some of link_viscous"),
-        ({"noise_std": [0.1, 0.2]}, "noise_std"),
-        ({"initial_state": [0.1]}, r"initial_state: expected shape \(4,\), got \(1,\)"),
     ],
 )
 def test_a_wrong_simulation_is_refused(options, match) -> None:
@@ -174,7 +162,6 @@ def test_bad_measurements_are_rejected_and_counted(design: Design) -> None:
     ("time", "angle", "torque", "match"),
     [
         ([0.0, np.nan], [0, 0], 0, r"time\[1\]: expected finite seconds"),
-        ([0.0, 1e10], [0, 0], 0, r"time\[1\]: expected finite seconds"),
         ([], [], 0, r"time: expected shape \(n,\) with n > 0, got \(0,\)"),
         ([0.0, 0.1], [0, 0, 0], 0, r"angle: expected shape .* there are 2 times, got \(3,\)"),
         ([0.0, 0.1], [0, 0], [0], r"torque: expected shape .* there are 2 times, got \(1,\)"),
@@ -184,17 +171,6 @@ def test_bad_measurements_are_rejected_and_counted(design: Design) -> None:
 def test_arrays_that_do_not_fit_are_refused(design: Design, time, angle, torque, match) -> None:
     with pytest.raises(ts.TsobsError, match=match):
         ts.estimate(design, time, angle, torque)
-
-
-def test_an_arm_that_is_stiffer_than_designed_is_learnt(design: Design) -> None:
-    run = ts.simulate(design, duration=10.0, mismatch={"stiffness": 0.2})
-
-    estimates = ts.estimate(design, run.time, run.angle, run.torque)
-
-    assert estimates.parameters.shape == (2001, len(design.request.uncertainty))
-    stiffness = list(design.request.uncertainty).index("stiffness")
-    assert estimates.parameters[-1, stiffness] > 0.1
-    assert estimates.parameters_valid[-1]
 
 
 def test_a_bag_of_estimates_is_reproduced(tmp_path: Path, design: Design) -> None:
@@ -208,16 +184,15 @@ def test_a_bag_of_estimates_is_reproduced(tmp_path: Path, design: Design) -> Non
     assert np.isfinite(estimates.state[-1]).all()
 
 
-@pytest.mark.parametrize("kind", [str, Path])
-def test_a_path_is_text_or_a_path(kind: type, tmp_path: Path, design: Design) -> None:
-    design_file, bag = kind(tmp_path / "x.yaml"), kind(tmp_path / "bag")
+def test_paths_may_be_text(tmp_path: Path, design: Design) -> None:
+    design_file, bag = str(tmp_path / "x.yaml"), str(tmp_path / "bag")
     ts.save_design(design, design_file)
     assert ts.load_design(design_file).request == design.request
-    assert ts.load_request(kind(config_path("elastic_joint.request.yaml"))) == design.request
+    assert ts.load_request(str(config_path("elastic_joint.request.yaml"))) == design.request
 
-    ts.estimate_bag(kind(LOG), design_file, output=bag)
+    ts.estimate_bag(str(LOG), design_file, output=bag)
     assert len(ts.compare(bag, design_file, methods=["certified", "ekf"])) == 2
     assert ts.BagReader(bag).topics
-    ts.BagWriter(kind(tmp_path / "new")).close()
-    (exported,) = export_bag(bag, kind(tmp_path / "csv"), topics=["/joint_measurements"])
+    ts.BagWriter(str(tmp_path / "new")).close()
+    (exported,) = export_bag(bag, str(tmp_path / "csv"), topics=["/joint_measurements"])
     assert exported.path.is_file()

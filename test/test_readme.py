@@ -344,47 +344,6 @@ def test_the_python_of_a_page_runs(page: Path, folder: Path, capsys: Any) -> Non
         assert np.isfinite(names["estimates"].state).all()
 
 
-def test_the_nodes_of_the_readme_run(
-    folder: Path, ros_process: Callable[..., Any], ros: Any
-) -> None:
-    """Observer, recorder and plant, then the observer on the bag; as `ros2 run` would run them."""
-    lines = [
-        split(command)[3:]
-        for block in blocks(ROOT / "README.md")
-        if block.language == "sh"
-        for command, _ in block.commands
-        if command.startswith("ros2 run")
-    ]
-    observer, recorder, plant, again, player = lines[:5]
-
-    def start(line: Sequence[str], ready: str, *more: str) -> Any:
-        process = ros_process(line[0], arguments=[*line[1:], *more])
-        process.wait_for_line(ready)
-        return process
-
-    def end(*processes: Any) -> None:
-        for process in processes:
-            process.signal(signal.SIGINT)
-        for process in processes:
-            assert process.finish().exit_code == 0
-
-    watching = start(observer, "certificate holds")
-    recording = start(recorder, r"recording /observer/joint_states ")
-    moving = start(plant, "started")
-    watching.wait_for_line("TRACKING")
-    recording.wait_for_line(r"recording /joint_measurements ")
-    ros.spin_for(1.0)
-    end(recording, moving, watching)
-    measured = BagReader("my_run").topics["/joint_measurements"].count
-    assert measured > 50
-
-    watching = start(again, "certificate holds")
-    playing = start(player, "opened")
-    watching.wait_for_line("TRACKING")
-    assert playing.finish().exit_code == 0
-    end(watching)
-
-
 class LiveShell(Shell):
     """Runs the nodes of a page too; what reads their recording ends them first."""
 

@@ -13,7 +13,6 @@ import pytest
 import yaml
 from builtin_interfaces.msg import Time
 
-from tsobs_ros.bag.estimate_topics import sides
 from tsobs_ros.cli.demo import MARKERS
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.visualizer.parameters import VisualizerParameters
@@ -21,7 +20,6 @@ from tsobs_ros.nodes.visualizer.scene import Angles, Arm, Look, scene
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCH = ElementTree.parse(ROOT / "launch" / "demo.launch.xml").getroot()
-URDF = ElementTree.parse(ROOT / "urdf" / "elastic_joint.urdf").getroot()
 RVIZ = yaml.safe_load((ROOT / "views" / "demo.rviz").read_text(encoding="utf-8"))
 DEFAULTS = VisualizerParameters()
 
@@ -79,37 +77,3 @@ def test_the_rviz_setup_shows_the_markers_in_their_frame() -> None:
     # The camera is at -y, from where a positive angle is to the right.
     yaw = manager["Views"]["Current"]["Yaw"]
     assert (math.cos(yaw), math.sin(yaw)) == (pytest.approx(0, abs=1e-6), pytest.approx(-1))
-
-
-def test_the_robot_model_moves_as_the_markers_do() -> None:
-    joints = {joint.attrib["name"]: joint for joint in URDF.iter("joint")}
-    links = {link.attrib["name"]: link for link in URDF.iter("link")}
-    assert set(joints) == set(sides("elastic_joint"))
-
-    drawn = markers(Angles(0.0, 0.0))
-    for name, numbers in (("elastic_joint_link", (0, 1)), ("elastic_joint_motor", (2,))):
-        joint = joints[name]
-        assert joint.attrib["type"] == "continuous"
-        assert joint.find("origin") is None
-        assert joint.find("axis").attrib["xyz"] == "0 -1 0"
-        child = links[joint.find("child").attrib["link"]]
-        for visual, number in zip(child.iter("visual"), numbers, strict=True):
-            check_same(visual, drawn["truth", number])
-    check_same(next(links["base"].iter("visual")), drawn["motor", 0])
-
-
-def check_same(visual: ElementTree.Element, marker: Any) -> None:
-    """A visual of a link has a marker's place and size at angle 0."""
-    at, scale = marker.pose.position, marker.scale
-    place = list(map(float, visual.find("origin").attrib["xyz"].split()))
-    assert place == pytest.approx([at.x, at.y, at.z])
-    (shape,) = visual.find("geometry")
-    sizes = {
-        "box": lambda: list(map(float, shape.attrib["size"].split())),
-        "sphere": lambda: [2 * float(shape.attrib["radius"])] * 3,
-        "cylinder": lambda: [
-            *[2 * float(shape.attrib["radius"])] * 2,
-            float(shape.attrib["length"]),
-        ],
-    }
-    assert sizes[shape.tag]() == pytest.approx([scale.x, scale.y, scale.z])

@@ -73,18 +73,6 @@ def test_info_is_plain_data_too(bag: Path, capsys: Captured) -> None:
     assert second["qos"][0]["durability"] == "transient_local"
 
 
-def test_info_counts_what_an_unfinished_bag_holds(killed: Path, capsys: Captured) -> None:
-    assert main(["bag", "info", str(killed), "--json"]) == 0
-    summary = json.loads(capsys.readouterr().out)
-    assert "it has no metadata.yaml" in summary["problem"]
-    assert summary["messages"] == 101
-    assert main(["bag", "info", str(killed / "run_0.mcap")]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("NOT FINISHED: ")
-    assert "the file has no end" in out
-    assert f"Messages:     {summary['messages']}" in out
-
-
 def test_verify_gives_all_reasons(killed: Path, capsys: Captured) -> None:
     assert main(["bag", "verify", str(killed)]) == 1
     out = capsys.readouterr().out

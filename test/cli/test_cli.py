@@ -65,10 +65,6 @@ def test_a_design_and_a_files_name_do_not_command_the_terminal(
     assert (told.out + told.err).count(r"x\x1b[2J") == 4
 
 
-def triple_the_gain(data: dict[str, Any]) -> None:
-    data["gain"]["K"] = [3.0 * value for value in data["gain"]["K"]]
-
-
 def test_verify_shows_every_margin_of_the_shipped_design(capsys: Captured) -> None:
     assert main(["verify"]) == 0
     out, err = capsys.readouterr()
@@ -86,41 +82,6 @@ def test_verify_shows_every_margin_of_the_shipped_design(capsys: Captured) -> No
     assert printed["bound_std"] == design.bound_std.tolist()
     margins = [each.margin for each in design.certificate.inequalities]
     assert [each["margin"] for each in printed["inequalities"]] == margins
-
-
-def test_a_tampered_design_fails_by_inequality_and_vertex(tampered: Any, capsys: Captured) -> None:
-    path = tampered(triple_the_gain)
-    assert main(["verify", str(path)]) == 1
-    out = capsys.readouterr().out
-    assert "THE CERTIFICATE DOES NOT HOLD" in out
-    for vertex in ("(0.7317, 0.7317)", "(0.7317, 1)", "(1, 0.7317)", "(1, 1)"):
-        assert f"covariance decrease at slopes {vertex}: DOES NOT HOLD, margin " in out
-
-    assert main(["verify", str(path), "--json"]) == 1
-    printed = strict_json(capsys.readouterr().out)
-    assert (printed["holds"], printed["bound_std"]) == (False, None)
-    assert sum(not each["holds"] for each in printed["inequalities"]) == 4
-
-
-@pytest.mark.parametrize(
-    ("content", "named"),
-    [
-        (None, "no such design file"),
-        ("{", "not valid YAML"),
-    ],
-)
-def test_files_that_are_no_design_are_one_line(
-    tmp_path: Path, capsys: Captured, content: str | None, named: str
-) -> None:
-    path = tmp_path / "some.yaml"
-    if content is not None:
-        path.write_text(content, encoding="utf-8")
-    assert main(["verify", str(path)]) == 1
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith(f"error: {path}: ")
-    assert named in err
-    assert len(err.splitlines()) == 1
 
 
 def test_a_design_says_what_arm_it_is_for_and_asks_about_odd_numbers(
@@ -189,7 +150,17 @@ def test_a_ts_model_is_designed_and_verified(tmp_path: Path, capsys: Captured) -
     assert main(["design", request, "--output", str(output)]) == 0
     assert main(["verify", "--json", str(output)]) == 0
     assert main(["verify", "--exact", str(output)]) == 0
-    assert "at slope vertex 1, slope vertex 2: proved" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "at slope vertex 1, slope vertex 2: holds" in out
+    assert out.endswith("\nproved in exact arithmetic\n")
+    data = yaml.safe_load(output.read_text(encoding="utf-8"))
+    data["gain"]["K"] = [[3.0 * value for value in row] for row in data["gain"]["K"]]
+    output.write_text(yaml.safe_dump(data), encoding="utf-8")
+    assert main(["verify", "--exact", str(output)]) == 1
+    assert capsys.readouterr().out.endswith("\nNOT PROVED in exact arithmetic\n")
+    assert main(["verify", "--json", str(output)]) == 1
+    printed = strict_json(capsys.readouterr().out)
+    assert (printed["holds"], printed["bound_std"]) == (False, None)
 
 
 def test_the_papers_procedure_designs_what_it_can(tmp_path: Path, capsys: Captured) -> None:
@@ -201,26 +172,11 @@ def test_the_papers_procedure_designs_what_it_can(tmp_path: Path, capsys: Captur
     assert "eigenvalue 0+4.776j" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        [],
-        ["observe"],
-        ["demo", "--duration", "nan"],
-        ["report"],
-    ],
-)
+@pytest.mark.parametrize("arguments", [[], ["demo", "--duration", "nan"], ["report"]])
 def test_wrong_usage_is_exit_code_2(capsys: Captured, arguments: list[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         main(arguments)
     assert "usage: tsobs" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("command", [[], ["demo"]])
-def test_help_is_there(capsys: Captured, command: list[str]) -> None:
-    with pytest.raises(SystemExit, match="0"):
-        main([*command, "--help"])
-    assert capsys.readouterr().out.startswith(" ".join(["usage: tsobs", *command]))
 
 
 def test_the_folder_of_shipped_files_is_printed(capsys: Captured) -> None:
@@ -261,7 +217,7 @@ def test_a_missing_library_is_one_line_with_the_command_that_installs_it(tmp_pat
         err = process.communicate()[1].decode()
     assert process.returncode == 1
     assert err.startswith(f"error: cvxpy is not installed: {sys.executable} -m pip install ")
-    assert err.endswith("cvxpy-base clarabel\n")
+    assert err.endswith("cvxpy-base clarabel scipy\n")
 
 
 class Terminal(io.StringIO):

@@ -17,13 +17,16 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 
-from tsobs_ros.design.certificate import CertificateReport, Inequality, check_certificate
+from tsobs_ros.design.certificate import check_certificate
+from tsobs_ros.design.exact import verify_exactly
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TSRequest
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import CertificateError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.model.fuzzy import RuleBase, membership
+from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import SINE, arm_uncertainty
 from tsobs_ros.model.vertices import kick_corners
 
@@ -241,15 +244,6 @@ def perturbed(matrix: Array, place: tuple[int, int], value: float) -> Array:
     return changed
 
 
-@pytest.mark.parametrize(("index", "factor"), [(0, 0.7), (4, 1.3)])
-def test_a_changed_gain_does_not_hold(shipped: Design, index: int, factor: float) -> None:
-    K = perturbed(shipped.K, (index, 0), factor * shipped.K[index, 0])
-    report = check_certificate(shipped.request, shipped.P, K)
-    assert not report.holds
-    assert report.worst.name == "covariance decrease"
-    assert report.worst.margin < 0.0
-
-
 @pytest.mark.parametrize(
     "tampered",
     [
@@ -282,30 +276,43 @@ def test_a_matrix_that_is_no_bound_is_named(
         {"disturbance": (DisturbanceTerm("bias", {"density": 1.1e-4}),)},
         {"arm": ElasticJointArm(gravity_torque=12.0)},
     ],
-    ids=str,
+    ids=lambda change: next(iter(change)),
 )
 def test_the_proof_of_one_problem_is_none_of_a_harder_one(
     shipped: Design, change: dict[str, Any]
 ) -> None:
     request = replace(shipped.request, **change)
     assert not check_certificate(request, shipped.P, shipped.K).holds
+    report = check_certificate(shipped.request, shipped.P, 0.7 * shipped.K)
+    assert not report.holds
+    assert report.worst.name == "covariance decrease"
 
 
-@pytest.mark.parametrize("damping", [0.0, 1.0])
-def test_no_certificate_holds_for_an_arbitrary_disturbance(damping: float) -> None:
-    arm = ElasticJointArm(link_damping=damping, motor_damping=damping)
-    design = synthesise(ArmRequest(arm=arm, disturbance=(DisturbanceTerm("clean"),)))
+def test_no_certificate_holds_for_an_arbitrary_disturbance() -> None:
+    design = synthesise(ArmRequest(disturbance=(DisturbanceTerm("clean"),)))
     for terms in (("arbitrary",), ("clean", "arbitrary")):
         request = replace(design.request, disturbance=[DisturbanceTerm(kind) for kind in terms])
-        report = check_certificate(request, design.P, design.K)
-        assert not report.holds
-        assert report.worst.name == "disturbance has a model"
+        changed = replace(design, request=request)
+        for report in (changed.certificate, verify_exactly(changed)):
+            assert not report.holds
+            assert report.worst.name == "disturbance has a model"
 
 
-def test_the_worst_margin_is_the_one_nearest_to_what_it_requires() -> None:
-    """Per second and unitless margins are compared by their ratio to what is required."""
-    near, far = Inequality("near", "", 1e-3, 1e-4), Inequality("far", "", 1e-5, 1e-12)
-    assert CertificateReport((far, near), 0.0).worst is near
+def test_what_was_certified_cannot_be_changed_afterwards(shipped: Design) -> None:
+    bounds, densities, mixing = {"stiffness": 0.1}, [1e-3], np.ones((1, 1))
+    arm = ArmRequest(uncertainty=bounds)
+    rules = RuleBase(((membership("always", {}),),))
+    model = TSModel(-np.ones((1, 1, 1)), np.ones((1, 1)), np.eye(1), rules, np.ones((1, 1)))
+    system = TSRequest(model, densities, [0.1], 10.0, [1.0], D_s=mixing)
+    bounds["stiffness"], densities[0], mixing[0, 0] = 0.4, 1.0, 9.0
+    assert (arm.uncertainty["stiffness"], arm.uncertainty_model.bounds["stiffness"]) == (0.1, 0.1)
+    assert (system.process_noise[0], system.D_s[0, 0]) == (1e-3, 1.0)
+    for mapping in (arm.uncertainty, arm.disturbance[0]):
+        with pytest.raises(TypeError, match="item assignment"):
+            mapping["density"] = 1.0
+    for array in (shipped.P, shipped.K, system.process_noise, system.D_s, system.initial_std):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
 
 
 def test_a_failure_names_source_inequality_vertex_and_margin(shipped: Design) -> None:
@@ -322,11 +329,6 @@ def test_a_failure_names_source_inequality_vertex_and_margin(shipped: Design) ->
     with pytest.raises(CertificateError, match=pattern) as caught:
         report.require("my.yaml")
     assert str(caught.value).count("DOES NOT HOLD") == len(failing) > 0
-
-
-@pytest.mark.parametrize(("name", "vertices"), [("stiffness", 16), ("gravity", 4), ("several", 16)])
-def test_vertices_on_one_line_are_left_out(name: str, vertices: int) -> None:
-    assert len(REQUESTS[name].vertices()) == len(REQUESTS[name].vertices(0.5)) == vertices
 
 
 def test_uncertain_gravity_widens_the_slopes_to_either_side() -> None:

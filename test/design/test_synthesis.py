@@ -93,62 +93,6 @@ def test_no_arm_is_refused_for_its_size(
     assert find_obstacles(ArmRequest(arm=arm, x_max=x_max)) == []
 
 
-@PROPERTY
-@given(
-    st.floats(0.05, 20.0), st.floats(0.05, 20.0), st.floats(0.05, 500.0), st.floats(0.05, 20.0),
-    st.floats(-0.9, 0.99), st.sampled_from(["bias", "ramp", "slow", "fast"]),
-)  # fmt: skip
-def test_an_obstacle_is_a_hidden_mode(
-    j1: float, j2: float, k: float, mgl: float, slope: float, kind: str
-) -> None:
-    """Eigenvalue, slope and shape of what is reported solve A v = λ v, C v = 0."""
-    arm = ElasticJointArm(j1, j2, k, mgl)
-    terms = (DisturbanceTerm("ramp" if kind in ("slow", "fast") else kind),)
-    if kind in ("slow", "fast"):
-        squares = np.sort((-(np.linalg.eigvals(arm.slope_matrix(slope)) ** 2)).real)[::2]
-        frequency = math.sqrt(max(squares[0 if kind == "slow" else 1], 0.0))
-        assume(1e-2 < frequency < 600.0)
-        terms = tone(frequency)
-    request = ArmRequest(arm=arm, disturbance=terms, x_max=math.pi)
-    obstacles = find_obstacles(request)
-    assert obstacles
-    for obstacle in obstacles:
-        assert obstacle.slope is not None
-        A, C = request.flow.slope_matrix(obstacle.slope), request.flow.output_matrix
-        shape = obstacle.shape
-        residual = A @ shape - obstacle.eigenvalue * shape
-        assert np.linalg.norm(residual) < 1e-12 * np.linalg.norm(A)
-        assert np.linalg.norm(C @ shape) < 1e-12
-
-
-@pytest.mark.parametrize("terms", [("arbitrary",), ("clean", "arbitrary")])
-def test_a_damped_arm_is_not_designed_as_clean_under_an_arbitrary_disturbance(
-    terms: tuple[str, ...],
-) -> None:
-    arm = ElasticJointArm(link_damping=1.0, motor_damping=1.0)
-    with pytest.raises(DetectabilityError, match="open-loop simulation"):
-        require_detectable(
-            ArmRequest(arm=arm, disturbance=[DisturbanceTerm(kind) for kind in terms])
-        )
-
-
-def test_requests_are_equal_by_what_they_ask() -> None:
-    spelled = DisturbanceTerm("bias", {"initial_std": 0.3, "density": 1e-4})
-    same = ArmRequest(disturbance=[spelled], uncertainty={"gravity": 0.4, "stiffness": 0.4})
-    assert same == ArmRequest() != ArmRequest(uncertainty={"stiffness": 0.2})
-
-
-@pytest.mark.parametrize(
-    "request_",
-    [
-        ArmRequest(disturbance=(DisturbanceTerm("bias", {"density": 0.0}),)),
-    ],
-)
-def test_without_noise_no_stationary_filter_exists(request_: ArmRequest) -> None:
-    with pytest.raises(DesignError, match=r"no stationary Kalman filter.*check the noise"):
-        synthesise(request_)
-
-
 @pytest.mark.parametrize(
     ("request_", "parts"),
     [

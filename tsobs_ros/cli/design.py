@@ -110,7 +110,10 @@ def _verify(options: argparse.Namespace) -> int:
 
         with naming(path):
             proof = verify_exactly(design)
-        holds, plain, text = proof.holds, proof.as_mapping(), proof.text()
+        holds, plain = proof.holds, {"holds": proof.holds, "inequalities": proof.as_mappings}
+        verdict = "proved" if holds else "NOT PROVED"
+        lines = [*(f"  {each}" for each in proof.inequalities), f"{verdict} in exact arithmetic"]
+        text = "\n".join(lines)
     else:
         holds, plain, text = design.certificate.holds, design.summary(), design.text()
     show({"design": str(path), **plain}, f"{printable(str(path))}\n{text}", options.json)

@@ -17,7 +17,7 @@ proved for it, whatever the matrices.
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -77,6 +77,11 @@ class CertificateReport:
     def holds(self) -> bool:
         """Whether every inequality holds."""
         return all(inequality.holds for inequality in self.inequalities)
+
+    @property
+    def as_mappings(self) -> list[dict[str, Any]]:
+        """The inequalities as plain data."""
+        return [{**each._asdict(), "holds": each.holds} for each in self.inequalities]
 
     @property
     def worst(self) -> Inequality:

@@ -24,7 +24,6 @@ vertices is covered.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
 from typing import Any, NamedTuple
@@ -33,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
 
+from tsobs_ros.design.certificate import UNMODELLED, CertificateReport, Inequality
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
@@ -46,6 +46,9 @@ Rational = NDArray[Any]
 
 _LARGEST_GROWTH = 1000
 
+_LEAST_MARGIN = 1e-300
+"""Margin of what is positive definite by less than any share of the guess."""
+
 _NEARLY_ALL = (2.0**-20, 2.0**-10, 2.0**-4, 0.5, 0.9, 1.0 - 1e-3, 1.0 - 1e-6)
 """Shares taken off the floating-point margin, in this order, until the rest is proved."""
 
@@ -57,94 +60,47 @@ class Enclosure(NamedTuple):
     radius: Fraction
 
 
-class ExactInequality(NamedTuple):
-    """One strict matrix inequality, proved or not.
-
-    Attributes:
-        name: The claim.
-        where: The vertex, or "" for one that has none.
-        holds: Whether it is proved.
-        margin: A proved lower bound on the margin; per second for the decrease.
-    """
-
-    name: str
-    where: str
-    holds: bool
-    margin: float
-
-    def __str__(self) -> str:
-        place = f" at {self.where}" if self.where else ""
-        verdict = f"proved, margin at least {self.margin:.3e}" if self.holds else "NOT PROVED"
-        return f"{self.name}{place}: {verdict}"
-
-
-@dataclass(frozen=True)
-class ExactReport:
-    """Every inequality of a certificate, with its exact verdict."""
-
-    inequalities: tuple[ExactInequality, ...]
-
-    @property
-    def holds(self) -> bool:
-        """Whether every inequality is proved."""
-        return all(inequality.holds for inequality in self.inequalities)
-
-    def text(self) -> str:
-        """Return the report for people to read."""
-        verdict = "proved in exact arithmetic" if self.holds else "NOT PROVED IN EXACT ARITHMETIC"
-        return "\n".join(
-            [*(f"  {each}" for each in self.inequalities), f"the certificate: {verdict}"]
-        )
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return the report as plain data."""
-        return {
-            "holds": self.holds,
-            "inequalities": [inequality._asdict() for inequality in self.inequalities],
-        }
-
-
-def verify_exactly(design: Design) -> ExactReport:
+def verify_exactly(design: Design) -> CertificateReport:
     """Check the certificate of a design in exact rational arithmetic.
+
+    Returns:
+        Every inequality with a margin that is proved, 0 if the inequality is not.
 
     Raises:
         ModelError: The model is so fast for the period that its flow cannot be enclosed.
     """
-    return ExactReport(tuple(_inequalities(design)))
+    found = tuple(_inequalities(design))
+    return CertificateReport(found, design.certificate.contraction_rate)
 
 
-def _inequalities(design: Design) -> Iterator[ExactInequality]:
-    request = design.request
-    if request.disturbance_model.arbitrary:
-        yield ExactInequality("disturbance has a model", "", False, 0.0)
+def _inequalities(design: Design) -> Iterator[Inequality]:
+    if design.request.disturbance_model.arbitrary:
+        yield UNMODELLED
         return
     guesses = {(each.name, each.where): each.margin for each in design.certificate.inequalities}
 
-    def judged(name: str, where: str, matrix: Rational, unit: Rational) -> ExactInequality:
-        holds = is_positive_definite(matrix)
-        guess = guesses.get((name, where), 0.0)
-        return ExactInequality(name, where, holds, _margin(matrix, unit, guess) if holds else 0.0)
+    def judged(name: str, where: str, matrix: Rational, unit: Rational) -> Inequality:
+        return Inequality(name, where, _margin(matrix, unit, guesses.get((name, where), 0.0)), 0.0)
 
     P = rational(design.P)
     name = "P symmetric and positive definite"
-    if (P != P.T).any():
-        yield ExactInequality(name, "", False, 0.0)
-        return
-    positive = judged(name, "", P, np.diag(np.diag(P)))
+    positive = Inequality(name, "", 0.0, 0.0)
+    if (P == P.T).all():
+        positive = judged(name, "", P, np.diag(np.diag(P)))
     yield positive
-    if not positive.holds:
-        return
-    problem = _Problem(design)
-    for where, decrease in problem.decreases():
-        yield judged("covariance decrease", where, decrease, problem.period * problem.X)
+    if positive.holds:
+        problem = _Problem(design)
+        for where, decrease in problem.decreases():
+            yield judged("covariance decrease", where, decrease, problem.period * problem.X)
 
 
 def _margin(matrix: Rational, unit: Rational, guess: float) -> float:
-    """Return a number μ ≥ 0, printed with four digits and no more, with matrix − μ unit ≻ 0."""
-    for taken in _NEARLY_ALL:
-        candidate = f"{guess * (1.0 - taken):.3e}"
-        if guess > 0.0 and is_positive_definite(matrix - Fraction(candidate) * unit):
-            return float(candidate)
+    """Return a number μ > 0, printed with four digits and no more, with matrix − μ unit ≻ 0."""
+    if is_positive_definite(matrix):
+        for candidate in (*(guess * (1.0 - taken) for taken in _NEARLY_ALL), _LEAST_MARGIN):
+            text = f"{candidate:.3e}"
+            if candidate > 0.0 and is_positive_definite(matrix - Fraction(text) * unit):
+                return float(text)
     return 0.0
 
 
@@ -178,15 +134,12 @@ class _Problem:
 
     def __init__(self, design: Design) -> None:
         request = design.request
-        self.period, self._places = (
-            1 / Fraction(request.rate),
-            [v.where for v in request.vertices()],
-        )
-        if is_arm := isinstance(request, ArmRequest):
-            parts = _arm_parts(request)
+        self.period = 1 / Fraction(request.rate)
+        self._places = [vertex.where for vertex in request.vertices()]
+        if isinstance(request, ArmRequest):
+            parts, self._step = _arm_parts(request), self._step_of_arm
         else:
-            parts = _system_parts(request)
-        self._step = self._step_of_arm if is_arm else self._step_of_system
+            parts, self._step = _system_parts(request), self._step_of_system
         # Any scale is as good for the claim; this one keeps the flow's norm small.
         rounded = np.asarray(parts.drift, dtype=np.float64)
         _, (scale, _) = matrix_balance(rounded, permute=False, separate=True)

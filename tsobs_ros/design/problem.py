@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
-from tsobs_ros.checks import Array, finite, positive, shown
+from tsobs_ros.checks import Array, Fixed, finite, positive, shown
 from tsobs_ros.design.names import Labels, labelled
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.options import TorqueLimits
@@ -28,7 +28,7 @@ DISTURBANCE_KINDS: Mapping[str, Callable[..., DisturbanceModel]] = {
 }
 
 
-class DisturbanceTerm(dict[str, Any]):
+class DisturbanceTerm(Fixed[Any]):
     """One term of the disturbance: its kind and its parameters, the rest filled with defaults.
 
     Raises:
@@ -51,11 +51,12 @@ class DisturbanceTerm(dict[str, Any]):
                 raise ModelError(
                     f"{name}: no parameter of {kind}, expected some of {', '.join(known) or 'none'}"
                 )
-        super().__init__(kind=kind)
+        entries: dict[str, Any] = {"kind": kind}
         for name, parameter in known.items():
             if parameter.default is inspect.Parameter.empty and name not in given:
                 raise ModelError(f"{name}: missing, {kind} has no default for it")
-            self[name] = finite(f"{kind} {name}", given.get(name, parameter.default))
+            entries[name] = finite(f"{kind} {name}", given.get(name, parameter.default))
+        super().__init__(entries)
         self.model()
 
     @classmethod

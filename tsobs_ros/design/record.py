@@ -204,9 +204,7 @@ class Design:
         report, request = self.certificate, self.request
         return {
             "holds": report.holds,
-            "inequalities": [
-                {**each._asdict(), "holds": each.holds} for each in report.inequalities
-            ],
+            "inequalities": report.as_mappings,
             "contraction_rate": report.contraction_rate,
             "gain": self.plain_gain,
             "bound_std": self.bound_std.tolist() if report.holds else None,

@@ -19,7 +19,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, finite, non_negative, positive, shown
+from tsobs_ros.checks import Array, Fixed, as_matrix, finite, non_negative, positive, shown
 from tsobs_ros.design.names import NO_LABELS, Labels, checked_names, checked_units, labelled
 from tsobs_ros.design.problem import (
     CLEAN,
@@ -165,9 +165,7 @@ class ArmRequest(Request):
     x_max: float = 0.75
     decay_rate: float = 0.0
     initial_std: Sequence[float] = (0.3, 0.6, 0.3, 0.4)
-    uncertainty: Mapping[str, float] = field(
-        default_factory=lambda: {"stiffness": 0.4, "gravity": 0.4}
-    )
+    uncertainty: Mapping[str, float] = Fixed({"stiffness": 0.4, "gravity": 0.4})
     certify_uncertainty: bool = False
     torque_limit: float | None = None
     torque_rate_limit: float | None = None
@@ -187,12 +185,14 @@ class ArmRequest(Request):
             x_max=finite("x_max", self.x_max),
             disturbance=tuple(self.disturbance),
             initial_std=tuple(as_matrix("initial_std", self.initial_std, (4,)).tolist()),
-            uncertainty={
-                name: positive(f"uncertainty.{name}", bound)
-                for name, bound in self.uncertainty.items()
-                # A share of no gravity is none.
-                if name != "gravity" or self.arm.gravity_torque
-            },
+            uncertainty=Fixed(
+                {
+                    name: positive(f"uncertainty.{name}", bound)
+                    for name, bound in self.uncertainty.items()
+                    # A share of no gravity is none.
+                    if name != "gravity" or self.arm.gravity_torque
+                }
+            ),
             **{
                 name: None if value is None else non_negative(name, value)
                 for name, value in limits.items()
@@ -445,7 +445,9 @@ class TSRequest(Request):
     def __post_init__(self) -> None:
         n, p = self.model.state_count, self.model.C.shape[0]
         self._take(
+            process_noise=as_matrix("process_noise", self.process_noise, (n,)),
             measurement_std=as_matrix("measurement_std", self.measurement_std, (p,)),
+            D_s=None if self.D_s is None else as_matrix("D_s", self.D_s, np.shape(self.D_s)),
             initial_std=as_matrix("initial_std", self.initial_std, (n,)),
             rate=positive("rate", self.rate),
             decay_rate=non_negative("decay_rate", self.decay_rate),

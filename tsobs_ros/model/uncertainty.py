@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, check_names, positive
+from tsobs_ros.checks import Array, Fixed, as_matrix, check_names, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.model.ts_model import TSModel
@@ -42,6 +42,7 @@ class Uncertainty:
     def __post_init__(self) -> None:
         for name, bound in self.bounds.items():
             positive(f"uncertainty.{name}", bound)
+        object.__setattr__(self, "bounds", Fixed(self.bounds))
         shape = (len(self.bounds), *np.shape(self.directions)[1:])
         object.__setattr__(self, "directions", as_matrix("directions", self.directions, shape))
 
