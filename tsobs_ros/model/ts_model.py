@@ -18,6 +18,9 @@ from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.fuzzy import RuleBase
 
+_LARGEST = 1e100
+"""Largest number of a model: products of two are finite."""
+
 
 @dataclass(frozen=True, eq=False)
 class TSModel:
@@ -60,6 +63,8 @@ class TSModel:
         if self.outputs is not None:
             checked["outputs"] = as_matrix("outputs", self.outputs, (rules, *checked["C"].shape))
         for name, matrix in checked.items():
+            if np.abs(matrix).max(initial=0.0) > _LARGEST:
+                raise ModelError(f"{name}: expected numbers up to {_LARGEST:g}, got a larger one")
             object.__setattr__(self, name, matrix)
 
     @property

@@ -35,7 +35,6 @@ LATEST = 2**31 * NANOSECONDS
 
 _NOTHING = frozenset(("", "-", "na", "n/a", "nan", "null", "none"))
 _COMMENTS = ("#", "%", "//")
-_TITLE = re.compile(r"(?P<name>.*?)\s*(?:[\[(](?P<unit>[^\])]*\D[^\])]*)[\])])?")
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _FRACTION = re.compile(r"(?<=:\d\d)[.,](\d+)")
 _BLANKS, _DELIMITERS = " ", ";\t|,"
@@ -100,10 +99,8 @@ class CsvFile:
             titles = [str(place + 1) for place in range(len(titles))]
         self.columns = []
         for place, title in enumerate(titles):
-            match = _TITLE.fullmatch(title.strip())
-            assert match is not None
-            name, unit = match["name"], match["unit"] or ""
-            self.columns.append(LogColumn(place, title.strip(), name, unit.strip()))
+            name, unit = _split_title(title.strip())
+            self.columns.append(LogColumn(place, title.strip(), name, unit))
 
     @property
     def described(self) -> str:
@@ -218,6 +215,15 @@ class CsvFile:
                     yield last, cells
         except csv.Error as error:
             raise LogError(f"line {last + 1}: {error}; perhaps {_OPEN_QUOTE}") from error
+
+
+def _split_title(title: str) -> tuple[str, str]:
+    """Return the name and the unit of a title such as "q [rad]"; "q[1]" has none."""
+    start = max(title.rfind("["), title.rfind("("))
+    unit = title[start + 1 : -1].strip()
+    if start < 0 or title[-1] not in "])" or not unit or unit.isdigit():
+        return title, ""
+    return title[:start].rstrip(), unit
 
 
 def misread(what: str, line: int, column: LogColumn, unit: str, text: str) -> LogError:

@@ -16,7 +16,7 @@ from typing import Any
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 
-from tsobs_ros.bag.playback import Ticks, Timeline
+from tsobs_ros.bag.timeline import Ticks, Timeline
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
