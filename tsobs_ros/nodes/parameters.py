@@ -9,7 +9,6 @@ range; an on-set callback refuses the rest.
 """
 
 import math
-import re
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -55,20 +54,6 @@ def design_paths(joints: Sequence[str], own: Sequence[str], common: str) -> dict
         )
     paths = own or ("",) * len(joints)
     return {joint: path or common for joint, path in zip(joints, paths, strict=True)}
-
-
-def check_pattern(name: str, pattern: str) -> None:
-    """Refuse a parameter that must be a regular expression and is none; for a `__post_init__`.
-
-    Raises:
-        ParameterError: The pattern is malformed.
-    """
-    try:
-        re.compile(pattern)
-    except re.error as error:
-        raise ParameterError(
-            f"parameter '{name}': not a regular expression ({error}): '{pattern}'"
-        ) from error
 
 
 class ParameterBinding(Generic[P]):

@@ -11,8 +11,6 @@ import pytest
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 
-CONFIG = Path(__file__).parents[3] / "config" / "recorder.yaml"
-
 
 @pytest.mark.parametrize(
     ("parameters", "reason"),
@@ -66,14 +64,12 @@ def selected(**parameters: Any) -> set[str]:
     ("parameters", "expected"),
     [
         ({}, VISIBLE | EVENTS),
-        ({"all": True, "topics": ("joints",)}, VISIBLE | EVENTS),
         ({"topics": ("*",)}, VISIBLE),
         ({"topics": ("*", "_raw")}, VISIBLE | {"/arm/_raw"}),
         ({"topics": ("joints", "/camera/image")}, {"/arm/joints", "/camera/image"}),
         ({"topics": ("_raw",)}, {"/arm/_raw"}),
         ({"services": ("reset",)}, {"/arm/reset/_service_event"}),
         ({"services": ("*",)}, EVENTS),
-        ({"all_services": True}, EVENTS),
         ({"topics": ("/arm/reset/_service_event",)}, {"/arm/reset/_service_event"}),
         ({"regex": "^/arm"}, {"/arm/joints", "/arm/torque", "/arm/reset/_service_event"}),
         ({"regex": "_service"}, set()),

@@ -12,7 +12,6 @@ from tsobs_ros.bag.recording import BufferedMessage, SnapshotBuffer
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.recorder.status import (
     LossCounter,
-    RecorderState,
     RecorderStatistics,
     TopicStatistics,
     statuses,
@@ -21,7 +20,6 @@ from tsobs_ros.nodes.recorder.status import (
 SINCE = 1_700_000_000_123_456_789
 GOOD = TopicStatistics(100, 0, True, SINCE, 480)
 LOSSY = TopicStatistics(90, 3, True, SINCE)
-UNKNOWN = TopicStatistics(5, 1, False, SINCE)
 
 
 def buffer(refused: int = 0) -> SnapshotBuffer:
@@ -33,30 +31,25 @@ def buffer(refused: int = 0) -> SnapshotBuffer:
     return made
 
 
-def state(**changes: Any) -> RecorderState:
-    topics = changes.pop("topics", {"/a": GOOD})
+def counted_so(**changes: Any) -> RecorderStatistics:
     values: dict[str, Any] = {
-        "statistics": RecorderStatistics(topics, 4, 2**20, 2),
-        "rate": 12.34,
-        "recording": True,
-        "clock_awaited": False,
-        "waiting_for": (),
+        "topics": {"/a": GOOD},
         "free_disk": 10_000.0,
         "minimum_free_disk": 256,
         "sync_age": 1.0,
         "sync_period": 5.0,
     }
-    return RecorderState(**values | changes)
+    return RecorderStatistics(**values | changes)
 
 
 @pytest.mark.parametrize(
     ("changes", "level", "message"),
     [
         ({}, Level.OK, "recording"),
-        ({"recording": False}, Level.OK, "paused"),
+        ({"is_recording": False}, Level.OK, "paused"),
         ({"snapshot": buffer()}, Level.OK, "keeping the last seconds"),
-        ({"waiting_for": ("/b", "/c"), "recording": False}, Level.WARN, "waiting for /b"),
-        ({"clock_awaited": True, "waiting_for": ("/b",)}, Level.WARN, "waiting for /clock"),
+        ({"missing": ("/b", "/c"), "is_recording": False}, Level.WARN, "waiting for /b"),
+        ({"awaits_clock": True, "missing": ("/b",)}, Level.WARN, "waiting for /clock"),
         ({"sync_age": 9.0}, Level.OK, "recording"),
         ({"sync_age": 11.0}, Level.WARN, "the disk has not kept up for 11 s"),
         ({"free_disk": 511.0, "sync_age": 11.0}, Level.WARN, "511 MiB of disk space are left"),
@@ -66,7 +59,7 @@ def state(**changes: Any) -> RecorderState:
     ],
 )  # fmt: skip
 def test_the_worst_comes_first(changes: dict[str, Any], level: Level, message: str) -> None:
-    recording, _ = statuses(state(**changes))
+    recording, _ = statuses(counted_so(**changes), 12.34)
     assert (recording.name, recording.level, recording.message) == ("recording", level, message)
 
 

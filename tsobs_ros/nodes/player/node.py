@@ -29,7 +29,7 @@ from tsobs_ros.nodes.messages import DiagnosticsPublisher, set_stamp
 from tsobs_ros.nodes.player.parameters import CLOCK, PlayerParameters
 from tsobs_ros.nodes.player.topics import PlayedTopics
 
-_MIB = 2**20
+_READ_AHEAD = 8 * 2**20
 _DIAGNOSTICS_PERIOD = 1.0
 # While the reader's thread unpacks a chunk of the bag, a message that is due waits for the
 # interpreter so long; Python's own 5 ms are too much [s].
@@ -84,27 +84,12 @@ class Player(ManagedNode[PlayerParameters]):
         self._clock_publisher: Any = None
         if parameters.clock:
             self._clock_publisher = self.create_publisher(ClockMessage, CLOCK, 10)
-        self._open(reader, start, end)
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=str(reader.path))
         self._lags: list[int] = []
         self._held_back_before = 0
-        self.create_timer(
-            _DIAGNOSTICS_PERIOD,
-            self._publish_diagnostics,
-            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        source = BagSource(
+            reader, list(self._topics.counts), self._topics.latched, start, end, _READ_AHEAD
         )
-        self._offer_services()
-        self.ticker = self._pacer = Pacer(self, self._play)
-        self.get_logger().info(
-            f"opened {printable(str(reader.path))}: {sum(t.count for t in selected)} messages of "
-            f"{len(selected)} topics, {self._length * 1e-9:.3f} s"
-        )
-
-    def _open(self, reader: BagReader, start: int, end: int) -> None:
-        """Start to read the bag, in a pause."""
-        parameters, topics = self.parameters, self._topics
-        read_ahead = round(parameters.read_ahead * _MIB)
-        source = BagSource(reader, list(topics.by_name), topics.latched, start, end, read_ahead)
         self.at_cleanup(source.close)
         self.at_cleanup(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_INTERVAL)
@@ -118,6 +103,22 @@ class Player(ManagedNode[PlayerParameters]):
         )
         self._paused = parameters.start_paused
         self._seek(parameters.position)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=steady)
+        self.offer_triggers(
+            {
+                "pause": lambda: self._pause(True),
+                "resume": lambda: self._pause(False),
+                "toggle_paused": lambda: self._pause(not self._paused),
+                "is_paused": lambda: (self._paused, self._state_text),
+                "play_next": self.step,
+            }
+        )
+        self.ticker = self._pacer = Pacer(self, self._play)
+        self.get_logger().info(
+            f"opened {printable(str(reader.path))}: {sum(t.count for t in selected)} messages of "
+            f"{len(selected)} topics, {self._length * 1e-9:.3f} s"
+        )
 
     def _until_damage(self, messages: Iterator[BagMessage | None]) -> Iterator[BagMessage | None]:
         """Wait until subscribers have what was played, before damage of the bag ends the player."""
@@ -129,12 +130,9 @@ class Player(ManagedNode[PlayerParameters]):
 
     def activate(self) -> None:
         """Play, as soon as there are subscribers, unless paused."""
-        parameters = self.parameters
-        self._gate = SubscriberGate(
-            parameters.wait_for_subscribers if self._topics.by_name else 0,
-            parameters.wait_timeout,
-            time.monotonic_ns(),
-        )
+        self._is_awaited = True
+        self._activated = self._since = time.monotonic_ns()
+        self._there = 0
         self._pacer.start()
 
     def deactivate(self) -> None:
@@ -146,7 +144,7 @@ class Player(ManagedNode[PlayerParameters]):
         """Log what has been played."""
         self._warn_of_unchecked()
         topics = self._topics
-        self.get_logger().info(f"played {topics.messages} messages of {len(topics.by_name)} topics")
+        self.get_logger().info(f"played {topics.messages} messages of {len(topics.counts)} topics")
 
     def retune(self, parameters: PlayerParameters) -> None:
         """Play at another rate, with or without a loop."""
@@ -181,7 +179,7 @@ class Player(ManagedNode[PlayerParameters]):
             return "inactive"
         if self._paused:
             return "paused"
-        if not self._gate.is_open:
+        if self._is_awaited:
             return "waiting for subscribers"
         return "ended" if self._playback.ended else "playing"
 
@@ -190,13 +188,8 @@ class Player(ManagedNode[PlayerParameters]):
         lags, self._lags = self._lags, []
         return lags
 
-    def pause(self) -> None:
-        """Stand still until `resume`."""
-        self._paused = True
-        self._playback.pause(time.monotonic_ns())
-
     def resume(self) -> None:
-        """Play on."""
+        """Play on, after a pause."""
         self._paused = False
         self._pacer.wake()
 
@@ -246,14 +239,18 @@ class Player(ManagedNode[PlayerParameters]):
         self._clock_publisher.publish(message)
 
     def _may_start(self, now: int) -> bool:
-        """Return whether enough subscribers are there."""
-        if not self._gate.is_open:
-            there = self._topics.subscribers
-            self._gate.look(there, now)
-            if self._gate.timed_out:
-                wanted = self.parameters.wait_for_subscribers
+        """Return whether enough subscribers are there and settled, or the wait is over."""
+        parameters, there = self.parameters, self._topics.subscribers
+        if self._is_awaited:
+            wanted = parameters.wait_for_subscribers if self._topics.counts else 0
+            if there != self._there:
+                self._there, self._since = there, now
+            is_over = 0.0 < parameters.wait_timeout <= (now - self._activated) * 1e-9
+            if is_over and there < wanted:
                 self._warn(f"playing to {there} of {wanted} subscriptions")
-        return self._gate.is_open
+            has_settled = there >= wanted and now - self._since >= _SETTLING
+            self._is_awaited = wanted > 0 and not is_over and not has_settled
+        return not self._is_awaited
 
     def _has_arrived(self, now: int) -> bool:
         """Return whether subscribers have all that was played, or too much time has passed."""
@@ -286,26 +283,18 @@ class Player(ManagedNode[PlayerParameters]):
                 self._seek(parameter.value)
                 self._pacer.wake()
 
-    def _offer_services(self) -> None:
-        def state() -> str:
-            return f"{self.doing} at {self.position:.3f} s"
+    @property
+    def _state_text(self) -> str:
+        return f"{self.doing} at {self.position:.3f} s"
 
-        def pause() -> tuple[bool, str]:
-            self.pause()
-            return True, state()
-
-        def resume() -> tuple[bool, str]:
+    def _pause(self, paused: bool) -> tuple[bool, str]:
+        """Stand still, or play on; return the answer of a service."""
+        if paused:
+            self._paused = True
+            self._playback.pause(time.monotonic_ns())
+        else:
             self.resume()
-            return True, state()
-
-        answers = {
-            "pause": pause,
-            "resume": resume,
-            "toggle_paused": lambda: resume() if self._paused else pause(),
-            "is_paused": lambda: (self._paused, state()),
-            "play_next": self.step,
-        }
-        self.offer_triggers(answers)
+        return True, self._state_text
 
     def _warn_of_unchecked(self) -> None:
         if self._reader.unchecked and not self._warned:
@@ -317,7 +306,7 @@ class Player(ManagedNode[PlayerParameters]):
         lags = self.take_lags()
         held_back, before = self._playback.held_back, self._held_back_before
         self._held_back_before = held_back
-        counts = {topic.name: topic.messages for topic in self._topics.by_name.values()}
+        counts = self._topics.counts
         values = {
             "position [s]": f"{self.position:.3f}",
             "length [s]": f"{self._length * 1e-9:.3f}",
@@ -411,33 +400,3 @@ class Pacer:
     def _schedule(self, wait: int) -> None:
         self._timer.timer_period_ns = min(max(wait, 1), _MAX_WAIT)
         self._timer.reset()
-
-
-class SubscriberGate:
-    """Opens once enough subscribers are there and no more come, or after a timeout.
-
-    Args:
-        wanted: Subscribers to wait for; 0 opens at once.
-        timeout: Longest wait [s]; 0: no limit.
-        now: Steady time at the start [ns].
-
-    Attributes:
-        is_open: Whether it has opened; it stays open.
-        timed_out: Whether it has opened without enough subscribers.
-    """
-
-    def __init__(self, wanted: int, timeout: float, now: int) -> None:
-        self.is_open = wanted == 0
-        self.timed_out = False
-        self._wanted = wanted
-        self._deadline = now + round(timeout * 1e9) if timeout else None
-        self._there, self._since = 0, now
-
-    def look(self, there: int, now: int) -> None:
-        """Take in the number of subscribers at a steady time [ns]."""
-        if there != self._there:
-            self._there, self._since = there, now
-        enough = there >= self._wanted
-        over = self._deadline is not None and now >= self._deadline
-        self.timed_out = over and not enough
-        self.is_open = over or (enough and now - self._since >= _SETTLING)

@@ -2,20 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The player's parameters, and which topics of a bag they select."""
 
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from tsobs_ros.errors import ParameterError
-from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import check_pattern
+from tsobs_ros.nodes.selection import SelectingParameters
 from tsobs_ros.settings import live_setting, setting
 
 CLOCK = "/clock"
 
 
 @dataclass(frozen=True)
-class PlayerParameters(ManagedParameters):
+class PlayerParameters(SelectingParameters):
     """The node's parameters; `config/player.yaml` shows them with their reasons."""
 
     bag: str = setting("", "Bag folder or .mcap file to play")
@@ -36,10 +34,6 @@ class PlayerParameters(ManagedParameters):
         minimum=0.0,
     )
     start_paused: bool = setting(False, "Start in a pause")
-    topics: tuple[str, ...] = setting((), "Topics to play; empty for all")
-    regex: str = setting("", "Play the topics in which this is found, too")
-    exclude_topics: tuple[str, ...] = setting((), "Topics not to play")
-    exclude_regex: str = setting("", "Do not play topics in which this is found")
     clock: float = setting(
         0.0,
         "How often to publish the bag's time on /clock, in place of the bag's own; 0: never",
@@ -57,18 +51,6 @@ class PlayerParameters(ManagedParameters):
         minimum=1,
         maximum=1_000_000,
     )
-    read_ahead: float = setting(
-        8.0, "How much of the bag is read ahead", unit="MiB", minimum=0.0, maximum=4096.0
-    )
-
-    def __post_init__(self) -> None:
-        """Check the patterns.
-
-        Raises:
-            ParameterError: One of them is not a regular expression.
-        """
-        check_pattern("regex", self.regex)
-        check_pattern("exclude_regex", self.exclude_regex)
 
     def select(self, names: Iterable[str]) -> list[str]:
         """Return which of a bag's topics to play.
@@ -77,18 +59,18 @@ class PlayerParameters(ManagedParameters):
             ParameterError: A listed topic is not in the bag, or none is left.
         """
         there = list(names)
-        listed = {_absolute(name) for name in self.topics}
-        excluded = {_absolute(name) for name in self.exclude_topics}
+        listed, excluded = (
+            {f"/{name.removeprefix('/')}" for name in given}
+            for given in (self.topics, self.exclude_topics)
+        )
         has = f"the bag has {', '.join(there) or 'none'}"
         if missing := sorted(listed - set(there)):
             raise ParameterError(f"parameter 'topics': no topic {', '.join(missing)}; {has}")
         if self.clock:
             excluded.add(CLOCK)
+        default = set() if listed or self.regex else set(there)
         selected = [
-            name
-            for name in there
-            if (name in listed or _found(self.regex, name) or not (listed or self.regex))
-            and not (name in excluded or _found(self.exclude_regex, name))
+            name for name in there if self.takes(name, name in listed | default, name in excluded)
         ]
         if there and not selected:
             raise ParameterError(f"the parameters leave no topic to play; {has}")
@@ -107,11 +89,3 @@ class PlayerParameters(ManagedParameters):
                 f"length, got {self.start_offset:g}"
             )
         return begin, min(end, begin + round(self.duration * 1e9)) if self.duration else end
-
-
-def _absolute(name: str) -> str:
-    return name if name.startswith("/") else f"/{name}"
-
-
-def _found(pattern: str, name: str) -> bool:
-    return bool(pattern) and re.search(pattern, name) is not None

@@ -3,6 +3,7 @@
 """The topics a player publishes, with their recorded QoS."""
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import Any
 
 from msgspec.structs import replace
@@ -27,23 +28,6 @@ _USUAL_DEPTH = 10
 _FOREVER = 2**63 - 1
 
 
-class PlayedTopic:
-    """One topic being played.
-
-    Attributes:
-        name: The topic's name in the bag; the publisher's may be remapped.
-        publisher: Takes its messages as bytes.
-        latched: How many messages it keeps for late subscribers; 0 if it is not latched.
-        messages: Number of messages published.
-    """
-
-    def __init__(self, name: str, publisher: Any, qos: QoSProfile) -> None:
-        self.name = name
-        self.publisher = publisher
-        self.latched = qos.depth if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL else 0
-        self.messages = 0
-
-
 class PlayedTopics:
     """Publishers for topics of a bag; those that cannot be published are left out.
 
@@ -52,46 +36,48 @@ class PlayedTopics:
         topics: What to publish.
         queue_depth: How many messages a volatile publisher keeps for slow subscribers.
         warn: Called about each topic that is left out.
+
+    Attributes:
+        counts: The number of messages published of each topic, by its name in the bag.
+        latched: How many messages each latched topic keeps for late subscribers.
     """
 
     def __init__(
         self, node: Node, topics: Iterable[TopicInfo], queue_depth: int, warn: Callable[[str], None]
     ) -> None:
-        self.by_name: dict[str, PlayedTopic] = {}
+        self.counts: dict[str, int] = {}
+        self.latched: dict[str, int] = {}
+        self._publishers: dict[str, Any] = {}
         for topic in topics:
             try:
                 qos = offered_qos(topic.qos_profiles, queue_depth)
-                publisher = _publisher(node, topic, qos)
+                self._publishers[topic.name] = _publisher(node, topic, qos)
             except NodeError as error:
                 warn(f"not playing {topic.name}: {error}")
                 continue
-            self.by_name[topic.name] = PlayedTopic(topic.name, publisher, qos)
-
-    @property
-    def latched(self) -> dict[str, int]:
-        """How many messages each latched topic keeps for late subscribers."""
-        return {t.name: t.latched for t in self.by_name.values() if t.latched}
+            self.counts[topic.name] = 0
+            if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+                self.latched[topic.name] = qos.depth
 
     @property
     def messages(self) -> int:
         """How many messages have been published."""
-        return sum(topic.messages for topic in self.by_name.values())
+        return sum(self.counts.values())
 
     @property
     def subscribers(self) -> int:
         """How many subscriptions are matched, of all topics together."""
-        return sum(t.publisher.get_subscription_count() for t in self.by_name.values())
+        return sum(each.get_subscription_count() for each in self._publishers.values())
 
     def acknowledged(self, timeout: int = 0) -> bool:
         """Return whether reliable subscribers have everything, after a timeout for each [ns]."""
         limit = Duration(nanoseconds=timeout)
-        return all(t.publisher.wait_for_all_acked(limit) for t in self.by_name.values())
+        return all(each.wait_for_all_acked(limit) for each in self._publishers.values())
 
     def publish(self, message: BagMessage) -> None:
         """Publish a message's bytes as they were recorded."""
-        topic = self.by_name[message.topic]
-        topic.publisher.publish(message.data)
-        topic.messages += 1
+        self._publishers[message.topic].publish(message.data)
+        self.counts[message.topic] += 1
 
 
 def offered_qos(profiles: tuple[QosProfile, ...], queue_depth: int) -> QoSProfile:
@@ -125,24 +111,18 @@ def offered_qos(profiles: tuple[QosProfile, ...], queue_depth: int) -> QoSProfil
 
 
 def _publisher(node: Node, topic: TopicInfo, qos: QoSProfile) -> Any:
-    _check_definition(topic)
+    """Return a publisher, unless subscribers would decode its bytes as something else."""
+    with suppress(BagWriteError):  # no message of its own file, such as a service's event
+        installed = find_definition(topic.type).type_hash
+        if topic.type_hash and installed and topic.type_hash != installed:
+            raise NodeError(
+                f"it was recorded with another definition of {topic.type} than the installed one"
+            )
     type_ = message_class(topic.type)
     try:
         return node.create_publisher(type_, topic.name, qos)
     except Exception as error:  # rclpy's errors on names, types and profiles are of many kinds
         raise NodeError(f"it cannot be published: {error}") from error
-
-
-def _check_definition(topic: TopicInfo) -> None:
-    """Refuse bytes that subscribers would decode as something else."""
-    try:
-        installed = find_definition(topic.type).type_hash
-    except BagWriteError:
-        return  # no message of its own file, such as a service's event, or not installed at all
-    if topic.type_hash and installed and topic.type_hash != installed:
-        raise NodeError(
-            f"it was recorded with another definition of {topic.type} than the installed one"
-        )
 
 
 def _policy(policies: Any, name: str, default: str) -> Any:

@@ -9,6 +9,7 @@ import shutil
 import time
 from collections.abc import Callable
 from datetime import datetime
+from functools import partial
 from itertools import chain, count
 from operator import itemgetter
 from pathlib import Path
@@ -18,16 +19,10 @@ from rclpy.clock import Clock, ClockType
 
 from tsobs_ros.bag.recording import BufferedMessage
 from tsobs_ros.errors import BagWriteError, NodeError, printable
-from tsobs_ros.nodes.managed import Answer, ManagedNode
+from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import DiagnosticsPublisher
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
-from tsobs_ros.nodes.recorder.status import (
-    RecorderState,
-    RecorderStatistics,
-    TopicStatistics,
-    disk_is_filling,
-    statuses,
-)
+from tsobs_ros.nodes.recorder.status import RecorderStatistics, TopicStatistics, statuses
 from tsobs_ros.nodes.recorder.topics import TopicFinder
 from tsobs_ros.nodes.ticker import Ticker
 
@@ -115,19 +110,14 @@ class Recorder(ManagedNode[RecorderParameters]):
         return not self._finder.missing
 
     @property
-    def paused(self) -> bool:
-        """Whether the services have paused it."""
-        return self._paused
-
-    @property
     def finished(self) -> bool:
         """Whether the disk is full, or the node was shut down; a process then ends."""
         return super().finished or self._full
 
     @property
     def statistics(self) -> RecorderStatistics:
-        """The counts of what has been recorded and lost so far."""
-        recording = self._recording
+        """What has been recorded and lost so far, and what decides how well it goes."""
+        recording, clock = self._recording, self.get_clock()
         return RecorderStatistics(
             topics={
                 name: TopicStatistics(
@@ -142,60 +132,48 @@ class Recorder(ManagedNode[RecorderParameters]):
             discarded=recording.discarded,
             bytes=recording.bytes,
             files=recording.file_count,
+            is_recording=self.active and not self._paused,
+            awaits_clock=clock.ros_time_is_active and clock.now().nanoseconds == 0,
+            missing=self._finder.missing if self.configured else (),
+            free_disk=_free_disk(self.path),
+            minimum_free_disk=self.parameters.minimum_free_disk,
+            sync_age=recording.sync.age,
+            sync_period=self.parameters.sync_period,
+            snapshot=recording.snapshot,
         )
 
-    def pause(self) -> str:
-        """Record what has arrived, discard what arrives from here on, and return the state."""
-        self._drain()
-        self._paused = True
-        return self._log_state()
-
-    def resume(self) -> str:
-        """Record what arrives from here on, and what was latched meanwhile; return the state."""
-        self._drain()
-        self._paused = False
-        return self._log_state()
-
-    def split(self) -> str:
-        """Continue in another file of the bag, unless the current one is empty.
-
-        Raises:
-            BagWriteError: The disk failed; the bag is closed.
-        """
-        self._drain()
-        self._recording.split()
-        return f"{self._recording.file_count} files"
-
-    def take_snapshot(self) -> str:
-        """Start to write the last seconds, and return how many messages they are."""
-        self._drain()
-        return f"{self._recording.take_snapshot()} messages"
-
-    def _log_state(self) -> str:
-        state = "paused" if self._paused else "recording"
-        self.get_logger().info(state)
-        return state
-
     def _offer_services(self, snapshot_mode: bool) -> None:
-        def attempt(act: Callable[[], str]) -> Answer:
-            def answer() -> tuple[bool, str]:
-                try:
-                    return True, act()
-                except BagWriteError as error:  # the next tick meets it too, and ends the recording
-                    return False, str(error)
+        recording = self._recording
 
-            return answer
+        def split() -> str:
+            recording.split()
+            return f"{recording.file_count} files"
 
-        answers: dict[str, Answer] = {
-            "pause": attempt(self.pause),
-            "resume": attempt(self.resume),
-            "toggle_paused": attempt(lambda: self.resume() if self._paused else self.pause()),
-            "is_paused": lambda: (self._paused, "paused" if self._paused else "recording"),
-            "split_bagfile": attempt(self.split),
+        acts: dict[str, Callable[[], str]] = {
+            "pause": lambda: self._pause(True),
+            "resume": lambda: self._pause(False),
+            "toggle_paused": lambda: self._pause(not self._paused),
+            "split_bagfile": split,
         }
         if snapshot_mode:
-            answers["snapshot"] = attempt(self.take_snapshot)
-        self.offer_triggers(answers)
+            acts["snapshot"] = lambda: f"{recording.take_snapshot()} messages"
+        self.offer_triggers({name: partial(self._attempt_act, act) for name, act in acts.items()})
+        state = ("recording", "paused")
+        self.offer_triggers({"is_paused": lambda: (self._paused, state[self._paused])})
+
+    def _attempt_act(self, act: Callable[[], str]) -> tuple[bool, str]:
+        """Do what a service asks for, after what has arrived; return its answer."""
+        try:
+            self._drain()
+            return True, act()
+        except BagWriteError as error:  # the next tick meets it too, and ends the recording
+            return False, str(error)
+
+    def _pause(self, paused: bool) -> str:
+        self._paused = paused
+        state = "paused" if paused else "recording"
+        self.get_logger().info(state)
+        return state
 
     def _tick(self) -> None:
         now = time.monotonic()
@@ -259,34 +237,21 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     def _flush(self) -> None:
         self._recording.flush()
-        free, minimum = _free_disk(self.path), self.parameters.minimum_free_disk
+        statistics = self.statistics
+        free, minimum = statistics.free_disk, statistics.minimum_free_disk
         if free < minimum:
             self.get_logger().error(f"disk almost full ({free:.0f} MiB free): recording ends here")
             self.close()
             self._full = True
-        elif disk_is_filling(free, minimum) and not self._free_disk_warned:
+        elif statistics.disk_is_filling and not self._free_disk_warned:
             self._free_disk_warned = True
             self._warn(f"{free:.0f} MiB of disk space are left, recording ends at {minimum} MiB")
 
     def _publish_diagnostics(self) -> None:
-        statistics, recording = self.statistics, self._recording
-        messages = statistics.messages
-        rate = (messages - self._messages_at_diagnostics) / _DIAGNOSTICS_PERIOD
-        self._messages_at_diagnostics = messages
-        clock = self.get_clock()
-        state = RecorderState(
-            statistics=statistics,
-            rate=rate,
-            recording=self.active and not self._paused,
-            clock_awaited=clock.ros_time_is_active and clock.now().nanoseconds == 0,
-            waiting_for=self._finder.missing,
-            free_disk=_free_disk(self.path),
-            minimum_free_disk=self.parameters.minimum_free_disk,
-            sync_age=recording.sync.age,
-            sync_period=self.parameters.sync_period,
-            snapshot=recording.snapshot,
-        )
-        self._diagnostics.publish(statuses(state))
+        statistics, before = self.statistics, self._messages_at_diagnostics
+        self._messages_at_diagnostics = statistics.messages
+        rate = (statistics.messages - before) / _DIAGNOSTICS_PERIOD
+        self._diagnostics.publish(statuses(statistics, rate))
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(printable(text, newline=" "))

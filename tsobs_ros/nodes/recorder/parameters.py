@@ -2,14 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder's parameters, and the selection of topics by the rules of `ros2 bag record`."""
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tsobs_ros.bag.recording import Recording, SnapshotBuffer
-from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import check_pattern
+from tsobs_ros.nodes.selection import SelectingParameters
 from tsobs_ros.settings import live_setting, setting
 
 _MIB = 2**20
@@ -17,23 +15,15 @@ _SERVICE_EVENT = "/_service_event"
 
 
 @dataclass(frozen=True)
-class RecorderParameters(ManagedParameters):
+class RecorderParameters(SelectingParameters):
     """The node's parameters; `config/recorder.yaml` shows them with their reasons."""
 
     topics: tuple[str, ...] = setting(
         (), "Topics to record, also hidden ones; '*' for all that are not"
     )
     services: tuple[str, ...] = setting((), "Services to record the events of; '*' for all")
-    all: bool = setting(False, "Record all topics and services, as without any selection")
-    all_services: bool = setting(False, "Record all services")
-    regex: str = setting("", "Record topics and services that contain this")
-    exclude_topics: tuple[str, ...] = setting((), "Topics not to record")
     exclude_services: tuple[str, ...] = setting((), "Services not to record")
-    exclude_regex: str = setting("", "Do not record topics and services that contain this")
-    include_hidden: bool = setting(False, "Let 'all' and 'regex' find hidden topics too")
-    include_unpublished: bool = setting(
-        False, "Subscribe to topics that others only subscribe to as well"
-    )
+    include_hidden: bool = setting(False, "Let 'regex' and no selection find hidden topics too")
     output: str = setting("", "Folder of the bag, which must not exist; empty for a dated name")
     compression: str = setting("zstd", "Compression of the chunks", choices=("none", "lz4", "zstd"))
     max_bag_size: int = setting(
@@ -72,15 +62,6 @@ class RecorderParameters(ManagedParameters):
         256, "Free disk space at which recording ends", unit="MiB", minimum=0
     )
 
-    def __post_init__(self) -> None:
-        """Check the patterns.
-
-        Raises:
-            ParameterError: A regular expression is malformed.
-        """
-        check_pattern("regex", self.regex)
-        check_pattern("exclude_regex", self.exclude_regex)
-
     def recording(self, path: Path) -> Recording:
         """Return a recording into a folder.
 
@@ -111,32 +92,20 @@ class RecorderParameters(ManagedParameters):
         )
 
     @property
-    def wants_all_topics(self) -> bool:
-        """Whether every topic is selected, as it is without any selection."""
-        selected = self.topics or self.services or self.regex or self.all_services
-        return self.all or "*" in self.topics or not selected
-
-    @property
-    def wants_all_services(self) -> bool:
-        """Whether every service is selected, as it is without any selection."""
-        selected = self.topics or self.services or self.regex
-        return self.all or self.all_services or "*" in self.services or not selected
-
-    @property
     def has_patterns(self) -> bool:
         """Whether topics are selected that are not listed."""
-        return self.wants_all_topics or self.wants_all_services or bool(self.regex)
+        return self._all_topics or self._all_services or bool(self.regex)
 
     def listed(self) -> list[str]:
         """Return the topics that are selected by name and awaited, also those of services."""
         topics: set[str] = set()
-        if not self.wants_all_topics:
+        if not self._all_topics:
             topics |= {topic for topic in self.topics if self.wants(topic, ())}
-        if not self.wants_all_services:
+        if not self._all_services:
             topics |= {
                 service + _SERVICE_EVENT
                 for service in self.services
-                if self._decide(service, True, service in self.exclude_services)
+                if self.takes(service, True, service in self.exclude_services)
             }
         return sorted(topics)
 
@@ -145,19 +114,25 @@ class RecorderParameters(ManagedParameters):
 
         A service is recorded by the topic of its events; patterns are compared with its name.
         """
+        is_listed, is_excluded = topic in self.topics, topic in self.exclude_topics
         if topic.endswith(_SERVICE_EVENT) and any(
             "/srv/" in name and name.endswith("_Event") for name in types
         ):
             service = topic.removesuffix(_SERVICE_EVENT)
-            wanted = self.wants_all_services or service in self.services or topic in self.topics
-            excluded = service in self.exclude_services or topic in self.exclude_topics
-            return self._decide(service, wanted, excluded)
-        wanted = topic in self.topics
-        if not wanted and not self.include_hidden and "/_" in topic:
+            is_listed |= self._all_services or service in self.services
+            return self.takes(service, is_listed, is_excluded or service in self.exclude_services)
+        if not is_listed and not self.include_hidden and "/_" in topic:
             return False
-        return self._decide(topic, wanted or self.wants_all_topics, topic in self.exclude_topics)
+        return self.takes(topic, is_listed or self._all_topics, is_excluded)
 
-    def _decide(self, name: str, wanted: bool, excluded: bool) -> bool:
-        if excluded or (self.exclude_regex and re.search(self.exclude_regex, name)):
-            return False
-        return wanted or bool(self.regex and re.search(self.regex, name))
+    @property
+    def _all_topics(self) -> bool:
+        return "*" in self.topics or self._selects_nothing
+
+    @property
+    def _all_services(self) -> bool:
+        return "*" in self.services or self._selects_nothing
+
+    @property
+    def _selects_nothing(self) -> bool:
+        return not (self.topics or self.services or self.regex)

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recorder's counts, of lost messages too, and its statuses in /diagnostics."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import NamedTuple
 
@@ -47,8 +49,7 @@ class LossCounter:
 
     def see(self, publishers: frozenset[bytes]) -> None:
         """Take in who publishes the topic now; its queue has been emptied since the last call."""
-        if len(publishers) > 1:
-            self.is_exact = False
+        self.is_exact &= len(publishers) <= 1
         gone = not publishers & self._publishers
         if gone and self._gone:
             self._next = 0  # all that it sent has been counted
@@ -62,18 +63,16 @@ class LossCounter:
         Args:
             numbers: Each publisher's count of its messages, from 1; None from a middleware that
                 does not number them.
-            current_publishers: Returns who publishes the topic now; called only if a number is
-                not the next one.
+            current_publishers: Returns who publishes the topic now.
         """
-        publishers: frozenset[bytes] | None = None
+        publishers: frozenset[bytes] | None = None  # asked for only if a number is not the next
         for number in numbers:
             if number == self._next:
                 self._next += 1
             elif number is None:
                 self.is_exact = False
             else:
-                if publishers is None:
-                    publishers = current_publishers()
+                publishers = current_publishers() if publishers is None else publishers
                 self._jump(number, publishers)
 
     def _jump(self, number: int, publishers: frozenset[bytes]) -> None:
@@ -126,13 +125,37 @@ class TopicStatistics(NamedTuple):
         )
 
 
-class RecorderStatistics(NamedTuple):
-    """Counts of each topic by its full name, of messages discarded in pauses, bytes and files."""
+@dataclass(frozen=True)
+class RecorderStatistics:
+    """All that decides a recorder's statuses.
+
+    Attributes:
+        topics: Counts of each topic by its full name.
+        discarded: Messages discarded in pauses.
+        bytes: Bytes of the messages recorded.
+        files: Files of the bag.
+        is_recording: Whether what arrives is recorded.
+        awaits_clock: Whether messages wait for the first time on /clock.
+        missing: Listed topics without a publisher.
+        free_disk: Free disk space [MiB].
+        minimum_free_disk: That at which recording ends [MiB].
+        sync_age: Time since the last sync of the disk [s].
+        sync_period: That between two syncs [s].
+        snapshot: The last seconds, in snapshot mode.
+    """
 
     topics: Mapping[str, TopicStatistics]
     discarded: int = 0
     bytes: int = 0
     files: int = 1
+    is_recording: bool = True
+    awaits_clock: bool = False
+    missing: Sequence[str] = ()
+    free_disk: float = math.inf
+    minimum_free_disk: int = 0
+    sync_age: float = 0.0
+    sync_period: float = 0.0
+    snapshot: SnapshotBuffer | None = None
 
     @property
     def messages(self) -> int:
@@ -154,78 +177,67 @@ class RecorderStatistics(NamedTuple):
         """The topics whose losses are not all known."""
         return sorted(name for name, topic in self.topics.items() if not topic.loss_known)
 
-
-class RecorderState(NamedTuple):
-    """All that decides a recorder's statuses; rate in 1/s, disk in MiB, times in s."""
-
-    statistics: RecorderStatistics
-    rate: float
-    recording: bool
-    clock_awaited: bool
-    waiting_for: Sequence[str]
-    free_disk: float
-    minimum_free_disk: int
-    sync_age: float
-    sync_period: float
-    snapshot: SnapshotBuffer | None = None
+    @property
+    def disk_is_filling(self) -> bool:
+        """Whether recording will soon end for want of disk space."""
+        return self.free_disk < _FREE_DISK_WARNING * self.minimum_free_disk
 
 
-def disk_is_filling(free_disk: float, minimum_free_disk: int) -> bool:
-    """Return whether recording will soon end for want of disk space, both in MiB."""
-    return free_disk < _FREE_DISK_WARNING * minimum_free_disk
+def statuses(counts: RecorderStatistics, rate: float) -> list[Status]:
+    """Return what to publish: the recording as a whole, and the counts of its topics.
 
-
-def statuses(state: RecorderState) -> list[Status]:
-    """Return what to publish: the recording as a whole, and the counts of its topics."""
-    level, message = _verdict(state)
-    counts = state.statistics
+    Args:
+        counts: The recorder's.
+        rate: Messages per second [1/s].
+    """
     values = {
         "messages": str(counts.messages),
-        "messages a second": f"{state.rate:.1f}",
+        "messages a second": f"{rate:.1f}",
         "MiB": f"{counts.bytes / _MIB:.1f}",
         "lost": str(counts.lost),
         "published before the first": str(counts.earlier),
         "losses unknown of": ", ".join(counts.loss_unknown),
         "discarded while paused": str(counts.discarded),
         "topics": str(len(counts.topics)),
-        "waiting for": ", ".join(state.waiting_for),
-        "paused": str(not state.recording).lower(),
+        "waiting for": ", ".join(counts.missing),
+        "paused": str(not counts.is_recording).lower(),
         "files": str(counts.files),
-        "free disk space (MiB)": f"{state.free_disk:.0f}",
-        "last sync (s ago)": f"{state.sync_age:.1f}",
+        "free disk space (MiB)": f"{counts.free_disk:.0f}",
+        "last sync (s ago)": f"{counts.sync_age:.1f}",
     }
-    if (buffer := state.snapshot) is not None:
+    if (buffer := counts.snapshot) is not None:
         duration, size = buffer.duration_ns * 1e-9, buffer.size / _MIB
         values["snapshot buffer"] = f"{len(buffer)} messages, {duration:.1f} s, {size:.1f} MiB"
         values["too large for the snapshot buffer"] = str(buffer.refused)
-    return [Status("recording", level, message, values), _topics(counts)]
-
-
-def _verdict(state: RecorderState) -> tuple[Level, str]:
-    """Return the most serious thing there is to report."""
-    counts = state.statistics
-    if counts.lost:
-        return Level.WARN, f"{counts.lost} messages lost"
-    if state.snapshot is not None and state.snapshot.refused:
-        return Level.WARN, f"{state.snapshot.refused} messages too large for the snapshot buffer"
-    if disk_is_filling(state.free_disk, state.minimum_free_disk):
-        return Level.WARN, f"{state.free_disk:.0f} MiB of disk space are left"
-    if state.sync_age > state.sync_period + _SYNC_GRACE:
-        return Level.WARN, f"the disk has not kept up for {state.sync_age:.0f} s"
-    if state.clock_awaited:
-        return Level.WARN, "waiting for /clock"
-    if state.waiting_for:
-        return Level.WARN, f"waiting for {state.waiting_for[0]}"
-    if not state.recording:
-        return Level.OK, "paused"
-    return Level.OK, "recording" if state.snapshot is None else "keeping the last seconds"
-
-
-def _topics(counts: RecorderStatistics) -> Status:
-    topics = dict(sorted(counts.topics.items()))
+    topics = {name: str(topic) for name, topic in sorted(counts.topics.items())}
     level, message = Level.OK, "nothing lost since the first of each"
-    if lossy := [name for name, topic in topics.items() if topic.lost]:
+    if lossy := sorted(name for name, topic in counts.topics.items() if topic.lost):
         level, message = Level.WARN, f"messages lost of {', '.join(lossy)}"
     elif counts.loss_unknown:
         message = f"losses unknown of {', '.join(counts.loss_unknown)}"
-    return Status("topics", level, message, {name: str(topic) for name, topic in topics.items()})
+    return [
+        Status("recording", *_verdict(counts), values),
+        Status("topics", level, message, topics),
+    ]
+
+
+def _verdict(counts: RecorderStatistics) -> tuple[Level, str]:
+    """Return the most serious thing there is to report."""
+    refused = 0 if counts.snapshot is None else counts.snapshot.refused
+    warnings = (
+        (counts.lost, f"{counts.lost} messages lost"),
+        (refused, f"{refused} messages too large for the snapshot buffer"),
+        (counts.disk_is_filling, f"{counts.free_disk:.0f} MiB of disk space are left"),
+        (
+            counts.sync_age > counts.sync_period + _SYNC_GRACE,
+            f"the disk has not kept up for {counts.sync_age:.0f} s",
+        ),
+        (counts.awaits_clock, "waiting for /clock"),
+        (counts.missing, f"waiting for {', '.join(counts.missing[:1])}"),
+    )
+    for is_so, message in warnings:
+        if is_so:
+            return Level.WARN, message
+    if not counts.is_recording:
+        return Level.OK, "paused"
+    return Level.OK, "recording" if counts.snapshot is None else "keeping the last seconds"

@@ -82,13 +82,13 @@ class RecordedTopic:
         self,
         name: str,
         definition: MessageDefinition,
-        offers: tuple[QosProfile, ...],
+        publishers: Sequence[TopicEndpointInfo],
         subscribe: Callable[[QosKind], DrainedSubscription],
         find_publishers: Callable[[], Sequence[TopicEndpointInfo]],
     ) -> None:
         self.name = name
         self.definition = definition
-        self.offers = offers
+        self.offers = tuple(to_bag_qos(info.qos_profile) for info in publishers)
         self.losses = LossCounter()
         self.since_ns: int | None = None
         self._subscribe = subscribe
@@ -97,6 +97,7 @@ class RecordedTopic:
         self._latched_publishers: set[bytes] = set()
         self._recent: set[_Key] = set()
         self._older: set[_Key] = set()
+        self.subscribe(publishers)
 
     @property
     def matched(self) -> bool:
@@ -109,15 +110,11 @@ class RecordedTopic:
             kind = QosKind.of(info.qos_profile)
             if kind.latched:
                 self._latched_publishers.add(bytes(info.endpoint_gid))
-            self.subscribe_to(kind)
+            if kind not in self._subscriptions:
+                self._subscriptions[kind] = self._subscribe(kind)
+                # Latched ones last: when their queue is emptied, a copy has not arrived before.
+                self._subscriptions = dict(sorted(self._subscriptions.items()))
         self.losses.see(_gids(publishers))
-
-    def subscribe_to(self, kind: QosKind) -> None:
-        """Subscribe to publishers of a kind."""
-        if kind not in self._subscriptions:
-            self._subscriptions[kind] = self._subscribe(kind)
-            # Latched ones last: when their queue is emptied, a copy has not arrived before.
-            self._subscriptions = dict(sorted(self._subscriptions.items()))
 
     def drain(self, limit: int) -> list[Received]:
         """Take what has arrived for the first time, at most `limit` from each subscription."""
@@ -138,9 +135,9 @@ class RecordedTopic:
                 latch = Latch(number, publishers) if kind.latched else None
                 received.append(Received(data, source_ns, info["received_timestamp"], latch))
                 numbers.append(number)
-        if received and self.since_ns is None:
-            self.since_ns = min(each.received_ns for each in received) or time.time_ns()
-        if numbers:
+        if received:
+            if self.since_ns is None:
+                self.since_ns = min(each.received_ns for each in received) or time.time_ns()
             self.losses.add(numbers, lambda: _gids(self._find_publishers()))
         if len(self._recent) > _REMEMBERED:
             self._recent, self._older = set(), self._recent
@@ -178,11 +175,8 @@ class TopicFinder:
     @property
     def missing(self) -> list[str]:
         """The listed topics that have no publisher yet, or that cannot be recorded."""
-        return [
-            name
-            for name in self._listed
-            if name not in self.recorded or not self.recorded[name].matched
-        ]
+        recorded = self.recorded
+        return [name for name in self._listed if name not in recorded or not recorded[name].matched]
 
     def poll(self) -> list[RecordedTopic]:
         """Look at the graph and return the topics that have been subscribed to by this call."""
@@ -193,56 +187,44 @@ class TopicFinder:
             if full_look or count != self._publisher_counts.get(topic.name):
                 self._publisher_counts[topic.name] = count
                 self._look_at(topic)
+        wanted: dict[str, None] = dict.fromkeys(self._listed)
+        if self._selection.has_patterns:
+            graph = self._node.get_topic_names_and_types()
+            wanted |= {name: None for name, types in graph if self._selection.wants(name, types)}
         found = []
-        for name, types in self._wanted().items():
+        for name in [each for each in wanted if each not in self.recorded]:
             try:
-                if (new := self._found(name, types)) is not None:
+                if (new := self._found(name)) is not None:
                     found.append(new)
             except (BagWriteError, NodeError) as error:
                 self._warn(f"not recording {name}: {error}")
         self.recorded.update({topic.name: topic for topic in found})
         return found
 
-    def _wanted(self) -> dict[str, Sequence[str]]:
-        """Return the topics yet to be found, and their types as far as those are known."""
-        selection = self._selection
-        wanted: dict[str, Sequence[str]] = dict.fromkeys(self._listed, ())
-        if selection.has_patterns or selection.include_unpublished:
-            for name, types in self._node.get_topic_names_and_types():
-                if name in wanted or selection.wants(name, types):
-                    wanted[name] = types
-        return {name: types for name, types in wanted.items() if name not in self.recorded}
-
-    def _found(self, name: str, types: Sequence[str]) -> RecordedTopic | None:
+    def _found(self, name: str) -> RecordedTopic | None:
         """Subscribe to a topic, unless it must wait for a publisher."""
         publishers = self._node.get_publishers_info_by_topic(name)
-        if publishers:
-            types = sorted({info.topic_type for info in publishers})
-        elif not (self._selection.include_unpublished and types):
-            return None
-        if not self._selection.wants(name, types) or self._tried.get(name) == types:
+        types = sorted({info.topic_type for info in publishers})
+        is_new = bool(types) and self._tried.get(name) != types
+        if not is_new or not self._selection.wants(name, types):
             return None
         self._tried[name] = types
         if len(types) > 1:
             raise BagWriteError(f"its publishers disagree about its type: {', '.join(types)}")
         definition = find_definition(types[0])
         msg_type = message_class(types[0])
-        topic = RecordedTopic(
-            name,
-            definition,
-            tuple(to_bag_qos(info.qos_profile) for info in publishers),
-            lambda kind: self._subscription(name, msg_type, kind),
-            lambda: self._node.get_publishers_info_by_topic(name),
-        )
         hashes = {str(info.topic_type_hash) for info in publishers} - {definition.type_hash}
         if definition.type_hash and any(text.startswith("RIHS01_") for text in hashes):
             self._warn(
                 f"{name}: a publisher's definition of {definition.type} is not the installed one"
             )
-        topic.subscribe(publishers)
-        if not publishers:
-            topic.subscribe_to(QosKind(latched=False, reliable=True))
-        return topic
+        return RecordedTopic(
+            name,
+            definition,
+            publishers,
+            lambda kind: self._subscription(name, msg_type, kind),
+            lambda: self._node.get_publishers_info_by_topic(name),
+        )
 
     def _subscription(self, name: str, msg_type: Any, kind: QosKind) -> DrainedSubscription:
         qos = kind.request(self._selection.queue_depth)
@@ -255,24 +237,23 @@ class TopicFinder:
 
     def _look_at(self, topic: RecordedTopic) -> None:
         """Subscribe to publishers that came later."""
-        fitting = []
+        fitting, warnings = [], []
         for info in self._node.get_publishers_info_by_topic(topic.name):
             if info.topic_type == topic.definition.type:
                 fitting.append(info)
             else:
-                self._warn_once(
+                warnings.append(
                     f"not recording the {topic.name} of node {info.node_name}: it is a "
                     f"{info.topic_type}, not a {topic.definition.type}"
                 )
         try:
             topic.subscribe(fitting)
         except NodeError as error:
-            self._warn_once(f"not recording all of {topic.name}: {error}")
-
-    def _warn_once(self, message: str) -> None:
-        if message not in self._warnings:
-            self._warnings.add(message)
-            self._warn(message)
+            warnings.append(f"not recording all of {topic.name}: {error}")
+        for warning in warnings:
+            if warning not in self._warnings:
+                self._warnings.add(warning)
+                self._warn(warning)
 
 
 def to_bag_qos(profile: QoSProfile) -> QosProfile:
