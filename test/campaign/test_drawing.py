@@ -178,17 +178,11 @@ def test_scenarios_of_the_simulator_befall_the_arm_of_a_design(both_encoders: Pa
         ({"observer": {"gate": 3.0}}, "parameter 'gate' decides no estimate"),
         ({"scenarios": {"a": {"like": "b"}}}, "scenarios.a.like: expected one of noise, bias_step"),
         ({"scenarios": {"a": {"weight": 0}}}, "scenarios.a.weight: expected a whole number"),
-        ({"scenarios": {"a": {"friction": {"link": 1}}}}, r"scenarios.a.friction: unknown entry"),
-        (
-            {"scenarios": {"a": {"disturbance": [{"kind": "step"}]}}},
-            r"scenarios.a.disturbance\[0\].kind: expected one of bias_step",
-        ),
         (
             {"scenarios": {"a": {"disturbance": [{"kind": "ramp", "slope": 1}]}}},
             r"scenarios.a.disturbance\[0\].* unknown entry 'slope'",
         ),
         ({"scenarios": {"a": {"noise": [1, -1]}}}, r"scenarios.a.*noise: expected a range"),
-        ({"scenarios": {"a": {"noise": [-1, 1]}}}, r"scenarios.a.*noise_std: expected"),
         (
             {"scenarios": {"a": {"sensor": {"nois": 1}}}},
             "scenarios.a.sensor.* unknown entry 'nois'",

@@ -190,17 +190,3 @@ def messages_of() -> Callable[..., dict[str, list[Row]]]:
 def new_run() -> Callable[..., RecordedRun]:
     """`blank_run` for tests."""
     return blank_run
-
-
-@pytest.fixture
-def approximately() -> Callable[[Any], Any]:
-    """Return data that equals others if all numbers in them are equal to 1e-9."""
-
-    def made(data: Any) -> Any:
-        if isinstance(data, dict):
-            return {key: made(one) for key, one in data.items()}
-        if isinstance(data, list | tuple):
-            return [made(one) for one in data]
-        return pytest.approx(data, rel=1e-9) if isinstance(data, float) else data
-
-    return made

@@ -96,19 +96,13 @@ def test_nested_fields_have_columns_with_their_units(export, tmp_path) -> None:
     (exported,) = export(cmd=[twist(0.5)])
 
     assert exported.path == tmp_path / "cmd.csv"
-    assert rows(exported.path) == [
-        {
-            "time [s]": "0.0",
-            "log_time [ns]": str(START),
-            "publish_time [ns]": str(START - 1),
-            "linear.x [m/s]": "0.5",
-            "linear.y [m/s]": "0.0",
-            "linear.z [m/s]": "-0.5",
-            "angular.x [rad/s]": "1.0",
-            "angular.y [rad/s]": "0.0",
-            "angular.z [rad/s]": "-1.0",
-        }
-    ]
+    (row,) = rows(exported.path)
+    assert list(row.values()) == [
+        "0.0", str(START), str(START - 1), "0.5", "0.0", "-0.5", "1.0", "0.0", "-1.0"
+    ]  # fmt: skip
+    fields = [f"linear.{axis} [m/s]" for axis in "xyz"]
+    fields += [f"angular.{axis} [rad/s]" for axis in "xyz"]
+    assert list(row) == ["time [s]", "log_time [ns]", "publish_time [ns]", *fields]
 
 
 def test_joints_keep_their_columns_whatever_their_order(export, tmp_path) -> None:
@@ -210,13 +204,12 @@ NAMES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("format", ["csv", "parquet"])
-def test_each_topic_has_a_plain_file_of_its_own_whatever_its_name(tmp_path, format: str) -> None:
+def test_each_topic_has_a_plain_file_of_its_own_whatever_its_name(tmp_path) -> None:
     folder = tmp_path / "deep" / "out"
-    exported = export_bag(joint_bag(tmp_path, "/a", *NAMES), folder, format=format)
+    exported = export_bag(joint_bag(tmp_path, "/a", *NAMES), folder)
 
     assert [one.topic for one in exported] == ["/a", *NAMES]
-    files = sorted(path for path in tmp_path.rglob(f"*.{format}"))
+    files = sorted(tmp_path.rglob("*.csv"))
     assert sorted(one.path for one in exported) == files
     assert len(files) == 1 + len(NAMES)
     for file in files:
@@ -224,36 +217,33 @@ def test_each_topic_has_a_plain_file_of_its_own_whatever_its_name(tmp_path, form
         assert re.fullmatch(r"[\w%~/-]+", str(file.relative_to(folder).with_suffix("")), re.ASCII)
 
 
-def write_joints_and_text(
-    bag: Path,
-    definition: str,
-    encoding: str = "ros2msg",
-    last: bytes = TEXT,
-    joints: bytes | None = None,
-) -> Path:
+@pytest.fixture
+def text_bag(tmp_path: Path) -> Callable[..., Path]:
     """Write a JointState, which needs no definition, and two texts, which do."""
-    with BagWriter(bag) as writer:
-        writer.add_topic("/joints", JOINT_STATE, definition=MessageDefinition(JOINT_STATE, "", ""))
-        text = MessageDefinition(STRING, definition, "", encoding)
-        writer.add_topic("/text", STRING, definition=text)
-        writer.write("/joints", joints or JointStateEncoder(["j"])(1, [1.0]), 1, 1)
-        for time, data in ((1, TEXT), (2, last)):
-            writer.write("/text", data, time, time)
-    return bag
+
+    def write(definition: str, last: bytes = TEXT, joints: bytes | None = None) -> Path:
+        with BagWriter(tmp_path / "bag") as writer:
+            for topic, type_, text in (("/joints", JOINT_STATE, ""), ("/text", STRING, definition)):
+                writer.add_topic(topic, type_, definition=MessageDefinition(type_, text, ""))
+            writer.write("/joints", joints or JointStateEncoder(["j"])(1, [1.0]), 1, 1)
+            for time, data in ((1, TEXT), (2, last)):
+                writer.write("/text", data, time, time)
+        return tmp_path / "bag"
+
+    return write
 
 
 @pytest.mark.parametrize(
-    ("definition", "encoding", "decoder", "reason"),
+    ("definition", "decoder", "reason"),
     [
-        ("module a {};", "ros2idl", True, "is defined in 'ros2idl', but only ros2msg can be"),
-        ("what is this?\n", "ros2msg", True, "the definition of std_msgs/msg/String is malformed"),
-        ("string data\n", "ros2msg", False, "cannot decode messages: mcap_ros2 is not installed: "),
+        ("what is this?\n", True, "the definition of std_msgs/msg/String is malformed"),
+        ("string data\n", False, "cannot decode messages: mcap_ros2 is not installed: "),
     ],
 )
 def test_a_topic_that_cannot_be_decoded_is_refused_before_any_file(
-    tmp_path, monkeypatch, definition, encoding, decoder, reason
+    tmp_path, monkeypatch, text_bag, definition, decoder, reason
 ) -> None:
-    bag = write_joints_and_text(tmp_path / "bag", definition, encoding)
+    bag = text_bag(definition)
     if not decoder:
         monkeypatch.setitem(sys.modules, "mcap_ros2.decoder", None)
 
@@ -266,18 +256,12 @@ def test_a_topic_that_cannot_be_decoded_is_refused_before_any_file(
 
 
 @pytest.mark.parametrize(
-    ("joints", "last", "kept", "damage"),
-    [
-        (b"nothing", TEXT, (0, 2), "at 1 ns is not a sensor_msgs/msg/JointState"),
-        (None, TEXT[:6], (1, 1), "at 2 ns is not a std_msgs/msg/String"),
-    ],
+    ("joints", "last", "kept"), [(b"nothing", TEXT, (0, 2)), (None, TEXT[:6], (1, 1))]
 )
-def test_damage_keeps_what_was_decoded_before_it(tmp_path, joints, last, kept, damage) -> None:
-    bag = write_joints_and_text(tmp_path / "bag", "string data\n", last=last, joints=joints)
-
-    exported = export_bag(bag, tmp_path / "out")
+def test_damage_keeps_what_was_decoded_before_it(tmp_path, text_bag, joints, last, kept) -> None:
+    exported = export_bag(text_bag("string data\n", last, joints), tmp_path / "out")
 
     assert tuple(one.rows for one in exported) == kept
     assert [len(rows(one.path)) for one in exported] == list(kept)
     (found,) = [str(one.damage) for one in exported if one.damage]
-    assert damage in found
+    assert "is not a" in found

@@ -123,10 +123,7 @@ def test_without_truth_there_are_bounds_but_no_errors(exact) -> None:
     assert all(one.rmse is one.ratio is one.inside is None for one in metrics.quantities)
     assert metrics.normalised_rmse is None
     assert metrics.events[0].settled_after is None
-    text = render_metrics(metrics)
-    assert "–" in text
-    assert "settling" not in text
-    assert "EKF" not in text
+    assert "settling" not in render_metrics(metrics)
 
 
 def test_lost_truth_and_bounds_are_left_out(exact) -> None:
@@ -175,11 +172,6 @@ def test_a_diverged_observer_is_called_so_and_stays_plain_data(exact, size) -> N
 def test_senseless_options_are_refused(name, value) -> None:
     with pytest.raises(ModelError, match=name):
         MetricsOptions(**{name: value})
-
-
-def test_each_state_has_its_scale(exact) -> None:
-    with pytest.raises(ModelError, match="scale: expected 4 sizes, one a state, got 3"):
-        measure(exact, MetricsOptions(scale=(1.0, 1.0, 1.0)))
 
 
 def test_the_table_says_what_the_metrics_say(simulated) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
-from tsobs_ros.report.run import align, hold, interpolate_motion, read_run
+from tsobs_ros.report.run import hold, interpolate_motion, read_run
 from tsobs_ros.series import Series
 
 SECOND = 1_000_000_000
@@ -83,17 +83,6 @@ def test_missing_topics_are_named_with_the_bag(short, messages_of, write_bag) ->
         BagReadError, match=r"bag: no topic ends in joint_measurements, observer/error_bound; "
     ):
         read_run(write_bag(topics))
-
-
-def test_optional_topics_may_be_empty_or_lack(short, messages_of, write_bag) -> None:
-    empty = {"/ground_truth/joint_states": [], "/observer/innovation": []}
-    topics = messages_of(replace(short, true_disturbance=None))
-
-    run = read_run(write_bag({**topics, **empty}))
-
-    assert run.truth is run.innovations is run.true_disturbance is None
-    assert np.isnan(run.of(run.quantities[0]).error).all()
-    assert len(run.stamps) == len(short.stamps)
 
 
 def test_of_two_arms_one_must_be_chosen(short, messages_of, write_bag) -> None:
@@ -191,12 +180,3 @@ def test_a_held_value_is_the_newest_and_not_too_old() -> None:
     held = hold(series, wanted)[:, 0]
 
     np.testing.assert_array_equal(held, [np.nan, 1.0, 1.0, 2.0, 3.0, np.nan])
-
-
-def test_alignment_is_by_stamp_and_the_first_of_equals_counts() -> None:
-    series = Series(np.array([30, 10, 10]), np.array([[3.0], [1.0], [9.0]]))
-
-    aligned = align(series, np.array([10, 20, 30, 40]))[:, 0]
-
-    np.testing.assert_array_equal(aligned, [1.0, np.nan, 3.0, np.nan])
-    assert np.isnan(align(Series(series.stamps[:0], series.values[:0]), np.array([1]))).all()
