@@ -23,7 +23,7 @@ pytest.importorskip("rich")
 from rclpy.parameter import Parameter
 from rich.console import Console
 
-from tsobs_ros.cli.watch import picture
+from tsobs_ros.cli.picture import picture
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes import observer, plant_simulator
 from tsobs_ros.nodes.watcher import Quantity, Snapshot

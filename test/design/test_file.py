@@ -113,12 +113,11 @@ def test_the_shipped_designs_are_as_they_were() -> None:
 def test_a_scheduled_system_with_more_than_one_premise_is_read(
     pendulum_data: dict[str, Any], tmp_path: Path
 ) -> None:
-    data = changed(pendulum_data, ("system", "C"), [[2, 0], [0, 1]])
     premises = {
-        "angle": {"output": [0.5, 0]},
+        "angle": {"state": [1, 0]},
         "load": {"state": [0, 1], "scheduled": [0, 3]},
     }
-    path = written(tmp_path, changed(data, ("system", "premises"), premises))
+    path = written(tmp_path, changed(pendulum_data, ("system", "premises"), premises))
     model = load_request(path).model
     np.testing.assert_array_equal(model.premise, [[1.0, 0.0], [0.0, 1.0]])
     np.testing.assert_array_equal(model.schedule, [[0.0, 0.0], [0.0, 3.0]])
@@ -270,7 +269,7 @@ ARM = [
 ]
 SYSTEM = [
     (("system", "rules"), ..., "system.rules: missing"),
-    (("system", "premises", "angle"), {}, "system.premises.angle: expected one of state, output"),
+    (("system", "premises", "angle"), {}, "system.premises.angle: expected at least one of state"),
     (("system", "rules", 1, "A"), [[1], [2]], r"system.rules\[1\].A: expected shape \(2, 2\), got"),
     (("system", "rules", 0, "if"), {"speed": {"shape": "always"}}, r"\[0\].if: unknown entry 'sp"),
     (("system", "rules", 0, "if"), {"angle": {"shape": "box"}}, r"\[0\].if.angle: membership sh"),
@@ -280,7 +279,7 @@ SYSTEM = [
     (("names",), {"states": ["a", "a"]}, r"names.states\[1\]: .* 'a', which names.states\[0\] has"),
     (("names",), {"outputs": ["e", "u1"]}, r"names.inputs\[0\]: .* 'u1', which names.outputs\[1\]"),
     (("units",), {"states": ["m", "m"], "inputs": ["N"]}, "units.outputs: expected 2, .* got none"),
-    (("units",), {"states": ["m", "\n"]}, r"units.states\[1\]: expected at most 60 printable char"),
+    (("units",), {"states": ["m", "\n"]}, r"units.states\[1\]: expected printable characters, 60"),
     (("uncertainty", "gravity", "E"), [[0]], r"uncertainty.gravity.E: expected shape \(2, 2\), go"),
 ]
 

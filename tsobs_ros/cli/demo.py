@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from tsobs_ros.bag.estimate_topics import (
     DESIGN,
@@ -85,7 +86,7 @@ def run(options: argparse.Namespace) -> int:
     with tqdm(
         total=options.duration, unit="s", bar_format="{l_bar}{bar}| {n:.1f}/{total:.1f} s"
     ) as bar:
-        bag = _record(output, options, lambda seconds: bar.update(seconds - bar.n))
+        bag = _record(output, options, bar)
     exit_code = report_on(
         bag, output, as_json=options.json, notes={"seed of the simulator": str(options.seed)}
     )
@@ -98,17 +99,13 @@ def run(options: argparse.Namespace) -> int:
     return exit_code
 
 
-def _record(
-    output: Path, options: argparse.Namespace, show_progress: Callable[[float], object]
-) -> Path:
+def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
     """Run the nodes for the demo's duration, in a new folder, and return the closed bag."""
     try:
         output.mkdir(parents=True)
         (output / "log").mkdir()
     except FileExistsError as error:
         raise NodeError(f"{output}: exists already; choose another --output") from error
-    except OSError as error:
-        raise NodeError(f"{output}: cannot be made: {error.strerror}") from error
     bag = output / "bag"
     environment = {
         **os.environ,
@@ -150,26 +147,23 @@ def _record(
             },
         )
         _until(lambda: plant.has_printed("started"), [*others, plant], "the plant to start")
-        _until(
-            lambda: not plant.running,
-            others,
-            "the plant to finish",
-            options.duration + _START_TIMEOUT,
-            lambda elapsed: show_progress(min(elapsed, options.duration)),
-        )
+        started = time.monotonic()
+
+        def has_finished() -> bool:
+            bar.update(min(time.monotonic() - started, options.duration) - bar.n)
+            return not plant.running
+
+        limit = options.duration + _START_TIMEOUT
+        _until(has_finished, others, "the plant to finish", limit)
         plant.require_success()
-        show_progress(options.duration)
+        bar.update(options.duration - bar.n)
         # The recorder first, so that it still takes what the others have sent.
         for process in (recorder, observer, drawn, plant):
             process.stop()
             process.require_success()
-        _leave_if_signalled()
+        if signal_came():
+            raise KeyboardInterrupt
     return bag
-
-
-def _leave_if_signalled() -> None:
-    if signal_came():
-        raise KeyboardInterrupt
 
 
 class _NodeProcess:
@@ -228,28 +222,22 @@ class _NodeProcess:
                 + " | ".join(last or ["no output"])
             )
 
-    def require_running(self) -> None:
-        """Raise `NodeError` if it has ended."""
-        if not self.running:
-            self.require_success()
-            raise NodeError(f"{self.name} ended early; see {self.log}")
-
 
 def _until(
     done: Callable[[], bool],
     needed: Sequence[_NodeProcess],
     what: str,
     timeout: float = _START_TIMEOUT,
-    show_progress: Callable[[float], object] = lambda _: None,
 ) -> None:
-    """Wait while the needed processes run; `show_progress` is called with the seconds waited."""
-    begin = time.monotonic()
+    """Wait while the needed processes run."""
+    deadline = time.monotonic() + timeout
     while not done():
-        _leave_if_signalled()
+        if signal_came():
+            raise KeyboardInterrupt
         for process in needed:
-            process.require_running()
-        elapsed = time.monotonic() - begin
-        if elapsed > timeout:
+            if not process.running:
+                process.require_success()
+                raise NodeError(f"{process.name} ended early; see {process.log}")
+        if time.monotonic() > deadline:
             raise NodeError(f"waited {timeout:g} s for {what}; see {needed[0].log.parent}")
-        show_progress(elapsed)
         time.sleep(_POLL)

@@ -274,16 +274,10 @@ class ArmFile:
 
 @dataclass
 class PremiseEntry:
-    """One premise variable, linear in state, undisturbed outputs and scheduled signals."""
+    """One premise variable, linear in the state and in scheduled signals."""
 
     state: Numbers | None = None
-    output: Numbers | None = None
     scheduled: Numbers | None = None
-
-    def row(self, source: str, width: int) -> Array:
-        """Return the numbers that the premise takes of a source, shape (width,)."""
-        numbers = getattr(self, source)
-        return np.zeros(width) if numbers is None else as_matrix(source, numbers, (width,))
 
 
 @dataclass(kw_only=True)
@@ -362,18 +356,21 @@ class SystemEntry:
                 outputs.append(as_matrix("C", own, (p, n)))
                 memberships.append(rule.memberships(list(self.premises)))
         scheduled = [each.scheduled for each in self.premises.values()]
-        signals = max(0 if each is None else len(each) for each in scheduled)
-        premise, schedule = [], []
+        signals = max((len(each) for each in scheduled if each is not None), default=0)
+        sources: dict[str, list[Array]] = {"state": [], "scheduled": []}
         for name, each in self.premises.items():
             with within(f"premises.{name}"):
-                if all(given is None for given in vars(each).values()):
-                    raise ValueError("expected one of state, output, scheduled")
-                premise.append(each.row("state", n) + each.row("output", p) @ C)
-                schedule.append(each.row("scheduled", signals))
+                if each.state is None and each.scheduled is None:
+                    raise ValueError("expected at least one of state and scheduled")
+                for source, width in (("state", n), ("scheduled", signals)):
+                    given = getattr(each, source)
+                    row = np.zeros(width) if given is None else given
+                    sources[source].append(as_matrix(source, row, (width,)))
         A, B = (np.array([getattr(rule, name) for rule in self.rules]) for name in "AB")
         rules = RuleBase(tuple(memberships))
         differing = None if all(rule.C is None for rule in self.rules) else np.array(outputs)
-        return TSModel(A, B, C, rules, np.array(premise), np.array(schedule), differing)
+        premise, schedule = map(np.array, sources.values())
+        return TSModel(A, B, C, rules, premise, schedule, differing)
 
 
 @dataclass

@@ -3,7 +3,7 @@
 """Names and units of a T–S system's signals, as its file gives them and messages have them."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -38,7 +38,7 @@ NO_LABELS = Labels()
 """Those of a request that gives none."""
 
 
-def checked_names(names: Labels, counts: Mapping[str, int]) -> Labels:
+def checked_names(names: Labels, counts: Sequence[int]) -> Labels:
     """Return the names of all signals; groups without names get x1, y1, u1, s1 and so on.
 
     A scheduled signal with the name of an output is that measurement. Else the names of outputs,
@@ -47,24 +47,19 @@ def checked_names(names: Labels, counts: Mapping[str, int]) -> Labels:
 
     Args:
         names: As a request gives them.
-        counts: Number of signals by group.
+        counts: Number of signals of each group.
 
     Raises:
         ModelError: There is not one name per signal, one is not plain, or two signals share one;
             the text names the entry.
     """
-    filled = {}
-    for (group, count), letter in zip(counts.items(), "xyus", strict=True):
-        given = getattr(names, group)
-        if given:
-            _require_count("names", group, given, count)
-        for i, name in enumerate(given):
-            if len(name) > _MAX_LENGTH or not _PLAIN.fullmatch(name):
-                raise ModelError(
-                    f"names.{group}[{i}]: expected a letter, then letters, digits and "
-                    f"underscores, {_MAX_LENGTH} at most, got {shown(name)}"
-                )
+    filled: dict[str, tuple[str, ...]] = {}
+    for (group, given), count, letter in zip(vars(names).items(), counts, "xyus", strict=True):
         filled[group] = given or tuple(f"{letter}{i + 1}" for i in range(count))
+        _require(
+            "names", group, filled[group], count, "a letter, then letters, digits and underscores",
+            _PLAIN.fullmatch,
+        )  # fmt: skip
     for groups in (("states",), ("outputs", "inputs"), ("inputs", "scheduled")):
         places: dict[str, str] = {}
         for group in groups:
@@ -79,28 +74,21 @@ def checked_names(names: Labels, counts: Mapping[str, int]) -> Labels:
     return Labels(**filled)
 
 
-def checked_units(units: Labels, counts: Mapping[str, int]) -> Labels:
+def checked_units(units: Labels, counts: Sequence[int]) -> Labels:
     """Return the units of all signals, empty texts if a request gives none.
 
     Args:
         units: As a request gives them: all of them, or none at all.
-        counts: Number of signals by group.
+        counts: Number of signals of each group.
 
     Raises:
         ModelError: There is not one unit per signal, or one is not printable; the text names the
             entry.
     """
     if units == NO_LABELS:
-        return Labels(*(("",) * count for count in counts.values()))
-    for group, count in counts.items():
-        given = getattr(units, group)
-        _require_count("units", group, given, count)
-        for i, unit in enumerate(given):
-            if len(unit) > _MAX_LENGTH or not unit.isprintable():
-                raise ModelError(
-                    f"units.{group}[{i}]: expected at most {_MAX_LENGTH} printable characters, "
-                    f"got {shown(unit)}"
-                )
+        return Labels(*(("",) * count for count in counts))
+    for (group, given), count in zip(vars(units).items(), counts, strict=True):
+        _require("units", group, given, count, "printable characters", str.isprintable)
     return units
 
 
@@ -110,8 +98,21 @@ def labelled(names: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"{name} [{unit}]" if unit else name for name, unit in pairs)
 
 
-def _require_count(entry: str, group: str, given: Sequence[str], count: int) -> None:
+def _require(
+    entry: str,
+    group: str,
+    given: Sequence[str],
+    count: int,
+    what: str,
+    is_good: Callable[[str], object],
+) -> None:
+    """Refuse texts of another number than signals, too long ones and those that are not `what`."""
     if len(given) != count:
         signal = "scheduled signal" if group == "scheduled" else group.removesuffix("s")
         got = len(given) or "none"
         raise ModelError(f"{entry}.{group}: expected {count}, one for each {signal}, got {got}")
+    for i, text in enumerate(given):
+        if len(text) > _MAX_LENGTH or not is_good(text):
+            raise ModelError(
+                f"{entry}.{group}[{i}]: expected {what}, {_MAX_LENGTH} at most, got {shown(text)}"
+            )

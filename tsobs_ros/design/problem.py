@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
-from tsobs_ros.checks import Array, Fixed, finite, positive, shown
+from tsobs_ros.checks import Array, Fixed, finite, non_negative, positive, shown
 from tsobs_ros.design.names import Labels, labelled
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.options import TorqueLimits
@@ -211,13 +211,9 @@ class Request(ABC):
     def with_terms(self, place: int, terms: Terms) -> Self:
         """Return the request with other terms at a place of `channels`."""
 
-    def with_rows(self, rows: Sequence[int]) -> Self | None:
-        """Return the request with some of its outputs; None if it cannot do without the others."""
-        return None
-
-    @abstractmethod
     def further_outputs(self) -> Iterator[tuple[str, Self]]:
-        """Yield the request with one more output, undisturbed, and the output in words."""
+        """Yield an arm's request with one more output, undisturbed, and the output in words."""
+        return iter(())
 
     @abstractmethod
     def on_share(self, share: float) -> tuple[str, Self] | None:
@@ -286,7 +282,9 @@ class Request(ABC):
             return np.diag(np.concatenate(std) ** 2)
 
     def _take(self, **checked: Any) -> None:
-        """Set fields of the frozen request to their checked values."""
+        """Check the rates, and set fields of the frozen request to their checked values."""
+        checked["rate"] = positive("rate", self.rate)
+        checked["decay_rate"] = non_negative("decay_rate", self.decay_rate)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 

@@ -8,6 +8,7 @@ A family is changes of one kind, the smallest first, of which the first with a d
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import Any, NamedTuple
 
 from tsobs_ros.design.problem import CLEAN, DisturbanceTerm, Request, Terms
@@ -42,10 +43,8 @@ def helpful(
         families: Changes of one kind each, the smallest change first.
         has_design: Whether a request has a design.
     """
-    found = []
-    for family in families:
-        found += [next((each for each in family if has_design(each.request)), None)]
-    return tuple(each for each in found if each is not None)
+    tried = ((each for each in family if has_design(each.request)) for family in families)
+    return tuple(found for family in tried for found in islice(family, 1))
 
 
 def remedies_of_hidden_modes(
@@ -106,24 +105,16 @@ def _changed(request: Any, **changes: Any) -> Any:
 
 
 def _without_arbitrary(request: Request) -> Iterator[Family]:
-    def modelled(term: DisturbanceTerm) -> Request:
+    text = "a model of the disturbance in place of arbitrary: kind"
+    modelled = []
+    for term in (_BIAS, _DECAYING):
         changed = request
         for place, channel in enumerate(request.channels):
             terms = tuple(term if each.kind == "arbitrary" else each for each in channel.terms)
             changed = changed.with_terms(place, terms)
-        return changed
-
-    text = "a model of the disturbance in place of arbitrary: kind"
-    yield (Remedy(f"{text} {term.kind}", modelled(term)) for term in (_BIAS, _DECAYING))
-    outputs = request.channels[: len(request.output_names)]
-    known = [
-        place
-        for place, channel in enumerate(outputs)
-        if all(term.kind != "arbitrary" for term in channel.terms)
-    ]
-    if known and (fewer := request.with_rows(known)):
-        yield [Remedy("leaving these outputs out: y − C x̂ then reads their disturbance", fewer)]
-    elif isinstance(request, ArmRequest):
+        modelled.append(Remedy(f"{text} {term.kind}", changed))
+    yield modelled
+    if isinstance(request, ArmRequest) and len(request.sensors) == 1:
         text = "another sensor in its place that is known to be clean:"
         yield (
             Remedy(f"{text} {name}", request.with_outputs([Output(name, request.measurement_std)]))

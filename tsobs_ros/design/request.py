@@ -11,7 +11,7 @@ error exactly. Without them only the blend of the rules is proved, and `TSReques
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import Any, Self
@@ -100,24 +100,25 @@ class TorqueDisturbance:
     link: Sequence[DisturbanceTerm] = ()
 
     def __post_init__(self) -> None:
-        for channel in self.channels:
-            object.__setattr__(self, channel.name.rpartition(" ")[2], channel.terms)
-            for place, term in enumerate(channel.terms):
+        for side in SIDES:
+            terms = tuple(getattr(self, side))
+            object.__setattr__(self, side, terms)
+            for place, term in enumerate(terms):
                 if term.kind == "arbitrary":
                     raise ModelError(
-                        f"{channel.name.rpartition(' ')[2]}[{place}]: expected a torque with a "
-                        "model, e.g. gauss_markov, got kind arbitrary"
+                        f"{side}[{place}]: expected a torque with a model, e.g. gauss_markov, "
+                        "got kind arbitrary"
                     )
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        return tuple(Channel(f"the torque at the {s}", tuple(getattr(self, s))) for s in SIDES)
+        return tuple(Channel(f"the torque at the {s}", getattr(self, s)) for s in SIDES)
 
     @cached_property
     def by_side(self) -> Mapping[str, DisturbanceModel]:
         """The exosystems with at least one state by their sides, the motor's first."""
         models = zip(SIDES, (channel.model for channel in self.channels), strict=True)
-        return {side: model for side, model in models if model.state_count}
+        return Fixed({side: model for side, model in models if model.state_count})
 
     @cached_property
     def model(self) -> DisturbanceModel | None:
@@ -179,9 +180,6 @@ class ArmRequest(Request):
         self._take(
             measurement_std=positive("measurement_std", self.measurement_std),
             outputs=tuple(self.outputs),
-            torque_disturbance=self.torque_disturbance,
-            rate=positive("rate", self.rate),
-            decay_rate=non_negative("decay_rate", self.decay_rate),
             x_max=finite("x_max", self.x_max),
             disturbance=tuple(self.disturbance),
             initial_std=tuple(as_matrix("initial_std", self.initial_std, (4,)).tolist()),
@@ -206,11 +204,11 @@ class ArmRequest(Request):
         require_squares("initial_std", self.initial_std)
         require_terms("disturbance", self.disturbance)
         self._require_no_alias()
+        uncertain = self.uncertainty_model
         if self.certify_uncertainty:
             if not self.uncertainty:
                 raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
-            linear_directions(self.uncertainty_model)
-        _ = self.uncertainty_model
+            linear_directions(uncertain)
 
     def _take_outputs(self) -> None:
         """Let the first output's entries stand for those of the link angle alone."""
@@ -384,9 +382,6 @@ class ArmRequest(Request):
             measurement_std=first.measurement_std,
         )
 
-    def with_rows(self, rows: Sequence[int]) -> Self | None:
-        return self.with_outputs([self.sensors[row] for row in rows])
-
     def further_outputs(self) -> Iterator[tuple[str, Self]]:
         std = self.measurement_std
         for name in ("link_angle", "motor_angle"):
@@ -449,8 +444,6 @@ class TSRequest(Request):
             measurement_std=as_matrix("measurement_std", self.measurement_std, (p,)),
             D_s=None if self.D_s is None else as_matrix("D_s", self.D_s, np.shape(self.D_s)),
             initial_std=as_matrix("initial_std", self.initial_std, (n,)),
-            rate=positive("rate", self.rate),
-            decay_rate=non_negative("decay_rate", self.decay_rate),
             disturbance=tuple(map(tuple, self.disturbance or p * [CLEAN])),
             slope_vertices=tuple(
                 as_matrix(f"slope_vertices[{i}]", matrix, (n, n))
@@ -550,10 +543,9 @@ class TSRequest(Request):
         return checked_units(self.units, self._signal_counts)
 
     @property
-    def _signal_counts(self) -> dict[str, int]:
+    def _signal_counts(self) -> tuple[int, ...]:
         model = self.model
-        counts = model.state_count, len(model.C), model.input_count, int(model.schedule.shape[1])
-        return dict(zip((each.name for each in fields(Labels)), counts, strict=True))
+        return model.state_count, len(model.C), model.input_count, int(model.schedule.shape[1])
 
     @property
     def input_units(self) -> tuple[str, ...]:
@@ -596,21 +588,17 @@ class TSRequest(Request):
         matrices = np.array(self.slope_vertices or self.model.A)
         names = [f"{what} {i + 1}" for i in range(len(matrices))]
         if self.certify_uncertainty:
-            matrices, names = self._with_uncertainty(matrices, names)
+            uncertain = self.uncertainty_model
+            changes = uncertain.linear[:, :1] if self.slope_vertices else uncertain.linear
+            corners, labels = [], []
+            for signs in product((-1.0, 1.0), repeat=uncertain.count):
+                theta = signs * uncertain.limits
+                corners.append(matrices + np.tensordot(theta, changes, 1))
+                at = ", ".join(f"{k} {v:+.4g}" for k, v in zip(uncertain.names, theta, strict=True))
+                labels += [f"{name} ({at})" for name in names]
+            matrices, names = np.concatenate(corners), labels
         middle = matrices.mean(axis=0)
         return middle + share * (matrices - middle), names
-
-    def _with_uncertainty(self, matrices: Array, names: list[str]) -> tuple[Array, list[str]]:
-        """Return every matrix at every corner of the box of θ."""
-        uncertain = self.uncertainty_model
-        changes = uncertain.linear[:, :1] if self.slope_vertices else uncertain.linear
-        corners, labels = [], []
-        for signs in product((-1.0, 1.0), repeat=uncertain.count):
-            theta = signs * uncertain.limits
-            corners.append(matrices + np.tensordot(theta, changes, 1))
-            at = ", ".join(f"{k} {v:+.4g}" for k, v in zip(uncertain.names, theta, strict=True))
-            labels += [f"{name} ({at})" for name in names]
-        return np.concatenate(corners), labels
 
     def vertices(self, share: float = 1.0) -> list[VertexSystem]:
         return self.flow.vertices(*self.vertex_matrices(share))
@@ -625,28 +613,6 @@ class TSRequest(Request):
         each = [channel.terms for channel in self.channels]
         each[place] = terms
         return replace(self, disturbance=each)
-
-    def further_outputs(self) -> Iterator[tuple[str, Self]]:
-        model, names, units = self.model, self.names.outputs, self.units.outputs
-        known = [np.flatnonzero(row).tolist() for row in np.asarray(model.C)]
-        for state in range(model.state_count) if model.outputs is None else ():
-            if [state] in known:
-                continue
-            name, unit = self.state_names[state], self.state_units[state]
-            std = 0.1 * float(self.plant_std[state])
-            row = np.eye(model.state_count)[[state]]
-            channels: dict[str, Any] = {"disturbance": [*self.disturbance, CLEAN]}
-            if self.D_s is not None:
-                channels = {"D_s": np.vstack([self.D_s, np.zeros((1, np.shape(self.D_s)[1]))])}
-            added = replace(
-                self,
-                model=replace(model, C=np.vstack([model.C, row])),
-                measurement_std=np.append(self.output_std, std),
-                names=replace(self.names, outputs=names and (*names, f"{name}_measured")),
-                units=replace(self.units, outputs=units and (*units, unit)),
-                **channels,
-            )
-            yield f"{labelled([name], [unit])[0]} with 1σ of {std:.3g}", added
 
     def on_share(self, share: float) -> tuple[str, Self] | None:
         what = "slope vertices" if self.slope_vertices else "rules"

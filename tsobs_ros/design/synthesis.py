@@ -47,34 +47,11 @@ MARGINS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 _SETTLED = 1e-3
 
 
-class Effort(NamedTuple):
-    """The limits of a synthesis.
-
-    Attributes:
-        passes: Largest number of solves until the bound's volume stops shrinking.
-        smallest_step: Share of the domain by which the last attempts to reach it grow.
-    """
-
-    passes: int = 12
-    smallest_step: float = 1.0 / 64.0
-
-
-_FULL = Effort()
-
-
 class _Solution(NamedTuple):
     covariance: Array
     objective: float
     status: str
     iterations: int
-
-
-class Gain(NamedTuple):
-    """A gain K, shape (n, p), with the matrix P that proves it, and who computed them."""
-
-    P: Array
-    K: Array
-    solver: SolverReport
 
 
 def synthesise(request: ArmRequest | TSRequest) -> Design:
@@ -103,27 +80,30 @@ def _has_design(problem: Request) -> bool:
     """Return whether a request has a design that is found with little effort."""
     try:
         if is_detectable(problem):
-            solve_gain(problem, Effort(passes=1, smallest_step=1.0 / 4.0))
+            solve_gain(problem, passes=1, smallest_step=1.0 / 4.0)
             return True
     except DesignError:
         pass
     return False
 
 
-def solve_gain(problem: Request, effort: Effort = _FULL) -> Gain:
-    """Return the gain with the smallest proved bound, its certificate re-checked.
+def solve_gain(
+    problem: Request, passes: int = 12, smallest_step: float = 1.0 / 64.0
+) -> tuple[Array, Array, SolverReport]:
+    """Return P and K with the smallest proved bound, re-checked, and who computed them.
 
     Args:
         problem: Error systems and noise, every one of them detectable.
-        effort: How much is tried.
+        passes: Largest number of solves until the bound's volume stops shrinking.
+        smallest_step: Share of the domain by which the last attempts to reach it grow.
 
     Raises:
         DesignError: The solver found no common matrix P, or its answer failed the re-check.
     """
     started = time.perf_counter()
-    solution = _walk_to_domain(problem, MARGINS[0], effort.smallest_step)
+    solution = _walk_to_domain(problem, MARGINS[0], smallest_step)
     for margin in MARGINS:
-        solution = _settle(problem, solution, margin, effort.passes)
+        solution = _settle(problem, solution, margin, passes)
         P = np.linalg.inv(solution.covariance)
         P = (P + P.T) / 2
         C, R, bound = problem.flow.output_matrix, problem.measurement_covariance, np.linalg.inv(P)
@@ -137,7 +117,7 @@ def solve_gain(problem: Request, effort: Effort = _FULL) -> Gain:
         )
     seconds = round(time.perf_counter() - started, 3)
     made = "Clarabel", solver_version(), solution.status, solution.iterations, seconds, margin
-    return Gain(P, K, SolverReport(*made))
+    return P, K, SolverReport(*made)
 
 
 def _walk_to_domain(problem: Request, margin: float, smallest_step: float) -> _Solution:
