@@ -466,14 +466,6 @@ def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
     )
 
 
-def _conditions(column: Callable[[str], Array]) -> dict[str, Any]:
-    """Return the fields of `Estimates` that say what the bounds rest on."""
-    numbers = ("basis", "noise_scale", "coloured_power", "learning", "hypothesis")
-    flags = ("claimed", "parameters_valid", "in_domain")
-    found: dict[str, Any] = {name: np.array(column(name)) for name in numbers}
-    return found | {name: column(name) == 1.0 for name in flags}
-
-
 def _outputs(
     outputs: tuple[SimulatedOutput, ...],
     noise_std: float | Sequence[float] | None,
@@ -524,21 +516,21 @@ def _changed(name: str, record: Any, values: Mapping[str, float]) -> Any:
 
 def _columns_of(rows: Rows, estimator: Estimator, outputs: tuple[int, ...]) -> dict[str, Any]:
     """Return the fields of `Estimates` that are in rows of estimates."""
+    plant, t, k = (estimator.shape.plant,), (estimator.shape.t,), (estimator.shape.k,)
+    shapes: dict[str, tuple[int, ...]]
+    shapes = {"state": plant, "state_bound": plant, "parameters": k, "parameter_bound": k}
+    shapes |= {"torque_disturbance": t, "torque_disturbance_bound": t}
+    shapes |= {"disturbance": outputs, "disturbance_bound": outputs}
     columns: dict[str, Any] = {}
-    for name, shape in (
-        ("state", (estimator.shape.plant,)),
-        ("state_bound", (estimator.shape.plant,)),
-        ("disturbance", outputs),
-        ("disturbance_bound", outputs),
-        ("torque_disturbance", (estimator.shape.t,)),
-        ("torque_disturbance_bound", (estimator.shape.t,)),
-        ("parameters", (estimator.shape.k,)),
-        ("parameter_bound", (estimator.shape.k,)),
-    ):
+    for name, shape in shapes.items():
         columns[name] = np.full((len(rows), *shape), np.nan)
         if name not in estimator.lacking:
             columns[name][:] = rows[name].reshape(columns[name].shape)
-    return columns | _conditions(lambda name: np.asarray(rows[name]))
+    for name in ("basis", "noise_scale", "coloured_power", "learning", "hypothesis"):
+        columns[name] = np.array(rows[name])
+    for name in ("claimed", "parameters_valid", "in_domain"):
+        columns[name] = np.asarray(rows[name]) == 1.0
+    return columns
 
 
 def _numbers(name: str, value: ArrayLike) -> Array:

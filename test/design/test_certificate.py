@@ -5,7 +5,6 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from fractions import Fraction
 from itertools import product
 from typing import Any
 
@@ -28,7 +27,6 @@ from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import SINE, arm_uncertainty
-from tsobs_ros.model.vertices import kick_corners
 
 Array = NDArray[np.float64]
 PROPERTY = settings(max_examples=40)
@@ -36,12 +34,11 @@ SLOPES = (math.cos(0.75), 1.0)
 REQUESTS = {
     "decaying": ArmRequest(decay_rate=0.1),
     "stiffness": ArmRequest(uncertainty={"stiffness": 0.2}, certify_uncertainty=True),
-    "gravity": ArmRequest(uncertainty={"gravity": 0.1}, certify_uncertainty=True),
     "several": ArmRequest(
         uncertainty={"gravity": 0.05, "motor_damping": 0.2}, certify_uncertainty=True
     ),
 }
-UNCERTAIN = ["stiffness", "gravity", "several"]
+UNCERTAIN = ["stiffness", "several"]
 
 
 def covered(request: ArmRequest) -> Mapping[str, float]:
@@ -329,15 +326,6 @@ def test_a_failure_names_source_inequality_vertex_and_margin(shipped: Design) ->
     with pytest.raises(CertificateError, match=pattern) as caught:
         report.require("my.yaml")
     assert str(caught.value).count("DOES NOT HOLD") == len(failing) > 0
-
-
-def test_uncertain_gravity_widens_the_slopes_to_either_side() -> None:
-    uncertainty = arm_uncertainty(ElasticJointArm(), {"gravity": 0.25})
-    for lowest, expected in ((0.5, (0.375, 1.25)), (-1.0, (-1.25, 1.25)), (0.0, (0.0, 1.25))):
-        corners = kick_corners((lowest, 1.0), uncertainty, [0.25])
-        assert tuple(corner.slope for corner in corners) == expected
-        exact = kick_corners((Fraction(lowest), Fraction(1)), uncertainty, [Fraction(1, 4)])
-        assert tuple(float(corner.slope) for corner in exact) == expected
 
 
 def test_the_proof_of_one_uncertainty_is_none_of_a_larger_one(

@@ -34,20 +34,6 @@ def test_matrices_that_are_stable_alone_but_not_together_are_refuted_by_a_dual()
     assert refutation_margin(A, Z) == margin > -1e-6
 
 
-def test_answers_at_the_border_are_not_given() -> None:
-    # This pair loses its common matrix between these rates; at the border the solver's matrices
-    # prove neither answer, or one of them within rounding.
-    low, high = 0.0, 0.5582
-    for _ in range(30):
-        middle = (low + high) / 2
-        try:
-            found = common_lyapunov(PAIR + middle * np.eye(3)).P is not None
-        except DesignError:
-            break
-        low, high = (middle, high) if found else (low, middle)
-    assert 0.4 < middle < 0.5582
-
-
 def test_smallest_matrix_is_the_known_one_of_a_scalar() -> None:
     # 2 P − 2 Q + 1 ≤ 0 and P ≥ 1: the least P + w Q² is at P = 1, Q = 3/2.
     solution = smallest_lyapunov(np.ones((1, 1, 1)), np.ones((1, 1)), np.ones((1, 1)))

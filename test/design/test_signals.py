@@ -10,28 +10,11 @@ from tsobs_ros.design.signals import Place, signals
 from tsobs_ros.resources import config_path
 
 
-def test_the_shipped_arm_has_its_signals_where_they_always_were() -> None:
-    places = signals(ArmRequest(), "elbow", alone=False)
-
-    assert places.outputs == (Place("elbow", "position"),)
-    assert places.inputs == (Place("elbow", "effort"),)
-    assert places.states == (
-        Place("elbow_link", "position"),
-        Place("elbow_link", "velocity"),
-        Place("elbow_motor", "position"),
-        Place("elbow_motor", "velocity"),
-    )
-    assert places.disturbances == ("elbow",)
-    assert places.torques == ()
-    assert places.other_inputs == ()
-    assert places.units == ("rad",)
-    assert places.entries == {"elbow"}
-
-
 @pytest.mark.parametrize(
     ("measured", "places"),
     [
         (["link_velocity"], [("elbow", "velocity")]),
+        (["link_angle"], [("elbow", "position")]),
         (["motor_angle"], [("elbow", "position")]),
         (["motor_velocity", "motor_angle"], [("elbow", "velocity"), ("elbow", "position")]),
         (["motor_angle", "link_angle"], [("elbow_motor", "position"), ("elbow", "position")]),
@@ -55,6 +38,11 @@ def test_outputs_of_one_side_are_the_joints_and_of_both_sides_the_motor_has_its_
     assert found.entries == {"elbow", "elbow_motor"} if both else {"elbow"}
     several = len(measured) > 1
     assert list(found.disturbances) == ([f"elbow/{m}" for m in measured] if several else ["elbow"])
+    assert [place.described for place in found.states] == [
+        f"{field} of elbow_{side}"
+        for side in ("link", "motor")
+        for field in ("position", "velocity")
+    ]
     assert found.units == tuple("rad" if m.endswith("angle") else "rad/s" for m in measured)
 
 

@@ -97,14 +97,6 @@ def test_no_arm_is_refused_for_its_size(
     ("request_", "parts"),
     [
         pytest.param(
-            ArmRequest(disturbance=(DisturbanceTerm("arbitrary"),)),
-            [
-                "disturbance arbitrary", "|q1| <= 0.75 rad", "a model of the disturbance",
-                "known to be clean", "open-loop simulation",
-            ],
-            id="arbitrary",
-        ),
-        pytest.param(
             ArmRequest(x_max=math.pi / 2),
             [
                 "disturbance bias", "c = 0 (|q1| = 90.0 deg)", "the mode 0 with [link_angle, ",
@@ -117,12 +109,6 @@ def test_no_arm_is_refused_for_its_size(
             ["c = 0.8407 (|q1| = 32.8 deg)", "mode 0+1.4j", "x_max below 0.5722 rad",
              "a disturbance frequency away"],
             id="lower blind band",
-        ),
-        pytest.param(
-            ArmRequest(disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("bias"))),
-            ["disturbance bias+bias", "at every gravity slope", "[0, 0, 0, 0, 1, -1]",
-             "two of bias and bias move alike and cannot be distinguished"],
-            id="two biases",
         ),
     ],
 )  # fmt: skip
@@ -165,8 +151,6 @@ def test_a_tone_is_refused_exactly_in_the_arms_blind_bands(frequency: float) -> 
     ("change", "message"),
     [
         ({"decay_rate": -0.1}, "decay_rate: expected a finite number of at least 0, got -0.1"),
-        ({"x_max": math.nan}, "x_max: expected a finite number, got nan"),
-        ({"initial_std": (1e200, 1, 1, 1)}, "initial_std: expected a number with a finite square"),
         ({"disturbance": tone(629.0)}, r"sinusoid frequency: .*half the.* 628\.319 rad/s, got 629"),
         (
             {

@@ -80,14 +80,11 @@ def design_text(design: Design) -> str:
     answer = AnswerEntries(gain, CertificateEntry(design.P), design.solver)
     data = {"format": kind, "version": VERSION, **encode(file), **encode(answer)}
     if isinstance(request, ArmRequest):
-        # An entry that is left open is none, as in files from before there was one.
-        entries = {name: value for name, value in data["design"].items() if value is not None}
+        entries = data["design"]
         for name in ("disturbance", "measurement_std") if request.outputs else ("outputs",):
             del entries[name]
-        torques = {
-            side: terms for side, terms in entries.pop("torque_disturbance").items() if terms
-        }
-        data["design"] = {**entries, "torque_disturbance": torques} if torques else entries
+        if torques := entries.pop("torque_disturbance"):
+            entries["torque_disturbance"] = torques
     return yaml_text(_HEADERS[kind], data)
 
 

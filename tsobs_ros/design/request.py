@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -95,6 +95,9 @@ class TorqueDisturbance:
     Raises:
         ModelError: A term is arbitrary: such a torque has no model.
     """
+
+    OMIT_EMPTY: ClassVar[bool] = True
+    """A side without terms is left out of files."""
 
     motor: Sequence[DisturbanceTerm] = ()
     link: Sequence[DisturbanceTerm] = ()
