@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulator publishes its core's numbers bit for bit, with commands and resets."""
 
-import math
 from typing import Any
 
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
@@ -52,25 +51,6 @@ def test_a_command_moves_the_arm_until_its_timeout(listener: Any) -> None:
     assert listener.places(listener.measurements[: first + 1], samples)[-1] >= 10
     known = {sample.measurement.item() for sample in samples}
     assert listener.measurements[-1].message.position[0] not in known
-
-
-def test_a_command_without_timeout_holds_and_saturates(listener: Any) -> None:
-    node = listener.start(command_timeout=0.0, torque_limit=3.0)
-    listener.command(-7.0)
-    listener.wait_until(
-        lambda: [m.message.effort[0] for m in listener.measurements[-150:]] == [-3.0] * 150,
-        "150 samples with the saturated command",
-    )
-    assert node.rejected_commands == 0
-
-
-def test_senseless_commands_are_counted_and_ignored(listener: Any) -> None:
-    node = listener.start()
-    for values in ((math.nan,), (math.inf,), (), (1.0, 2.0)):
-        listener.command(*values)
-    listener.wait_until(lambda: node.rejected_commands == 4, "the rejection of four commands")
-    listener.wait_for(listener.measurements, 50)
-    listener.places(listener.measurements, listener.core(5000))
 
 
 def test_reset_starts_as_fresh_while_stamps_go_on(listener: Any) -> None:

@@ -115,7 +115,8 @@ def test_a_joint_is_commanded_and_disturbed_by_itself_while_running(
 ) -> None:
     node = listener.start(**joints, command_timeout=0.0, torque_limit=5.0)
     listener.wait_for(listener.measurements, 1)
-    listener.command(1.0)
+    for values in ((1.0,), (), (1.0, math.nan, 1.0), (math.inf, 1.0, 1.0)):
+        listener.command(*values)
     listener.command(9.0, -1.0, 9.0)
     listener.wait_until(
         lambda: entry(listener.measurements[-1].message, "shoulder", "effort") == 5.0, "the command"
@@ -123,7 +124,7 @@ def test_a_joint_is_commanded_and_disturbed_by_itself_while_running(
     message = listener.measurements[-1].message
     assert entry(message, "elbow", "effort") == -1.0
     assert entry(message, "pendulum/drive") == 9.0
-    assert node.rejected_commands == 1
+    assert node.rejected_commands == 4
     (refused,) = node.set_parameters([Parameter("signals", value=["elbow/wrist: bias_step"])])
     assert "parameter 'signals[0]': expected one of shoulder/link_angle" in refused.reason
     line = "elbow/link_angle: {kind: bias_step, amplitude: 0.3}"

@@ -45,21 +45,3 @@ def test_a_driven_clock_stands_still_with_the_arm(
     assert manager.change("activate")
     listener.wait_for(listener.clock, 20)
     assert {b - a for a, b in itertools.pairwise(listener.clock)} == {PERIOD}
-
-
-def test_a_clean_up_ends_the_arm_and_configuring_makes_a_new_one(
-    ros: Any, listener: Any, manage: Callable[[Any], Any]
-) -> None:
-    manager = manage(listener.start())
-    listener.wait_for(listener.states, 50)
-    assert manager.change("deactivate", "cleanup")
-    listener.wait_until(
-        lambda: listener.node.count_publishers("/joint_measurements") == 0, "the end of the topic"
-    )
-    before = ros.hear_out(listener.states)
-    assert manager.change("configure", "activate")
-    listener.wait_for(listener.states, 20)
-    found = listener.indices(listener.states, listener.core(5000))[before:]
-    # Truth needs no listener to begin: the first samples may be before its match.
-    assert found == list(range(found[0], found[0] + len(found)))
-    assert found[0] < 50

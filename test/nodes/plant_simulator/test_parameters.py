@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters describe a plant or are refused, and inject faults while it runs."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,8 +15,6 @@ from tsobs_ros.simulation.integrator import Friction
 from tsobs_ros.simulation.plant import SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import Constant, Pulses
-
-CONFIG = Path(__file__).parents[3] / "config" / "plant_simulator.yaml"
 
 
 def test_faults_are_injected_by_parameters_while_running(listener: Any) -> None:
