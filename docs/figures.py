@@ -129,7 +129,8 @@ def markers(path: Path) -> None:
     from builtin_interfaces.msg import Time
 
     from tsobs_ros.estimation.health import Level
-    from tsobs_ros.nodes.visualizer.scene import Angles, Arm, Look, scene
+    from tsobs_ros.nodes.visualizer.parameters import VisualizerParameters
+    from tsobs_ros.nodes.visualizer.scene import Angles, Arm, scene
 
     def arm(level: Level, fault: str, link: float, motor: float, sensor: float) -> Arm:
         truth, estimate = Angles(link, motor), Angles(link + 0.01, motor - 0.02)
@@ -142,7 +143,7 @@ def markers(path: Path) -> None:
         arm(Level.ERROR, "drift 0.9 rad", 0.6, 1.5, -0.3),
     ]
     figure, axis = plt.subplots(layout="constrained", figsize=(8, 2.6))
-    for marker in scene(arms, Look("world", 1.0, 2.6, 0.45, 1.0), Time()).markers:
+    for marker in scene(arms, VisualizerParameters(spacing=2.6), Time()).markers:
         draw(axis, marker)
     axis.set_aspect("equal")
     axis.set(xlim=(-1.1, 6.3), ylim=(-1.3, 0.95))

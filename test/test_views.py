@@ -16,7 +16,7 @@ from builtin_interfaces.msg import Time
 from tsobs_ros.cli.demo import MARKERS
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.visualizer.parameters import VisualizerParameters
-from tsobs_ros.nodes.visualizer.scene import Angles, Arm, Look, scene
+from tsobs_ros.nodes.visualizer.scene import Angles, Arm, scene
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCH = ElementTree.parse(ROOT / "launch" / "demo.launch.xml").getroot()
@@ -26,9 +26,8 @@ DEFAULTS = VisualizerParameters()
 
 def markers(angles: Angles) -> dict[tuple[str, int], Any]:
     """Return all markers that there are of an arm, by namespace and number."""
-    look = Look("world", DEFAULTS.link_length, 0.0, 1.0, 1.0)
     arm = Arm("elastic_joint", angles, angles, Angles(0.1, 0.1), angles)
-    return {(each.ns, each.id): each for each in scene([arm], look, Time()).markers}
+    return {(each.ns, each.id): each for each in scene([arm], DEFAULTS, Time()).markers}
 
 
 def test_the_launch_file_starts_nodes_with_parameters_they_have(ros: Any) -> None:

@@ -3,6 +3,7 @@
 """The `visualizer` node: what is known of the arms, drawn at a fixed rate."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from rclpy.qos import QoSProfile
@@ -17,7 +18,7 @@ from tsobs_ros.nodes.feed import MEASUREMENTS, ObserverFeed
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.ticker import Ticker
 from tsobs_ros.nodes.visualizer.parameters import VisualizerParameters
-from tsobs_ros.nodes.visualizer.scene import Angles, Arm, Look, scene
+from tsobs_ros.nodes.visualizer.scene import Angles, Arm, scene
 
 _WANTED = (topics.STATES, topics.STATE_BOUNDS, topics.TRUE_STATES)
 _LINK, _MOTOR = topics.sides("")
@@ -55,45 +56,31 @@ class Visualizer(ManagedNode[VisualizerParameters]):
         self._feed.read()
         if not self._markers.get_subscription_count():
             return
-        given = self.parameters
-        look = Look(given.frame_id, given.link_length, given.spacing, given.opacity, given.max_age)
-        arms = self.arms()
-        if arms:
-            self._markers.publish(scene(arms, look, self.get_clock().now().to_msg()))
+        if arms := self.arms():
+            self._markers.publish(scene(arms, self.parameters, self.get_clock().now().to_msg()))
 
     def arms(self) -> list[Arm]:
         """Return what is known of each arm that the observer or the simulator has, in order."""
-        found = {
-            key: self._feed.fresh(key, self.parameters.max_age) for key in (*_WANTED, MEASUREMENTS)
-        }
+        max_age = self.parameters.max_age
+        found = {key: self._feed.fresh(key, max_age) for key in (*_WANTED, MEASUREMENTS)}
         names = [
             name.removesuffix(_LINK)
             for key in (topics.STATES, topics.TRUE_STATES)
             for name in getattr(found[key], "names", ())
             if name.endswith(_LINK)
         ]
-        return [
-            self._arm(name, *(found[key] for key in (*_WANTED, MEASUREMENTS)))
-            for name in dict.fromkeys(names)
-        ]
+        return [self._arm(name, found) for name in dict.fromkeys(names)]
 
-    def _arm(
-        self,
-        name: str,
-        states: JointState | None,
-        bounds: JointState | None,
-        truth: JointState | None,
-        measured: JointState | None,
-    ) -> Arm:
+    def _arm(self, name: str, found: Mapping[str, JointState | None]) -> Arm:
         statuses = self._feed.status_of(name, "sensor fault")
         worst = max(statuses, key=lambda status: status.level, default=None)
-        half = _angles(bounds, name)
+        half = _angles(found[topics.STATE_BOUNDS], name)
         return Arm(
             printable(name),
-            _angles(truth, name),
-            _angles(states, name),
+            _angles(found[topics.TRUE_STATES], name),
+            _angles(found[topics.STATES], name),
             half and Angles(*(self.parameters.sigmas * each for each in half)),
-            self._measured(name, measured),
+            self._measured(name, found[MEASUREMENTS]),
             worst.level if worst else Level.STALE,
             printable(_words(worst)) if worst else "",
         )

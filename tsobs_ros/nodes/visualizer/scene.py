@@ -8,7 +8,7 @@ between them.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tsobs_ros.estimation.health import Level
+from tsobs_ros.nodes.visualizer.parameters import VisualizerParameters
 from tsobs_ros.style import BLUE, GREEN, GRID, MUTED, ORANGE, PURPLE, RED
 
 _COLOUR_OF = {Level.OK: BLUE, Level.WARN: ORANGE, Level.ERROR: RED, Level.STALE: MUTED}
@@ -24,7 +25,7 @@ _TRUTH, _MEASURED, _SPRING, _STRAINED = "#9AA5B1", PURPLE, GREEN, RED
 
 # All lengths are shares of the link's.
 _MOTOR_RADIUS, _SHAFT_RADIUS = 0.24, 0.05
-_LINK_DIAL, _MOTOR_DIAL = (1.10, 1.18), (0.27, 0.33)
+_DIALS = ((1.10, 1.18), (0.27, 0.33))  # inner and outer radius, of link and motor
 _TURNS = 3.0
 _STRAIN = 1.0
 """Wind-up at which the spring has its last colour [rad]."""
@@ -59,20 +60,10 @@ class Arm(NamedTuple):
     fault: str = ""
 
 
-class Look(NamedTuple):
-    """How arms are drawn; see the parameters of the node."""
-
-    frame_id: str
-    link_length: float
-    spacing: float
-    opacity: float
-    lifetime: float
-
-
-def scene(arms: Sequence[Arm], look: Look, stamp: Any) -> MarkerArray:
+def scene(arms: Sequence[Arm], look: VisualizerParameters, stamp: Any) -> MarkerArray:
     """Return the markers of arms beside each other.
 
-    Markers of the same kind have a namespace, which views can hide, and a number an arm.
+    Markers of the same kind have a namespace, which views can hide, and a number per arm.
 
     Args:
         arms: From left to right.
@@ -81,145 +72,115 @@ def scene(arms: Sequence[Arm], look: Look, stamp: Any) -> MarkerArray:
     """
     array = MarkerArray()
     for place, arm in enumerate(arms):
-        for marker in _Arm(place * look.spacing, look).markers(arm):
+        for marker in _markers(arm, _Pen(place * look.spacing, look.link_length), look.opacity):
             marker.header.frame_id, marker.header.stamp = look.frame_id, stamp
             marker.id += 100 * place
-            marker.lifetime.sec = int(look.lifetime)
-            marker.lifetime.nanosec = int(look.lifetime % 1.0 * 1e9)
+            marker.lifetime.sec = int(look.max_age)
+            marker.lifetime.nanosec = int(look.max_age % 1.0 * 1e9)
             array.markers.append(marker)
     return array
 
 
-class _Arm:
-    """Draws an arm at a place on the x axis [m]."""
+class _Pen(NamedTuple):
+    """Draws at a place on the x axis [m], in units of the link's length [m]."""
 
-    def __init__(self, x: float, look: Look) -> None:
-        self._x, self._look, self._unit = x, look, look.link_length
+    x: float
+    unit: float
 
-    def markers(self, arm: Arm) -> Iterator[Marker]:
-        colour = _COLOUR_OF[arm.level]
-        if arm.truth is not None:
-            yield from self._sides("truth", arm.truth, _colour(_TRUTH), 1.0)
-        if arm.estimate is not None:
-            ghost = _colour(colour, self._look.opacity)
-            yield from self._sides("estimate", arm.estimate, ghost, 1.4)
-            if arm.bound is not None:
-                yield from self._bounds(arm.estimate, arm.bound, _colour(colour, 0.7))
-        if arm.measured is not None:
-            for number, (angle, dial) in enumerate(
-                zip(arm.measured, (_LINK_DIAL, _MOTOR_DIAL), strict=True)
-            ):
-                if math.isfinite(angle):
-                    at = self._point(angle, sum(dial) / 2, -0.02)
-                    size = (0.06 * self._unit,) * 3
-                    yield _marker(
-                        "measurement", number, Marker.SPHERE, _colour(_MEASURED), size, at
-                    )
-        moving = arm.estimate or arm.truth
-        if moving is not None:
-            yield self._motor()
-            yield self._spring(moving)
-        yield self._label(arm, colour)
+    def point(self, angle: float, radius: float, y: float = 0.0) -> Point:
+        """Return the point at an angle [rad], a radius and a depth."""
+        x, z = radius * math.sin(angle), -radius * math.cos(angle)
+        return Point(x=self.x + x * self.unit, y=y * self.unit, z=z * self.unit)
 
-    def _sides(
-        self, kind: str, angles: Angles, colour: ColorRGBA, width: float
-    ) -> Iterator[Marker]:
-        """Draw link, its tip and the motor's pointer; `width` is that of what is thin."""
-        unit = self._unit
-        link, motor = (_turned(angle) for angle in angles)
-        bar = (0.05 * width * unit, 0.05 * width * unit, unit)
-        middle, tip = self._point(angles.link, 0.5), self._point(angles.link, 1.0)
-        yield _marker(kind, 0, Marker.CUBE, colour, bar, middle, link)
-        ball = (0.13 * width**0.5 * unit,) * 3
-        yield _marker(kind, 1, Marker.SPHERE, colour, ball, tip)
-        pointer = (0.035 * width * unit, 0.03 * width * unit, _MOTOR_RADIUS * unit)
-        half = self._point(angles.motor, _MOTOR_RADIUS / 2, 0.12)
-        yield _marker(kind, 2, Marker.CUBE, colour, pointer, half, motor)
-
-    def _bounds(self, estimate: Angles, bound: Angles, colour: ColorRGBA) -> Iterator[Marker]:
-        dials = zip(estimate, bound, (_LINK_DIAL, _MOTOR_DIAL), strict=True)
-        for number, (angle, half, (inner, outer)) in enumerate(dials):
-            if math.isfinite(half):
-                ends = angle + min(half, math.pi) * np.linspace(-1.0, 1.0, 17)
-                rims = [[self._point(each, r) for each in ends.tolist()] for r in (inner, outer)]
-                points = [
-                    rims[rim][place + step]
-                    for place in range(len(ends) - 1)
-                    for rim, step in ((0, 0), (1, 0), (1, 1), (0, 0), (1, 1), (0, 1))
-                ]
-                marker = _marker("bound", number, Marker.TRIANGLE_LIST, colour, (1.0, 1.0, 1.0))
-                marker.points = points
-                yield marker
-
-    def _motor(self) -> Marker:
-        size = (2.0 * _MOTOR_RADIUS * self._unit,) * 2 + (0.04 * self._unit,)
-        lying = Quaternion(x=math.sqrt(0.5), w=math.sqrt(0.5))
-        centre = self._point(0.0, 0.0, 0.16)
-        return _marker("motor", 0, Marker.CYLINDER, _colour(GRID), size, centre, lying)
-
-    def _spring(self, angles: Angles) -> Marker:
-        """Draw a spiral from the motor's rim to the link's shaft, which its wind-up tightens."""
-        wind_up = angles.motor - angles.link
-        turned = np.linspace(angles.motor, angles.link + 2.0 * math.pi * _TURNS, 73)
-        radii = np.linspace(0.9 * _MOTOR_RADIUS, _SHAFT_RADIUS, len(turned))
-        share = min(1.0, abs(wind_up) / _STRAIN)
-        colour = _between(_colour(_SPRING), _colour(_STRAINED), share)
-        marker = _marker("spring", 0, Marker.LINE_STRIP, colour, (0.016 * self._unit, 0.0, 0.0))
-        marker.points = [
-            self._point(angle, radius, 0.07)
-            for angle, radius in zip(turned.tolist(), radii.tolist(), strict=True)
-        ]
-        return marker
-
-    def _label(self, arm: Arm, colour: str) -> Marker:
-        lines = [arm.name, arm.fault or "no diagnostics"]
-        moving = arm.estimate or arm.truth
-        if moving is not None:
-            lines.append(f"spring {moving.motor - moving.link:+.2f} rad")
-        size = (0.0, 0.0, 0.11 * self._unit)
-        at = Point(x=self._x, y=0.0, z=0.65 * self._unit)
-        marker = _marker("label", 0, Marker.TEXT_VIEW_FACING, _colour(colour), size, at)
-        marker.text = "\n".join(lines)
-        return marker
-
-    def _point(self, angle: float, radius: float, y: float = 0.0) -> Point:
-        """Return the point at an angle [rad] and a radius and depth [link lengths]."""
-        unit = self._unit
-        return Point(
-            x=self._x + radius * unit * math.sin(angle),
-            y=y * unit,
-            z=-radius * unit * math.cos(angle),
+    def draw(
+        self,
+        what: tuple[str, int, int],
+        colour: ColorRGBA,
+        size: tuple[float, float, float],
+        at: Point | None = None,
+        turned: Quaternion | None = None,
+        **own: Any,
+    ) -> Marker:
+        """Return a marker of a namespace, number and type."""
+        namespace, number, kind = what
+        x, y, z = (each * self.unit for each in size)
+        return Marker(
+            ns=namespace,
+            id=number,
+            type=kind,
+            action=Marker.ADD,
+            pose=Pose(position=at or Point(), orientation=turned or Quaternion(w=1.0)),
+            scale=Vector3(x=x, y=y, z=z),
+            color=colour,
+            **own,
         )
 
 
-def _marker(
-    namespace: str,
-    number: int,
-    kind: int,
-    colour: ColorRGBA,
-    scale: Iterable[float],
-    at: Point | None = None,
-    turned: Quaternion | None = None,
-) -> Marker:
-    x, y, z = scale
-    pose = Pose(position=at or Point(), orientation=turned or Quaternion(w=1.0))
-    return Marker(
-        ns=namespace, id=number, type=kind, action=Marker.ADD, pose=pose,
-        scale=Vector3(x=x, y=y, z=z), color=colour,
-    )  # fmt: skip
+def _markers(arm: Arm, pen: _Pen, opacity: float) -> Iterator[Marker]:
+    colour = _COLOUR_OF[arm.level]
+    if arm.truth is not None:
+        yield from _sides("truth", arm.truth, pen, _colour(_TRUTH), 1.0)
+    if arm.estimate is not None:
+        yield from _sides("estimate", arm.estimate, pen, _colour(colour, opacity), 1.4)
+        for number, half in enumerate(arm.bound or ()):
+            if math.isfinite(half):
+                what, area = ("bound", number, Marker.TRIANGLE_LIST), (1.0 / pen.unit,) * 3
+                points = _sector(arm.estimate[number], min(half, math.pi), _DIALS[number], pen)
+                yield pen.draw(what, _colour(colour, 0.7), area, points=points)
+    for number, angle in enumerate(arm.measured or ()):
+        if math.isfinite(angle):
+            at = pen.point(angle, sum(_DIALS[number]) / 2, -0.02)
+            what = ("measurement", number, Marker.SPHERE)
+            yield pen.draw(what, _colour(_MEASURED), (0.06, 0.06, 0.06), at)
+    lines = [arm.name, arm.fault or "no diagnostics"]
+    moving = arm.estimate or arm.truth
+    if moving is not None:
+        lying = Quaternion(x=math.sqrt(0.5), w=math.sqrt(0.5))
+        size = (2.0 * _MOTOR_RADIUS, 2.0 * _MOTOR_RADIUS, 0.04)
+        centre = pen.point(0.0, 0.0, 0.16)
+        yield pen.draw(("motor", 0, Marker.CYLINDER), _colour(GRID), size, centre, lying)
+        yield _spring(moving, pen)
+        lines.append(f"spring {moving.motor - moving.link:+.2f} rad")
+    above, text = pen.point(math.pi, 0.65), "\n".join(lines)
+    what = ("label", 0, Marker.TEXT_VIEW_FACING)
+    yield pen.draw(what, _colour(colour), (0.0, 0.0, 0.11), above, text=text)
 
 
-def _turned(angle: float) -> Quaternion:
-    """Return the rotation by an angle about −y."""
-    return Quaternion(y=-math.sin(angle / 2), w=math.cos(angle / 2))
+def _sides(
+    kind: str, angles: Angles, pen: _Pen, colour: ColorRGBA, width: float
+) -> Iterator[Marker]:
+    """Draw link, its tip and the motor's pointer; `width` is that of what is thin."""
+    link, motor = (Quaternion(y=-math.sin(each / 2), w=math.cos(each / 2)) for each in angles)
+    bar, ball = (0.05 * width, 0.05 * width, 1.0), (0.13 * width**0.5,) * 3
+    pointer = (0.035 * width, 0.03 * width, _MOTOR_RADIUS)
+    half = pen.point(angles.motor, _MOTOR_RADIUS / 2, 0.12)
+    yield pen.draw((kind, 0, Marker.CUBE), colour, bar, pen.point(angles.link, 0.5), link)
+    yield pen.draw((kind, 1, Marker.SPHERE), colour, ball, pen.point(angles.link, 1.0))
+    yield pen.draw((kind, 2, Marker.CUBE), colour, pointer, half, motor)
+
+
+def _sector(angle: float, half: float, radii: tuple[float, float], pen: _Pen) -> list[Point]:
+    """Return the triangles of a part of a ring."""
+    ends = angle + half * np.linspace(-1.0, 1.0, 17)
+    rims = [[pen.point(each, radius) for each in ends.tolist()] for radius in radii]
+    corners = ((0, 0), (1, 0), (1, 1), (0, 0), (1, 1), (0, 1))
+    return [rims[rim][k + step] for k in range(len(ends) - 1) for rim, step in corners]
+
+
+def _spring(angles: Angles, pen: _Pen) -> Marker:
+    """Draw a spiral from the motor's rim to the link's shaft, which its wind-up tightens."""
+    turned = np.linspace(angles.motor, angles.link + 2.0 * math.pi * _TURNS, 73).tolist()
+    radii = np.linspace(0.9 * _MOTOR_RADIUS, _SHAFT_RADIUS, len(turned)).tolist()
+    points = [pen.point(angle, r, 0.07) for angle, r in zip(turned, radii, strict=True)]
+    share = min(1.0, abs(angles.motor - angles.link) / _STRAIN)
+    relaxed, strained = _colour(_SPRING), _colour(_STRAINED)
+    for name in "rgb":
+        first, last = getattr(relaxed, name), getattr(strained, name)
+        setattr(relaxed, name, first + share * (last - first))
+    what = ("spring", 0, Marker.LINE_STRIP)
+    return pen.draw(what, relaxed, (0.016, 0.0, 0.0), points=points)
 
 
 def _colour(text: str, opacity: float = 1.0) -> ColorRGBA:
     r, g, b = (int(text[place : place + 2], 16) / 255.0 for place in (1, 3, 5))
     return ColorRGBA(r=r, g=g, b=b, a=opacity)
-
-
-def _between(first: ColorRGBA, last: ColorRGBA, share: float) -> ColorRGBA:
-    ends = [np.array([each.r, each.g, each.b]) for each in (first, last)]
-    r, g, b = (ends[0] + share * (ends[1] - ends[0])).tolist()
-    return ColorRGBA(r=r, g=g, b=b, a=1.0)
