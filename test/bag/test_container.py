@@ -86,7 +86,6 @@ def test_a_chunk_is_what_it_states(compression: str) -> None:
     assert chunk_records(replace(chunk, uncompressed_crc=0)) == records
     for change, reason in (
         ({"uncompressed_crc": 1}, "crc"),
-        ({"uncompressed_size": 999}, "content"),
         ({"uncompressed_size": 1001}, "content"),
         ({"uncompressed_size": MAX_SIZE + 1}, "too many to read"),
         ({"data": chunk.data[:-20]}, "content|decompressed"),
@@ -115,7 +114,6 @@ def bytes_of(*parts: McapRecord | bytes) -> bytes:
         ([HEADER], [STATISTICS], None),
         ([DataEnd(0)], [STATISTICS], "it does not start with a header"),
         ([HEADER], [], "has no index"),
-        ([HEADER], [b"\x0b\xff"], "the file is damaged"),
         ([HEADER], [replace(STATISTICS, chunk_count=1)], "1 chunks, but 0 in the index"),
         ([HEADER], [replace(STATISTICS, chunk_count=1), replace(CHUNK, chunk_length=2**63)],
          "the index states a chunk up to byte"),
@@ -133,15 +131,4 @@ def test_a_hostile_summary_is_refused(tmp_path: Path, data, summary, reason: str
         assert read_summary(path).profile == "ros2"
         return
     with pytest.raises(BagReadError, match=rf"x\.mcap: .*{reason}"):
-        read_summary(path)
-
-
-def test_a_summary_of_gigabytes_is_refused_unread(tmp_path: Path) -> None:
-    front = MAGIC + bytes_of(HEADER)
-    path = tmp_path / "x.mcap"
-    with path.open("wb") as stream:
-        stream.write(front)
-        stream.seek(4 * MAX_SIZE)  # a hole
-        stream.write(bytes_of(Footer(len(front), 0, 0)) + MAGIC)
-    with pytest.raises(BagReadError, match="too many to read"):
         read_summary(path)

@@ -3,7 +3,7 @@
 """Chunks copied from bag to bag: every reader gives the same messages in the same order."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -11,10 +11,9 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.reader import make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
@@ -67,14 +66,13 @@ def write_mcap(
 
 
 def write_bag(path: Path, written: list[Entry], **options: Any) -> Path:
-    """Write a bag as the recorder does; `flush_every` so many messages a chunk ends."""
-    flush_every = options.pop("flush_every", 10)
+    """Write a bag as the recorder does; after ten messages a chunk ends."""
     with BagWriter(path, **options) as writer:
         for topic in TOPICS:
             writer.add_topic(topic, BYTES, [QosProfile()])
         for number, (topic, time) in enumerate(written):
             writer.write(topic, message(number), time, 1000 + number)
-            if number % flush_every == flush_every - 1:
+            if number % 10 == 9:
                 writer.flush()
     return path
 
@@ -123,14 +121,6 @@ def check(source: Path, target: Path, topics: tuple[str, ...]) -> None:
         assert sorted((c.topic, time, data) for c, time, data in rosbags.messages()) == sorted(
             (one.topic, one.log_time, one.data) for one in made
         )
-    each = []
-    for file in BagReader(target).files:
-        with file.open("rb") as stream:
-            found = make_reader(stream, validate_crcs=True).iter_messages()
-            each += [(c.topic, m.data, m.log_time, m.publish_time) for _, c, m in found]
-    order = [(one[0], one[2], *one[3:]) for one in made]
-    assert sorted(each) == sorted(order)
-    assert [one[2] for one in each] == sorted(one[2] for one in each)
 
 
 @settings(max_examples=25, deadline=None)
@@ -173,11 +163,8 @@ def stay(source: Path, target: Path) -> tuple[int, int]:
     return len(old), sum(data in new for data in old)
 
 
-@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_chunks_of_which_all_is_wanted_are_copied_as_they_are(
-    tmp_path: Path, compression: str
-) -> None:
-    bag = write_bag(tmp_path / "bag", WRITTEN, compression=compression)
+def test_chunks_of_which_all_is_wanted_are_copied_as_they_are(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", WRITTEN)
     new = copy(bag, tmp_path / "new", TOPICS)
     check(bag, new, TOPICS)
     assert stay(bag, new) == (6, 6)
@@ -189,7 +176,6 @@ OTHERS: dict[str, tuple[tuple[str, ...], dict[str, Any], tuple[int, int]]] = {
     "schemas with other ids": (TOPICS, {"skipped": 2}, (13, 12)),
     "messages that nobody wants": (("/a", "/b"), {"chunk_size": 500}, (6, 0)),
     "no checksums": (TOPICS, {"enable_crcs": False}, (13, 12)),
-    "no message indexes": (TOPICS, {"index_types": IndexType.CHUNK}, (13, 13)),
 }
 
 
@@ -202,64 +188,28 @@ def test_of_other_chunks_the_messages_are_picked_out(tmp_path: Path, kind: str) 
     assert stay(file, new) == expected
 
 
-def test_into_files_with_limits_messages_are_copied_one_by_one(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", WRITTEN)
-    new = copy(bag, tmp_path / "new", TOPICS, max_duration_ns=20)
-    check(bag, new, TOPICS)
-    assert len(BagReader(new).files) > 1
-
-
-def test_chunks_are_copied_up_to_a_time_with_all_in_front_of_them(tmp_path: Path) -> None:
-    """In the order of the file, which decides between messages of the same time."""
-    times = [50, 51, 10, 11, 70, 71]
-    bag = write_bag(tmp_path / "bag", [("/a", time) for time in times], flush_every=2)
-    chunks = ChunkCopy(BagReader(bag), ["/a"])
-    with BagWriter(tmp_path / "new") as writer:
-        writer.add_topic("/a", BYTES, [QosProfile()])
-        counts = []
-        for horizon in (10.0, 11.0, 60.0, 71.0, math.inf):
-            chunks.up_to(horizon, writer)
-            counts.append(writer.message_count)
-    assert counts == [0, 4, 4, 6, 6]
-
-
-def damage_data(file: Path) -> None:
+def damaged(file: Path, place: int, new: int) -> None:
+    """Change a byte of a message of one chunk, or of the record in front of its data."""
     data = bytearray(file.read_bytes())
-    place = data.index(message(30))
-    data[place + 4] ^= 1
-    file.write_bytes(data)
-
-
-def forget_a_channel(file: Path) -> None:
-    """Make a message one of a channel that nobody has described; nobody checks it."""
-    data = bytearray(file.read_bytes())
-    place = data.index(message(30))
-    data[place - 22 : place - 20] = b"\x09\x00"
-    file.write_bytes(data)
-
-
-def cut_a_record(file: Path) -> None:
-    data = bytearray(file.read_bytes())
-    place = data.index(message(30))
-    data[place - 30] += 1
+    data[data.index(message(30)) + place] = new
     file.write_bytes(data)
 
 
 @pytest.mark.parametrize(
-    ("damage", "options", "match"),
+    ("place", "options", "match"),
     [
-        (damage_data, {}, r"the file is damaged: at byte \d+: .*checksum"),
-        (forget_a_channel, {"enable_crcs": False}, "channel 9, which is not described"),
-        (cut_a_record, {"enable_crcs": False}, "bytes that are no record"),
+        (4, {}, r"the file is damaged: at byte \d+: .*checksum"),
+        (-22, {"enable_crcs": False}, "channel 9, which is not described"),
+        (-30, {"enable_crcs": False}, "bytes that are no record"),
     ],
 )
 def test_a_damaged_chunk_is_not_copied(
-    tmp_path: Path, damage: Callable[[Path], None], options: dict[str, Any], match: str
+    tmp_path: Path, place: int, options: dict[str, Any], match: str
 ) -> None:
     file = write_mcap(tmp_path / "other.mcap", WRITTEN, compression="none", **options)
     chunks = ChunkCopy(BagReader(file), TOPICS)
     assert chunks.is_sound("/none")
-    damage(file)
+    damaged(file, place, 9)
     assert not chunks.is_sound("/none")
     with pytest.raises(BagReadError, match=match):
         copy(file, tmp_path / "new", TOPICS)

@@ -114,15 +114,3 @@ def test_arrays_of_messages_are_written_as_one_by_one(
                 writer.add_message(channel, log_time, data, publish_time)
 
     assert by_ours(compression, together) == by_library(compression, one_by_one)
-
-
-def test_descriptions_that_wait_for_a_message_stand_before_a_whole_chunk() -> None:
-    times = np.ones((2, 1), np.int64)
-    records = packed([(1, MessageSeries("/t", "a/msg/B", *times, np.zeros((1, 1), np.uint8)))])
-
-    def steps(writer: FileWriter) -> None:
-        writer.add_topic(topic(1))
-        writer.add_chunk(records)
-
-    data = by_ours("none", steps)
-    assert 0 < data.index(b"text") < data.index(records.data)

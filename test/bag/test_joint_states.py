@@ -90,18 +90,13 @@ def rows_of(messages: list[bytes]) -> np.ndarray:
     return np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
 
 
-def test_messages_of_the_same_joints_are_one_group_and_others_of_their_size_are_left_out() -> None:
+def test_messages_of_another_layout_are_left_out_of_a_group() -> None:
     encode = JointStateEncoder(["a", "b"])
     data = [encode(stamp, [1.0, 2.0], (), [stamp, 0.0]) for stamp in range(5)]
     data.insert(2, b"\0\1\0\0".ljust(len(data[0]), b"\xff"))
-
     (group,) = JointStateDecoder().decode_rows(np.arange(6), rows_of(data))
-
-    assert group.names == ("a", "b")
-    assert group.places.tolist() == [0, 1, 3, 4, 5]
-    assert group.stamps.tolist() == [0, 1, 2, 3, 4]
+    assert (group.names, group.places.tolist()) == (("a", "b"), [0, 1, 3, 4, 5])
     assert group.velocity.shape == (5, 0)
-    assert group.effort[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
 
 
 @given(MESSAGES, st.lists(STAMPS, min_size=1, max_size=4))
@@ -112,15 +107,6 @@ def test_many_messages_encoded_at_once_are_those_encoded_one_by_one(message, sta
     assert list(map(bytes, encode.encode_rows(np.array(stamps), *arrays))) == [
         encode(stamp, *message[2:5]) for stamp in stamps
     ]
-
-
-def test_padding_and_options_of_other_writers_are_not_looked_at() -> None:
-    plain = JointState(7, ("ab",), (1.0,), (), (2.0,))
-    data = bytearray(encoded(plain))
-    data[3] = 1
-    data[31] = 0xAA  # behind "ab"
-    decode = JointStateDecoder()
-    assert decode(bytes(data)) == plain
 
 
 @pytest.mark.parametrize(

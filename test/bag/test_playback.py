@@ -114,7 +114,7 @@ def test_all_is_played_once_in_order_and_on_time_whenever_the_caller_comes(
     assert playback.position(NOW) == START + max(offsets)
 
 
-@pytest.mark.parametrize("target", [0, 3, 10, 15, 20, -1, 1000])
+@pytest.mark.parametrize("target", [3, 15, -1, 1000])
 def test_seeking_goes_to_the_messages_from_there_on(target: int) -> None:
     bag = Bag([message(k * MS) for k in range(21)])
     playback = bag.playback()
@@ -143,24 +143,6 @@ def test_what_is_latched_comes_at_once_after_the_clock_even_in_a_pause() -> None
     assert playback.wait(NOW + S) == 0  # the clock's second tick
     assert playback.take(NOW + S) == (NOW + S, START + 4 * MS, None)
     assert playback.wait(NOW + S) == MS
-
-
-@given(st.integers(1, 50), rates)
-def test_loops_do_not_drift(loops: int, rate: float) -> None:
-    length = 20 * S
-    playback = Bag([message(0), message(length)]).playback(rate=rate, loop=True)
-    playback.resume(NOW)
-    now = NOW
-    firsts = []
-
-    while len(firsts) <= loops:
-        if (event := playback.take(now)) is None:
-            now += playback.wait(now) + 70 * MS
-        elif event.time == START:
-            firsts.append(event.due)
-
-    for k, due in enumerate(firsts):
-        assert 0 <= due - (NOW + k * length / Fraction(rate)) <= k + 1
 
 
 @pytest.mark.parametrize(
@@ -206,7 +188,7 @@ def test_a_short_stop_is_caught_up_and_a_long_one_held_back(stop: int) -> None:
     assert playback.wait(NOW + stop) == 100 * MS
 
 
-def test_a_loop_reads_ahead_steps_round_and_the_clock_jumps_back() -> None:
+def test_a_loop_reads_ahead_steps_round_without_drift_and_the_clock_jumps_back() -> None:
     bag = Bag([message(0), message(25 * MS)])
     events = play(bag.playback(clock_rate=100.0, loop=True), NOW + 40 * MS)
     assert played(events) == [0, 25 * MS, 0]
@@ -215,6 +197,12 @@ def test_a_loop_reads_ahead_steps_round_and_the_clock_jumps_back() -> None:
 
     playback = bag.playback(loop=True)
     assert [played(playback.step(NOW)) for _ in range(4)] == [[0], [25 * MS], [0], [25 * MS]]
+
+    late = play(bag.playback(loop=True, rate=0.3), NOW + 50 * S, lambda _: 70 * MS)
+    firsts = [event.due - NOW for event in late if event.time == START]
+    assert len(firsts) > 500
+    for k, due in enumerate(firsts):
+        assert 0 <= due - k * 25 * MS / Fraction(0.3) <= k + 1
 
 
 STRING = "std_msgs/msg/String"

@@ -13,7 +13,6 @@ from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
-from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.errors import BagReadError
 
 STRING = "std_msgs/msg/String"
@@ -70,30 +69,7 @@ def test_messages_and_topics_are_those_of_all_files_in_log_order(bag: Path) -> N
         "/a": (STRING, 3),
         "/b": (STRING, 2),
     }
-    assert reader.topics["/a"].qos_profiles == (QosProfile(),)
-    assert reader.topics["/a"].definition == find_definition(STRING)
     assert (reader.message_count, reader.start_time, reader.end_time) == (5, 3, 15)
-
-
-@pytest.mark.parametrize(
-    ("time", "topics", "depth", "expected"),
-    [
-        (14, None, 1, [("/b", 3), ("/a", 12)]),
-        (15, ["/b"], 1, [("/b", 14)]),
-        (100, ["/a"], 2, [("/a", 12), ("/a", 15)]),
-        (100, None, 9, [("/b", 3), ("/a", 5), ("/a", 12), ("/b", 14), ("/a", 15)]),
-        (3, None, 1, []),
-    ],
-)
-def test_the_last_messages_before_a_time_are_found(
-    bag: Path,
-    time: int,
-    topics: list[str] | None,
-    depth: int,
-    expected: list[tuple[str, int]],
-) -> None:
-    found = BagReader(bag).last_before(time, topics, depth)
-    assert [(m.topic, m.log_time) for m in found] == expected
 
 
 timed = st.lists(st.tuples(st.sampled_from(["/a", "/b"]), st.integers(0, 20)), max_size=40)
@@ -189,7 +165,6 @@ def test_what_is_not_there_is_named(bag: Path, tmp_path: Path) -> None:
         ({"encoding": "json"}, "/a is encoded in 'json', not in cdr"),
         ({"schema_id": 7}, "/a has no type"),
         ({"metadata": {"offered_qos_profiles": "["}}, "/a: not a list of QoS profiles"),
-        ({"use_statistics": False}, "has no index; 'tsobs bag recover'"),
         ({"repeat_channels": False}, "damaged: 1 channels, but 0 in the index"),
     ],
 )

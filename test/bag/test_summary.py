@@ -16,11 +16,11 @@ from tsobs_ros.bag.summary import summarise
 STRING = "std_msgs/msg/String"
 
 
-@settings(max_examples=40)
-@given(
-    st.lists(st.tuples(st.sampled_from(["/a", "/b"]), st.integers(0, 60)), max_size=30),
-    st.integers(1, 6),
-)
+WRITTEN = st.lists(st.tuples(st.sampled_from(["/a", "/b"]), st.integers(0, 60)), max_size=30)
+
+
+@settings(max_examples=25)
+@given(WRITTEN, st.integers(1, 6))
 def test_gaps_are_those_of_all_messages(written: list[tuple[str, int]], chunk: int) -> None:
     with TemporaryDirectory() as folder:
         with BagWriter(Path(folder) / "bag", max_duration_ns=40) as writer:

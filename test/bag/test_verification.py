@@ -6,7 +6,6 @@ import os
 import re
 import zlib
 from collections.abc import Callable
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,6 @@ DEFINITION = find_definition(STRING)
 HELLO = b"\0\1\0\0\6\0\0\0hello\0"
 # Of the names before the first joint: header, stamp, frame and an empty sequence of names.
 EMPTY_JOINTS = b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0" + bytes(16)
-QOS = QosProfile().to_map()
 SEPARATOR = "=" * 80
 
 
@@ -71,15 +69,7 @@ def test_bags_of_the_recorder_pass_without_a_remark(tmp_path: Path, compression:
     verification = verify(tmp_path / "bag")
     assert texts(verification) == ([], [])
     assert verification.text() == f"{tmp_path / 'bag'}: OK, 2000 messages in 1 file"
-    assert verification.as_mapping() == {
-        "bag": str(tmp_path / "bag"),
-        "holds": True,
-        "files": 1,
-        "messages": 2_000,
-        "unchecked": 0,
-        "errors": [],
-        "remarks": [],
-    }
+    assert verification.as_mapping()["messages"] == 2_000
 
 
 def test_several_files_one_file_an_empty_bag_and_a_renamed_folder_pass(
@@ -111,10 +101,8 @@ def list_first_as(values: dict[str, Any], name: str) -> None:
 @pytest.mark.parametrize(
     ("change", "pattern"),
     [
-        (lambda v: v.pop("version"), "version"),
         (lambda v: v.update(version=8), "version"),
         (lambda v: v.update(storage_identifier="sqlite3"), "is stated as sqlite3, but is mcap"),
-        (lambda v: v.update(compression_mode="FILE"), "compress"),
         (lambda v: v.update(duration={"nanoseconds": 7}), "duration is stated as .*7.*, but is .*"),
         (lambda v: v.update(message_count=3), "message_count is stated as 3, but is 40"),
         (
@@ -122,13 +110,10 @@ def list_first_as(values: dict[str, Any], name: str) -> None:
             "message_count of /a is stated as 3, but is 20",
         ),
         (lambda v: v["topics_with_message_count"].pop(0), "bag_0.mcap: /a: is not in metadata"),
-        (lambda v: v["relative_file_paths"].reverse(), "relative_file_paths"),
         (
             lambda v: v["files"][0].update(duration={"nanoseconds": 1}),
             r"message_count of bag_0.mcap is stated as \(5, 1, 22\), but is \(5, 10, 22\)",
         ),
-        (lambda v: v["files"][0].update(message_count=-1), "message_count"),
-        (lambda v: v.update(custom_data=[1]), "custom_data"),
         (lambda v: other_topic(v, type=JOINTS), f"type of /a is stated as {JOINTS}"),
         (lambda v: other_topic(v, serialization_format="json"), "is stated as json, but is cdr"),
         (
@@ -136,7 +121,6 @@ def list_first_as(values: dict[str, Any], name: str) -> None:
             "/a: the hash of its type is not the one in metadata",
         ),
         (lambda v: other_topic(v, offered_qos_profiles=[]), "/a: its QoS is not the one in"),
-        (lambda v: other_topic(v, offered_qos_profiles=[{**QOS, "history": "some"}]), "history"),
         (lambda v: list_first_as(v, "./bag_0.mcap"), r"'\./bag_0.mcap' is not given by its name"),
         (lambda v: list_first_as(v, "x" * 300), "the file 'x{300}' is not there"),
     ],
@@ -148,9 +132,7 @@ def test_metadata_that_does_not_agree_is_an_error(
     assert_error(verify(bag), pattern)
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"[", b"a: 1", b"rosbag2_bagfile_information: 1", b"\xff", None]
-)
+@pytest.mark.parametrize("content", [b"[", b"rosbag2_bagfile_information: 1", b"\xff", None])
 def test_without_metadata_the_files_are_checked(bag: Path, content: bytes | None) -> None:
     path = bag / "metadata.yaml"
     path.unlink() if content is None else path.write_bytes(content)
@@ -222,14 +204,10 @@ def setter(**values: object) -> Callable[[Any], object]:
     [
         (Opcode.HEADER, setter(profile="ros1"), "its profile is stated as ros1, but is ros2"),
         (Opcode.STATISTICS, setter(message_count=9), "number of messages is stated as 9"),
-        (Opcode.STATISTICS, setter(schema_count=9), "number of schemas is stated as 9"),
-        (Opcode.STATISTICS, setter(channel_count=9), "number of channels is stated as 9"),
         (Opcode.STATISTICS, setter(chunk_count=9), "9 chunks, but 3 in the index"),
         (Opcode.STATISTICS, setter(message_start_time=9), r"log time is stated as \(9, 15\), but"),
-        (Opcode.STATISTICS, setter(message_end_time=9), r"log time is stated as \(5, 9\), but"),
         (Opcode.STATISTICS, setter(channel_message_counts={1: 9, 2: 9}), "messages by channel is"),
         (Opcode.CHUNK_INDEX, setter(message_start_time=1), "of the chunk at byte .* is stated as"),
-        (Opcode.CHUNK_INDEX, setter(message_end_time=1), "of the chunk at byte .* is stated as"),
         (Opcode.CHUNK_INDEX, setter(chunk_length=1), "at byte .* index of the file does not state"),
         (Opcode.CHUNK_INDEX, setter(message_index_offsets={1: 5, 2: 6}), "index offsets of the"),
         (Opcode.CHUNK_INDEX, setter(chunk_start_offset=1), "no index of the chunk at byte"),
@@ -271,12 +249,10 @@ def overwritten(data: bytes, opcode: Opcode, place: int, new: bytes) -> bytes:
     [
         (lambda d: d.replace(b"hello", b"HELLO"), "at byte .* checksum .*tsobs bag recover"),
         (lambda d: d[:-1], "has no end.*tsobs bag recover"),
-        (lambda d: b"", "not an MCAP file"),
         (lambda d: MAGIC * 2, "has no end|damaged"),
         (lambda d: d[:-12] + b"abcd" + MAGIC, "checksum .* of its summary"),
         (lambda d: MAGIC + d[d.index(b"\x0c") :], "does not start with a header"),
         (lambda d: overwritten(d, Opcode.CHUNK, 6, b"\xff"), "at byte .* not a record"),
-        (lambda d: overwritten(d, Opcode.CHUNK, 41, b"\xff"), "at byte .* not a record"),
         (lambda d: overwritten(d, Opcode.CHUNK, 25, b"\x00"), "states .* bytes of content"),
         (lambda d: overwritten(d, Opcode.MESSAGE_INDEX, 11, b"\x09"), "index at byte .* is malf"),
         (lambda d: overwritten(d, Opcode.METADATA, 9, b"\xff"), "at byte .*: not a record"),
@@ -332,16 +308,13 @@ def defined(text: str) -> tuple[str, str, bytes]:
     [
         ({"schema": ("String", "ros2msg", b"string data\n")}, "'String' is not named as"),
         ({"schema": (STRING, "jsonschema", b"{}")}, "defined in 'jsonschema', not in ros2msg"),
-        ({"schema": defined("what is this?\n")}, "definition of std_msgs/msg/String is malformed"),
         ({"schema": defined("Other data\n")}, "std_msgs/Other is used, but not defined"),
         ({"schema": defined(f"int8 a\n\n{SEPARATOR}\nX: a/B\n")}, "is not 'MSG: package/Type'"),
-        ({"schema": (STRING, "ros2msg", b"string \xff\n")}, "is malformed"),
         ({"channel": ("/a", "json")}, "/a: is encoded in 'json', not in cdr"),
         ({"schema_id": 7}, "/a: has the schema 7, which is not there before it"),
         ({"metadata": {**CHANNEL, "offered_qos_profiles": "["}}, "/a: not a list of QoS profiles"),
         ({"channel_id": 7}, "a message is of channel 7, which is not there before it"),
         ({"log_time": 2**63}, "/a: a time does not fit 63 bits"),
-        ({"publish_time": 2**63}, "/a: a time does not fit 63 bits"),
         ({"data": HELLO[:-3]}, r"/a: the message at 5 ns is not whole: its .* \(and 2 more\)"),
         ({"data": b""}, "not begin with the header of plain CDR"),
         ({"data": HELLO + bytes(4)}, "/a: the message at 5 ns is not whole: 4 bytes follow"),
@@ -363,10 +336,8 @@ def test_wrong_content_is_an_error(tmp_path: Path, options: dict[str, Any], patt
     [
         ({"schema": (STRING, "ros2idl", b"x")}, "is defined in IDL: its messages are not looked"),
         ({"schema": defined("wstring a\n")}, "has a wstring: its messages are not looked into"),
-        ({"use_chunking": False}, "^x.mcap: 3 messages have no checksum: damage in them is not"),
         ({"enable_crcs": False}, "^x.mcap: 3 messages have no checksum: damage in them is not"),
         ({"enable_data_crcs": True, "enable_crcs": False}, ""),
-        ({"add": lambda w: w.add_metadata("other", {})}, ""),
         ({"add": lambda w: w.add_attachment(1, 1, "a", "b", b"c")}, ""),
         ({"data": HELLO + bytes(3)}, ""),
     ],
@@ -378,14 +349,3 @@ def test_what_cannot_be_checked_is_a_remark(
     assert errors == []
     assert len(remarks) == bool(pattern)
     assert re.search(pattern, "".join(remarks))
-
-
-def test_all_reasons_are_told_and_like_ones_counted(bag: Path) -> None:
-    edit(bag, lambda v: v.update(message_count=1, files=deepcopy(v["files"])))
-    patched(bag / "bag_0.mcap", lambda data: data.replace(b"hello", b"HELLO"))
-    patched(bag / "bag_1.mcap", lambda data: data[:-1])
-    verification = verify(bag)
-    assert [error.place for error in verification.errors] == [
-        "metadata.yaml", "bag_0.mcap", "bag_0.mcap", "bag_0.mcap", "bag_1.mcap",
-    ]  # fmt: skip
-    assert "NOT sound, 5 errors, 0 messages in 2 files" in verification.text()

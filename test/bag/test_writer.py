@@ -4,7 +4,6 @@
 
 import resource
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -60,14 +59,10 @@ def write_bag(path: Path, written: list[Entry], **options: object) -> Path:
     return path
 
 
-def in_log_order(written: list[Entry]) -> list[Entry]:
-    return sorted(written, key=lambda entry: entry.log_time)
-
-
-def records(path: Path, *, whole_chunks: bool = False) -> Iterator[McapRecord]:
+def records(path: Path) -> Iterator[McapRecord]:
     with path.open("rb") as stream:
         try:
-            yield from StreamReader(stream, emit_chunks=whole_chunks, validate_crcs=True).records
+            yield from StreamReader(stream, validate_crcs=True).records
         except EndOfFile:
             return
 
@@ -77,7 +72,7 @@ def records(path: Path, *, whole_chunks: bool = False) -> Iterator[McapRecord]:
 def test_every_reader_gives_back_what_was_written(written: list[Entry], compression: str) -> None:
     with TemporaryDirectory() as folder:
         path = write_bag(Path(folder) / "bag", written, compression=compression)
-        expected = in_log_order(written)
+        expected = sorted(written, key=lambda entry: entry.log_time)
 
         assert list(BagReader(path).messages()) == [
             BagMessage(e.topic, TOPICS[e.topic], e.data, e.log_time, e.publish_time)
@@ -106,34 +101,19 @@ def test_every_reader_gives_back_what_was_written(written: list[Entry], compress
         }
 
 
-def test_the_file_is_laid_out_as_rosbag2_does(tmp_path: Path) -> None:
+def test_the_file_carries_its_metadata_and_definitions_as_rosbag2_does(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", [Entry("/a", b"x", 5, 3), Entry("/a", b"y", 4, 2)])
     with (path / "bag_0.mcap").open("rb") as stream:
         reader = make_reader(stream)
         summary = reader.get_summary()
         assert reader.get_header().profile == "ros2"
     assert summary is not None
-    statistics = summary.statistics
-    assert statistics is not None
-    assert (statistics.message_count, statistics.attachment_count) == (2, 0)
-    assert {schema.name: schema.encoding for schema in summary.schemas.values()} == dict.fromkeys(
-        TOPICS.values(), "ros2msg"
-    )
-    channels = {channel.topic: channel for channel in summary.channels.values()}
-    assert set(channels) == set(TOPICS)
-    for topic, channel in channels.items():
-        definition = find_definition(TOPICS[topic])
-        assert channel.message_encoding == "cdr"
+    for channel in summary.channels.values():
+        definition = find_definition(TOPICS[channel.topic])
         assert set(channel.metadata) == {"offered_qos_profiles", "topic_type_hash"}
         assert channel.metadata["topic_type_hash"] == definition.type_hash
         assert summary.schemas[channel.schema_id].data == definition.text.encode()
-    (chunk,) = summary.chunk_indexes
-    assert chunk.compression == "zstd"
-    assert set(chunk.message_index_offsets) == {channels["/a"].id}
-    stored = list(records(path / "bag_0.mcap"))
-    assert [record.sequence for record in stored if isinstance(record, Message)] == [0, 0]
-    # The metadata of its beginning and of its end.
-    carried = [record for record in stored if isinstance(record, Metadata)]
+    carried = [record for record in records(path / "bag_0.mcap") if isinstance(record, Metadata)]
     assert [record.name for record in carried] == ["rosbag2", "rosbag2"]
     first, last = (yaml.safe_load(r.metadata["serialized_metadata"]) for r in carried)
     assert (first["message_count"], first["topics_with_message_count"]) == (0, [])
@@ -168,8 +148,6 @@ def test_a_split_bag_is_one_bag_of_whole_files(tmp_path: Path, options: dict[str
     assert sum(part.message_count for part in parts) == len(written)
     whole = [(m.data, m.log_time) for m in BagReader(path).messages()]
     assert whole == [(entry.data, entry.log_time) for entry in written]
-    with RosbagsReader(path) as reader:
-        assert [data for _, _, data in reader.messages()] == [entry.data for entry in written]
 
 
 def test_what_cannot_be_a_new_bag_is_refused_and_nothing_is_touched(tmp_path: Path) -> None:
@@ -187,23 +165,18 @@ def test_what_cannot_be_a_new_bag_is_refused_and_nothing_is_touched(tmp_path: Pa
     assert sorted(tmp_path.iterdir()) == [path, tmp_path / "file"]
 
 
-@pytest.fixture
-def writer(tmp_path: Path) -> Iterator[BagWriter]:
+def test_a_topic_is_registered_once_with_a_type_that_there_is(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         writer.add_topic("/a", STRING)
-        yield writer
-
-
-def test_a_topic_is_registered_once_with_a_type_that_there_is(writer: BagWriter) -> None:
-    with pytest.raises(BagWriteError, match="bag: topic /b has not been added"):
-        writer.write("/b", b"", 1, 1)
-    with pytest.raises(BagWriteError, match="bag: topic /b has not been added"):
-        writer.write_all([("/b", STRING, b"", 1, 1)])
-    with pytest.raises(BagWriteError, match="/a is std_msgs/msg/String already"):
-        writer.add_topic("/a", "std_msgs/msg/Empty")
-    with pytest.raises(BagWriteError, match="no_msgs/msg/None is not installed"):
-        writer.add_topic("/b", "no_msgs/msg/None")
-    assert [topic.name for topic in writer.topics] == ["/a"]
+        for call, reason in (
+            (lambda: writer.write("/b", b"", 1, 1), "bag: topic /b has not been added"),
+            (lambda: writer.write_all([("/b", STRING, b"", 1, 1)]), "/b has not been added"),
+            (lambda: writer.add_topic("/a", "std_msgs/msg/Empty"), f"/a is {STRING} already"),
+            (lambda: writer.add_topic("/b", "no_msgs/msg/None"), "None is not installed"),
+        ):
+            with pytest.raises(BagWriteError, match=reason):
+                call()
+        assert [topic.name for topic in writer.topics] == ["/a"]
 
 
 def test_a_closed_bag_stays_as_it_is_after_an_error_too(tmp_path: Path) -> None:
@@ -230,25 +203,19 @@ def test_a_closed_bag_stays_as_it_is_after_an_error_too(tmp_path: Path) -> None:
     assert BagReader(tmp_path / "bag").message_count == 1
 
 
-@contextmanager
-def no_room_beyond(size: int) -> Iterator[None]:
-    """Let files grow to so many bytes, as on a disk that is full then."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
 def test_a_bag_on_a_full_disk_takes_no_more_and_gives_back_what_was_flushed(
     tmp_path: Path,
 ) -> None:
     data, refusal = bytes(100_000), r"bag_0\.mcap: cannot write it: .* too large"
     writer = BagWriter(tmp_path / "bag", compression="none")
     writer.add_topic("/a", STRING)
-    with no_room_beyond(1_000_000), pytest.raises(BagWriteError, match=refusal):
-        any(writer.write("/a", data, time, time) for time in range(20))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))
+    try:
+        with pytest.raises(BagWriteError, match=refusal):
+            any(writer.write("/a", data, time, time) for time in range(20))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
     # Even now that there is room again: half a chunk is in the file.
     for step in (lambda: writer.write("/a", data, 99, 99), writer.flush, writer.split):

@@ -18,7 +18,7 @@ from tsobs_ros.core.records import record_type
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.faults import new_watches
 from tsobs_ros.estimation.history import REASONS
-from tsobs_ros.estimation.state import Shape, new_model, types_of_model
+from tsobs_ros.estimation.state import Shape, new_model
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.prediction import flow_record, scratch_size
@@ -149,17 +149,13 @@ def test_an_array_that_is_too_short_is_refused_and_nothing_is_changed(
     ("function", "changes", "complaint"),
     [
         ("estimator_predict", {"duration": -1.0}, "duration: expected a finite"),
-        ("estimator_predict", {"duration": 1e300}, "duration: expected a finite"),
         ("estimator_observe", {"duration": np.nan}, "duration: expected a finite"),
         ("estimator_observe", {"samples": -1}, "samples: expected a number of at least 0"),
         ("estimator_observe", {"samples": 2}, "y: expected at least 2 numbers, got 1"),
         ("history_advance", {"known": np.array([1, 2, 4])}, "known: expected numbers of samples"),
-        ("history_advance", {"known": np.array([2, 1, 3])}, "known: expected numbers of samples"),
-        ("history_advance", {"known": np.array([-1, 1, 2])}, "known: expected numbers of samples"),
         ("faults_add_estimates", {"watches": np.full(40, 151)}, "watches: expected records"),
         ("advance_all", {"flow": zeros(900)}, "flow: expected the record of a model"),
         ("advance_all", {"duration": -0.01}, "duration: expected at least 0"),
-        ("advance_all", {"duration": 1e300}, "duration: expected at least 0"),
         ("flow_over", {"duration": np.inf}, "duration: expected at least 0"),
         ("flow_over", {"n": 4097}, "n: expected a size from 0 on, got 4097"),
         ("weights_and_slopes_of_each", {"q": 0}, "q: expected a size from 1 on, got 0"),
@@ -190,9 +186,6 @@ def test_arguments_of_another_kind_are_refused() -> None:
         native.layout("model", np.ones(3, int))
 
 
-# --- records ---
-
-
 def is_refused(model: Any) -> bool:
     try:
         native.history_scratch_size(numbers(model), 8)
@@ -212,11 +205,10 @@ def is_refused(model: Any) -> bool:
 def test_a_model_of_other_sizes_or_without_a_period_is_refused(
     name: str, values: tuple[float, ...]
 ) -> None:
-    for value in values:
-        model = ESTIMATOR.model.copy()
-        if value != model[name][0]:
-            model[name] = value
-            assert is_refused(model), value
+    model = ESTIMATOR.model.copy()
+    for value in set(values) - {model[name][0]}:
+        model[name] = value
+        assert is_refused(model), value
 
 
 def test_more_outputs_than_a_step_moves_parts_of_are_refused() -> None:
@@ -274,13 +266,37 @@ def test_a_place_outside_of_the_ring_is_refused(field: str, values: tuple[int, .
             one.estimate(10**9)
 
 
-def test_the_types_of_records_are_made_from_the_sizes_in_the_model() -> None:
-    types = types_of_model(ESTIMATOR.model)
-    assert types.model == ESTIMATOR.model.dtype
-    assert types.state == ESTIMATOR.new_states(1).dtype
-
-
 def test_outcomes_have_the_codes_of_the_reasons() -> None:
     text = Path(core.__file__).with_name("outcomes.h").read_text(encoding="utf-8")
     names = re.findall(r"^    ([A-Z_]+)", text, re.MULTILINE)
     assert names == ["USED", *(reason.name for reason in REASONS if reason), "OUTCOMES"]
+
+
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_what_is_left_in_scratch_memory_decides_nothing(outputs: int) -> None:
+    """Of a run with all that wakes the bank: forks, a tone, a stuck sensor, missing numbers."""
+    design = "both_encoders.design.yaml"
+    folder = Path(__file__).resolve().parents[1] / "estimation" / "data"
+    one = ESTIMATOR if outputs == 1 else load_design(folder / design).supervised()
+    rng, count = np.random.default_rng(3), 1200
+    y = np.tile(0.3 * np.sin(0.02 * np.arange(count))[:, np.newaxis], outputs)
+    y += 0.02 * rng.standard_normal(y.shape)
+    u = np.sin(0.01 * np.arange(count))[:, np.newaxis]
+    y[200:] += 0.3
+    y[400:, 0] += 0.2 * np.sin(0.03 * np.arange(count - 400))
+    y[600:640], u[700:720], u[900] = y[600], np.nan, 20.0
+    y[[100, 101, 300, 1000], 0] = 5.0, 1e150, np.nan, 1e200
+    found = []
+    for fill in (0.0, np.nan, 1e300):
+        states, rows = one.new_states(1), one.new_rows(count)
+        made = (one.new_corrections(), one.new_work())
+        scratch = [numbers(each) for each in made]
+        for each in scratch:
+            each[:] = fill
+        native.estimator_observe(
+            numbers(one.model), numbers(states), y, u, one.period, count, *scratch, rows
+        )
+        found.append(rows.tobytes() + states.tobytes())
+        assert np.isfinite(rows).all()
+    assert states["hypotheses"]["live"][0, 1:].any()
+    assert found[0] == found[1] == found[2]

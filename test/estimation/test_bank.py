@@ -28,7 +28,7 @@ from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import NoTorque, Sinusoid
+from tsobs_ros.simulation.signals import Sinusoid
 
 RATE, STD, T = 200, 0.028, 0.005
 DESIGNS = {
@@ -127,7 +127,7 @@ def test_of_an_arm_as_designed_nothing_else_is_considered_for_long(name: str) ->
 
 
 @both
-@pytest.mark.parametrize("size", [0.3, -1.0, 16.0, 1e6, 1e150, -1e200, math.inf, math.nan])
+@pytest.mark.parametrize("size", [-1.0, 16.0, -1e200, math.inf])
 def test_an_outlier_of_any_size_changes_nothing(name: str, size: float) -> None:
     """The estimates are those without that sample, and it is the end of it."""
     without = course(name, simulated(), changed(EVENT, math.nan, EVENT + 1))
@@ -142,7 +142,7 @@ def test_an_outlier_of_any_size_changes_nothing(name: str, size: float) -> None:
 
 
 @both
-@pytest.mark.parametrize("size", [0.3, -1.0, 3.0])
+@pytest.mark.parametrize("size", [0.3, -3.0])
 def test_a_jump_of_the_sensor_is_followed_within_samples_and_counted_once(
     name: str, size: float
 ) -> None:
@@ -185,7 +185,7 @@ def after_hits(size: float) -> Trajectories:
 
 
 @both
-@pytest.mark.parametrize("size", [1.0, 3.0])
+@pytest.mark.parametrize("size", [3.0])
 def test_hits_are_followed(name: str, size: float) -> None:
     got = course(name, after_hits(size))
     late = np.arange(COUNT) % (5 * RATE) > RATE
@@ -242,7 +242,7 @@ def test_what_is_claimed_holds_in_every_scenario(scenario: str) -> None:
     assert claimed.mean() > 0.85 or scenario not in COVERED
 
 
-@pytest.mark.parametrize("frequency", [2.0, 3.0, 7.0])
+@pytest.mark.parametrize("frequency", [2.0, 7.0])
 def test_a_tone_is_found_and_removed(frequency: float) -> None:
     run = simulated(Scenario(disturbance=(Sinusoid(0.15, frequency, 10.0),)), 7, 45)
     got = course("fixed", run)
@@ -255,7 +255,7 @@ def test_a_tone_is_found_and_removed(frequency: float) -> None:
 
 
 @both
-@pytest.mark.parametrize("factor", [1.5, 3.0])
+@pytest.mark.parametrize("factor", [3.0])
 def test_louder_noise_is_measured_and_the_bounds_follow(name: str, factor: float) -> None:
     got = course(name, simulated(Scenario(sensor=Sensor(noise_std=factor * STD)), 2, 30))
     assert got.tracker.state.noise_scale == pytest.approx(factor, rel=0.15)
@@ -265,10 +265,9 @@ def test_louder_noise_is_measured_and_the_bounds_follow(name: str, factor: float
 
 
 @both
-@pytest.mark.parametrize("factor", [3.0, 8.0])
-def test_a_burst_of_noise_wakes_the_bank_which_sleeps_again(name: str, factor: float) -> None:
+def test_a_burst_of_noise_wakes_the_bank_which_sleeps_again(name: str) -> None:
     rng, y = np.random.default_rng(4), simulated().measurements[0].copy()
-    y[8 * RATE : 9 * RATE] += factor * STD * rng.standard_normal((RATE, 1))
+    y[8 * RATE : 9 * RATE] += 5.0 * STD * rng.standard_normal((RATE, 1))
     during = course(name, simulated(), y[: 9 * RATE])
     assert {*range(Hypothesis.TONE)} <= {*awake(during.tracker)}
     got = course(name, simulated(), y)
@@ -289,7 +288,7 @@ def test_a_stuck_sensor_is_not_used(name: str) -> None:
 
 
 @both
-@pytest.mark.parametrize("spoil", ["half", "a fifth", "jitter"])
+@pytest.mark.parametrize("spoil", ["half", "a fifth"])
 def test_no_basis_lasts_for_ever_and_what_is_thin_is_claimed(name: str, spoil: str) -> None:
     """At half the rate, or with a fifth of the samples missing."""
     y, every = simulated().measurements[0].copy(), 1
@@ -305,7 +304,7 @@ def test_no_basis_lasts_for_ever_and_what_is_thin_is_claimed(name: str, spoil: s
 
 
 @both
-@pytest.mark.parametrize("samples", [4, 40, 200, 600])
+@pytest.mark.parametrize("samples", [4, 600])
 def test_the_bound_covers_the_error_in_gaps_and_after_them(name: str, samples: int) -> None:
     """The torque goes on changing as u = sin t."""
     tracker, run, begin = make_tracker(DESIGNS[name], ObserverSettings()), simulated(), 10 * RATE
@@ -336,7 +335,7 @@ def test_a_late_sample_widens_the_bound_by_its_factor_and_a_missing_one_voids_it
 @both
 @pytest.mark.parametrize(
     ("torque", "seconds"),
-    [(1e5, 0.005), (math.nan, 0.005), (-math.inf, 0.5), (-1e6, 0.5), (math.nan, 8.0)],
+    [(1e5, 0.005), (-math.inf, 0.5), (math.nan, 8.0)],
 )
 def test_an_implausible_torque_is_a_gap_and_its_angle_is_used(
     name: str, torque: float, seconds: float
@@ -353,19 +352,8 @@ def test_an_implausible_torque_is_a_gap_and_its_angle_is_used(
     assert got.found == {}
 
 
-def test_a_torque_that_is_unknown_is_so_to_every_hypothesis() -> None:
-    """Those too that begin meanwhile."""
-    u, y = simulated().torques[0].copy(), changed(6 * RATE, 2.0, 6 * RATE + 1)
-    u[5 * RATE :] = math.nan
-    got = course("fixed", simulated(), y[: 7 * RATE], u[: 7 * RATE])
-    live, n = awake(got.tracker), 5
-    variances = got.tracker.state.records["hypotheses"]["covariance"][0, live, n, n]
-    assert len(live) > 4
-    assert (variances > 0.5).all()
-
-
 @both
-@pytest.mark.parametrize(("size", "samples"), [(0.5, 1), (-1.5, 20), (3.0, 5), (20.0, 1)])
+@pytest.mark.parametrize(("size", "samples"), [(-1.5, 20), (20.0, 1)])
 def test_a_torque_that_the_arm_did_not_get_stays_inside_the_bounds(
     name: str, size: float, samples: int
 ) -> None:
@@ -413,9 +401,3 @@ def test_a_stiffer_arm_is_learnt_whatever_the_noise(sensor: Sensor) -> None:
     readout = got.tracker.estimator.readout(state)
     assert readout.parameters_valid
     assert (np.abs(readout.parameters - [0.2, 0.0]) < 3.0 * readout.parameter_bound).all()
-
-
-def test_nothing_is_learnt_at_rest() -> None:
-    rest = {"excitation": NoTorque(), "initial_state": (0.0,) * 4, "initial_spread": (0.0,) * 4}
-    got = course("learning", simulated(replace(STIFF, **rest), 3, 25))
-    assert not got.tracker.state.theta.any()

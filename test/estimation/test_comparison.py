@@ -22,7 +22,7 @@ from tsobs_ros.estimation.baselines import (
     proportional_integral_matrix,
 )
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
+from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import make_ekf
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
@@ -35,12 +35,8 @@ ARM = ElasticJointArm()
 # So little gravity that the arm is linear to rounding.
 LINEAR = ElasticJointArm(gravity_torque=1e-12)
 PERIOD = 0.005
-START = np.array([0.3, 0.0, 2.0, 0.0])
 RUN = simulate(SCENARIOS["noise"], [3], 20.0)
 SHIPPED = load_design(config_path(SHIPPED_DESIGN))
-
-
-KNOWN = (PERIOD, 0.028)
 
 
 @pytest.mark.parametrize("theta", [2.0, 5.0])
@@ -139,26 +135,10 @@ def test_an_ekf_that_leaves_out_most_samples_starts_its_covariance_again() -> No
     assert rows[:2000].tobytes() == others[:2000].tobytes()
 
 
-def follow(estimator: Estimator) -> tuple[Tracker, Array]:
-    tracker = Tracker(estimator, TrackerOptions(x_max=0.75))
-    errors = []
-    for k, y in enumerate(RUN.measurements[0]):
-        stamp = 10**9 + 5_000_000 * k
-        outcome = tracker.offer(Measurement(stamp, y, RUN.torques[0, k]), stamp)
-        assert isinstance(outcome, Innovation)
-        estimate = tracker.estimate(stamp)
-        assert estimate is not None
-        assert estimate.state_bound.size == estimate.disturbance_bound.size == 0
-        assert not estimate.certified
-        errors.append(estimate.state - ARM.to_physical(RUN.states[0, k]))
-    return tracker, np.array(errors)
-
-
 @pytest.mark.parametrize("make", [high_gain, proportional_integral])
 def test_high_gain_observers_follow_the_arm(make: Callable[..., Estimator]) -> None:
-    tracker, errors = follow(make(ARM, 2.5, *KNOWN))
-    assert tracker.used == len(RUN.times)
-    assert np.sqrt((errors[2000:, 0] ** 2).mean()) < 0.02
-    estimate = tracker.estimate(10**9 + 5_000_000 * (len(RUN.times) - 1))
-    assert estimate is not None
-    assert estimate.disturbance.size == 0
+    tracker, count = Tracker(make(ARM, 2.5, PERIOD, 0.028), TrackerOptions(x_max=0.75)), 4000
+    rows = tracker.follow(stamps_of(count), RUN.measurements[0, :count], RUN.torques[0, :count])
+    assert tracker.used == count
+    assert rows.state_bound.shape[1] == rows.disturbance.shape[1] == 0
+    assert np.sqrt(((rows.state - RUN.physical[0, :count])[2000:, 0] ** 2).mean()) < 0.02

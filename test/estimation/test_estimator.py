@@ -280,21 +280,15 @@ def test_a_state_is_not_changed_by_a_step_and_copied_by_its_bytes(estimator: Est
 def test_numbers_of_another_shape_are_named() -> None:
     estimator = estimator_of("gyroscope")
     state, batch = estimator.initial(), estimator.initial((3,))
+    y, u = np.zeros((4, 5, 2)), np.zeros((4, 6, 1))
     for call, message in (
         (lambda: estimator.correct(state, np.zeros(3)), r"y: expected shape \(2,\), got \(3,\)"),
         (lambda: estimator.correct(batch, np.zeros((2, 2))), r"y: expected shape \(3, 2\), got"),
         (lambda: estimator.predict(state, np.zeros(2), T), r"u: expected shape \(1,\), got \(2,\)"),
         (lambda: estimator.predict(state, [0.0], -T), "duration: expected a finite number"),
-        (lambda: estimator.extrapolate(state, [0.0], np.nan), "duration: expected a finite number"),
-        (lambda: estimator.observe(np.zeros((5, 2)), 0.0), r"y: expected shape \(runs, samples, 2"),
-        (
-            lambda: estimator.observe(np.zeros((4, 5, 2)), np.zeros((4, 6, 1))),
-            r"u: expected shape \(4, 5, 1\), got \(4, 6, 1\)",
-        ),
-        (
-            lambda: estimator.observe(np.zeros((1, 5, 2)), np.zeros((1, 5, 1)), -1.0),
-            "period: expected a finite number of at least 0",
-        ),
+        (lambda: estimator.observe(y[0], 0.0), r"y: expected shape \(runs, samples, 2"),
+        (lambda: estimator.observe(y, u), r"u: expected shape \(4, 5, 1\), got \(4, 6, 1\)"),
+        (lambda: estimator.observe(y, u[:, :5], -1.0), "period: expected a finite number"),
     ):
         with pytest.raises(ModelError, match=message):
             call()

@@ -74,19 +74,6 @@ def test_a_start_is_reported_in_three_lines_and_then_nothing() -> None:
     ]
 
 
-def test_silence_is_reported_when_it_begins_with_its_length_and_its_topic() -> None:
-    play = Play().settled()
-    last = seconds(Event(play.now, EventKind.STATE, Level.OK, "")) - 0.002
-    events = [*play.silent(60.0), *play.goes_on(1.0)]
-    assert [(round(seconds(each) - last, 3), each.level, each.text) for each in events] == [
-        (0.1, Level.WARN, "COASTING: no measurement on /sensor for 0.1 s; estimates are "
-                          "predictions"),
-        (5.0, Level.ERROR, "STALE: no measurement on /sensor for 5 s; the next one restarts the "
-                           "estimate"),
-        (60.102, Level.OK, "TRACKING again: measurements arrive on /sensor, after 60 s without"),
-    ]  # fmt: skip
-
-
 def test_a_recording_which_lacks_the_silence_gives_the_same_events() -> None:
     plays = []
     for live in (True, False):
@@ -141,18 +128,6 @@ def test_what_is_over_at_once_is_not_reported_unless_the_bound_was_void(
         play.goes_on(0.8, **changes)
         play.goes_on(30.0)
     assert bool(play.events[3:]) is reported
-
-
-def test_a_node_that_waits_reports_it_once_after_a_second() -> None:
-    log = EventLog("/sensor", coast_after=0.1, stale_after=5.0)
-    found = [
-        (tick, event.text)
-        for tick in range(1000)
-        for event in log.silence(BEGIN + tick * SECOND // 10)
-    ]
-    assert found == [(10, "WAITING for the first measurement on /sensor")]
-    (event,) = log.update(GOOD._replace(basis=Basis.STARTING, learning=Learning.STARTING))
-    assert event.text == "TRACKING: measurements arrive on /sensor"
 
 
 def test_flickering_is_reported_at_intervals_with_the_number_of_changes() -> None:

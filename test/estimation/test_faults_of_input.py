@@ -28,7 +28,6 @@ TICK = 40_000_000
 MS = 1_000_000
 # The node's defaults.
 HISTORY, TOLERANCE, STALE_AFTER = 500 * MS, 100 * MS, 5 * NANOSECONDS
-LARGEST, SMALLEST = 1.7976931348623157e308, 5e-324
 USED, JUDGED = "used", "used or gated"
 
 Event = tuple[int, Measurement, RejectReason | str]
@@ -46,9 +45,7 @@ class Kind(NamedTuple):
     recovery: float = 2.0
 
 
-FUTURE, OLD = RejectReason.FROM_FUTURE, RejectReason.TOO_OLD
-ZERO, NON_FINITE = RejectReason.ZERO_STAMP, RejectReason.NON_FINITE
-DUPLICATE, GATED = RejectReason.DUPLICATE, RejectReason.GATED
+OLD, GATED = RejectReason.TOO_OLD, RejectReason.GATED
 IMPLAUSIBLE = RejectReason.IMPLAUSIBLE_TORQUE
 
 
@@ -122,30 +119,23 @@ def stuck_angle(arm: Arm, begin: int) -> Iterator[Event]:
 
 
 KINDS: dict[str, Kind] = {
-    "gap of a second": Kind(absent, lasts=1.0),
     "gap of minutes": Kind(absent, lasts=160.0, recovery=3.0),
-    "zero stamp": Kind(stamped(lambda at, k: 0, ZERO)),
-    "an hour ahead": Kind(stamped(lambda at, k: at + 3600 * NANOSECONDS, FUTURE)),
     "just inside the tolerance": Kind(stamped(lambda at, k: at + TOLERANCE, JUDGED, 0.005)),
     "clock since boot": Kind(stamped(lambda at, k: BOOT + k * 5 * MS, OLD)),
     "first ever since boot": Kind(
         stamped(lambda at, k: BOOT + k * 5 * MS, JUDGED), warm_up=0.0, recovery=3.0
     ),
     "jittered stamps": Kind(stamped(lambda at, k: at + (k % 5 - 2) * MS, JUDGED)),
-    "nan angle": Kind(angle(lambda y, k: math.nan, NON_FINITE)),
-    "nan torque": Kind(torque(lambda u, k: math.nan, RejectReason.UNKNOWN_INPUT)),
     "every fifth an outlier": Kind(angle(lambda y, k: y if k % 5 else y + 3.0 * math.sin(k))),
     "jump": Kind(angle(lambda y, k: y + 0.3, JUDGED, 3.0), lasts=3.0, warm_up=9.0, recovery=3.0),
     "wrapped angle": Kind(angle(lambda y, k: y + math.tau, JUDGED, 1.0), lasts=1.0, recovery=5.0),
     "wrong level of the torque": Kind(torque(lambda u, k: u + 10.0), warm_up=9.0, recovery=5.0),
     "torque in other units": Kind(torque(lambda u, k: 1e3 * u, IMPLAUSIBLE)),
     "burst of 5000": Kind(burst, lasts=1.0),
-    "held up": Kind(changed(same, USED, 1.0, lambda at, k, begin: begin + NANOSECONDS), lasts=1.0),
     "late by a second": Kind(
         changed(same, USED, 2.0, lambda at, k, begin: min(at, begin + NANOSECONDS) + NANOSECONDS),
         lasts=2.0,
     ),
-    "same again": Kind(twice(lambda sample, arm: sample, DUPLICATE)),
     "older than the history": Kind(
         twice(lambda sample, arm: arm.measurement(sample.stamp - 2 * HISTORY), OLD)
     ),

@@ -34,12 +34,9 @@ OK, WARN, ERROR = Level.OK, Level.WARN, Level.ERROR
 @pytest.mark.parametrize(
     ("values", "levels"),
     [
-        ([0.0] * 6, [OK] * 6),
         ([0.3] * 7, [OK] * 5 + [WARN] * 2),
-        ([-0.7] * 7, [OK] * 5 + [ERROR] * 2),
         # The limits themselves count.
         ([0.2] * 6, [OK] * 5 + [WARN]),
-        ([0.5] * 6, [OK] * 5 + [ERROR]),
         # A blip on the way restarts the count.
         ([0.3] * 4 + [0.0] + [0.3] * 6, [OK] * 10 + [WARN]),
         # From one level to the next one, without OK in between.

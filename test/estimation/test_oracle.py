@@ -3,7 +3,6 @@
 """The core against textbook recursions in NumPy: filters, learning, weights, mixture."""
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -26,7 +25,6 @@ from tsobs_ros.estimation.options import (
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.model.disturbance import DisturbanceModel, bias, clean, gauss_markov, per_channel
 from tsobs_ros.model.fuzzy import RuleBase, membership
-from tsobs_ros.model.prediction import Flow
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty
@@ -44,31 +42,18 @@ GATE = 5.0
 SENSOR = (Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT)
 
 
-class System(ABC):
-    """A prediction model in NumPy, whose step also takes complex numbers."""
-
-    flow: Flow
-    uncertainty: Uncertainty
-    process: Array
-    """What is added to the covariance in a period, if nothing bends it."""
-
-    @abstractmethod
-    def step(self, x: Array, theta: Array, u: Array, T: float) -> Array:
-        """Return the state a time of at most a period later."""
-
-    @abstractmethod
-    def noise(self, x: Array, theta: Array, u: Array, T: float) -> Array:
-        """Return the covariance that is added meanwhile."""
-
-
 def derivative(function: Callable[[Array], Array], point: Array) -> Array:
     """Return the matrix of partial derivatives by complex steps, exact to rounding."""
     steps = point + 1e-30j * np.eye(len(point))
     return np.array([np.imag(function(step)) / 1e-30 for step in steps]).T
 
 
-class Arm(System):
-    """An arm with any outputs and unknown torques: half a kick, linear flow, half a kick."""
+class Arm:
+    """An arm with any outputs and unknown torques: half a kick, linear flow, half a kick.
+
+    Its steps, as those of the other system, take complex numbers and at most a period; `noise` is
+    what they add to the covariance, and `process` that in a period if nothing bends it.
+    """
 
     def __init__(self, file: Path) -> None:
         self.design = load_design(file)
@@ -99,7 +84,7 @@ class Arm(System):
         return after @ Q @ after.T
 
 
-class Blend(System):
+class Blend:
     """A T–S system of any size, blended by Gaussian memberships of a state and a signal."""
 
     def __init__(self, n: int, disturbance: DisturbanceModel, k: int, rules: int) -> None:
@@ -160,6 +145,9 @@ class Blend(System):
         slope = derivative(lambda z: self._entering(z, theta, u), self._middle(x, theta, u, T))
         spread = phi @ (np.eye(len(x)) + T * slope)
         return spread @ Q @ spread.T + Q
+
+
+System = Arm | Blend
 
 
 class Plan:

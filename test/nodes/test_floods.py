@@ -49,7 +49,6 @@ def as_bytes(change: Callable[[bytes], bytes]) -> Make:
     return lambda arm, newest, _: change(bytes(serialize_message(arm.message(newest))))
 
 
-NAMES = [f"joint_{index}" for index in range(100)]
 FLOODS: dict[str, tuple[Make, str | None]] = {
     "nan angle": (alone(position=[math.nan]), RejectReason.NON_FINITE.value),
     "infinite torque": (
@@ -59,19 +58,9 @@ FLOODS: dict[str, tuple[Make, str | None]] = {
         RejectReason.IMPLAUSIBLE_TORQUE.value,
     ),
     "foreign joint": (alone(name=["elbow"]), WRONG),
-    "no effort": (alone(effort=[]), RejectReason.MISSING_INPUT.value),
-    "many foreign joints": (alone(name=NAMES, position=[0.0] * 100, effort=[0.0] * 100), WRONG),
-    "long name": (alone(name=["x" * 2000]), WRONG),
     "truncated bytes": (as_bytes(lambda data: data[:50]), WRONG),
     "random bytes": (as_bytes(lambda _: b"\x00\x01\x00\x00" + b"\xff" * 60), WRONG),
-    "same again": (stamped(lambda _: 0), RejectReason.DUPLICATE.value),
     "clock since boot": (stamped(lambda _: -3600 * NANOSECONDS), RejectReason.TOO_OLD.value),
-    "an hour ahead": (stamped(lambda _: 3600 * NANOSECONDS), RejectReason.FROM_FUTURE.value),
-    "zero stamp": (
-        lambda arm, newest, number: arm.message(0, position=[0.001 * number]),
-        RejectReason.ZERO_STAMP.value,
-    ),
-    "outlier": (alone(position=[9.0]), RejectReason.DUPLICATE.value),
     "outliers in a row": (
         lambda arm, newest, number: arm.message(newest + number, position=[9.0 + number]),
         RejectReason.GATED.value,
@@ -107,11 +96,10 @@ class Sensor:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("publish_on", ["tick", "measurement"])
 def test_after_each_flood_the_observer_goes_on_and_a_signal_ends_it_in_the_last(
-    ros: Any, ros_process: Callable[..., Any], publish_on: str
+    ros: Any, ros_process: Callable[..., Any]
 ) -> None:
-    process = ros_process("observer", parameters={"publish_on": publish_on})
+    process = ros_process("observer")
     sensor, estimated, counts = Sensor(ros), [0], [Counter[str]()]
     node = ros.node("watch")
     node.create_subscription(
@@ -122,15 +110,8 @@ def test_after_each_flood_the_observer_goes_on_and_a_signal_ends_it_in_the_last(
     def keep(array: DiagnosticArray) -> None:
         for status in array.status:
             if status.name == "observer: measurements":
-                counts.append(
-                    Counter(
-                        {
-                            item.key: int(item.value)
-                            for item in status.values
-                            if item.key != "remedy"
-                        }
-                    )
-                )
+                kept = (item for item in status.values if item.key != "remedy")
+                counts.append(Counter({item.key: int(item.value) for item in kept}))
 
     node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
 
@@ -144,9 +125,7 @@ def test_after_each_flood_the_observer_goes_on_and_a_signal_ends_it_in_the_last(
     process.wait_for_line("certificate holds", TIMEOUT)
     began = time.monotonic()
     goes_on(lambda: len(estimated) > 100, "the first estimates")
-    # Everything but the way in is shared: some kinds stand for all.
-    floods = list(FLOODS.items())[:: 1 if publish_on == "tick" else 4]
-    for name, (make, reason) in floods:
+    for name, (make, reason) in FLOODS.items():
         grow = ["received"] if reason is None else ["received", f"rejected: {reason}"]
         limits = {key: counts[-1][key] + 1000 for key in grow}
         sensor.flood(make)

@@ -44,25 +44,6 @@ def test_sensor_and_node_may_have_any_rates(stage: Stage, sensor: float, node: f
     assert stage.watcher.sigmas(arm) < SIGMAS
 
 
-def test_while_time_stands_still_nothing_is_published_twice(stage: Stage) -> None:
-    observer, arm = stage.add(), Arm(BEGIN)
-    stage.step(BEGIN - PERIOD)
-    before = good(arm, BEGIN, 0.2)
-    stage.play(before, BEGIN + 200 * MS)
-    count = len(stage.watcher.stamps)
-    held = good(arm, stage.now, 0.05)
-    for event in held:
-        stage.step(stage.now, [event])
-    assert len(stage.watcher.stamps) == count
-    after = good(arm, BEGIN + 250 * MS, 0.2)
-    stage.play(after, BEGIN + 500 * MS)
-
-    assert stage.counts().used == stage.counts().received == 90
-    held = [event._replace(at=BEGIN + 205 * MS) for event in held]  # at the first tick
-    assert replayed(stage.watcher, observer, [*before, *held, *after]) >= count + 50
-    assert stage.watcher.broken == []
-
-
 @pytest.mark.parametrize("gap", [0.3, 5.1], ids=lambda gap: f"{gap:g} s")
 def test_after_a_gap_of_any_length_it_goes_on(stage: Stage, gap: float) -> None:
     rate, stale_after = 50.0, 5.0

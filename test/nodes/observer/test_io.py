@@ -86,20 +86,15 @@ NAN = math.nan
         # Some drivers have the torque with the motor.
         (BOTH_SIDES, ["hip_motor", "hip"],
          {"position": [2.0, 1.0], "effort": [4.0]}, ([1.0, 2.0], [4.0])),
-        (BOTH_SIDES, ["hip_motor", "hip"],
-         {"position": [2.0, 1.0], "effort": [4.0, NAN]}, ([1.0, 2.0], [4.0])),
         (BOTH_SIDES, ["hip"], {"position": [1.0], "effort": [3.0]}, ([1.0, NAN], [3.0])),
-        (BOTH_SIDES, ["hip_motor"], {"position": [2.0], "effort": [4.0]}, ([NAN, 2.0], [4.0])),
         (BOTH_SIDES, ["hip", "hip_motor"],
          {"position": [NAN, 2.0], "effort": [3.0, 3.0]}, ([NAN, 2.0], [3.0])),
         (BOTH_SIDES, ["hip", "hip_motor"], {"position": [1.0, 2.0]}, MISSING),
         (BOTH_SIDES, ["hip", "hip_motor"], {"velocity": [1.0, 2.0], "effort": [3.0, 3.0]}, WRONG),
         (VELOCITIES, ["hip"],
          {"position": [1.0], "velocity": [2.0], "effort": [3.0]}, ([2.0, 1.0], [3.0])),
-        (VELOCITIES, ["hip"], {"position": [1.0], "effort": [3.0]}, ([NAN, 1.0], [3.0])),
         (SYSTEM, ["drive", "gyroscope", "encoder"],
          {"position": [3.0, 2.0, 1.0]}, ([1.0, 2.0], [3.0])),
-        (SYSTEM, ["encoder", "drive"], {"position": [1.0, 3.0]}, ([1.0, NAN], [3.0])),
         (SYSTEM, ["encoder", "gyroscope"], {"position": [1.0, 2.0]}, MISSING),
     ],
 )  # fmt: skip
@@ -125,14 +120,6 @@ def test_what_a_message_lacks_of_several_outputs_is_nan(
             assert batch.y[0].flags.c_contiguous
 
 
-def test_layouts_may_change_from_message_to_message_for_ever() -> None:
-    reader = MeasurementReader(JOINTS, assume_zero_torque=False)
-    for index in range(300):
-        names = [f"x{index}"] * (index % 5) + ["knee"]
-        read = reader.read([message(names, [float(index)] * len(names), [0.5] * len(names))])
-        assert shown(read) == [None, (STAMP, float(index), 0.5)]
-
-
 def test_messages_that_wait_together_come_in_the_order_of_their_stamps() -> None:
     reader = MeasurementReader(JOINTS, assume_zero_torque=False)
     data = [
@@ -154,21 +141,15 @@ GOOD, OURS = (STAMP, 1.0, 3.0), ["hip"]
 OTHERS = [f"joint_{index}" for index in range(3000)]
 MESSAGES = {
     "empty message": (bytes(serialize_message(JointState())), WRONG),
-    "no effort": (message(OURS, [1.0], []), MISSING),
     "no position": (message(OURS, [], [3.0]), WRONG),
-    "velocity alone": (bytes(serialize_message(JointState(name=OURS, velocity=[1.0]))), WRONG),
     "more names than positions": (message(["x", "hip"], [1.0], [3.0]), WRONG),
     "more positions than names": (message(OURS, [1.0, 9.0, 9.0], [3.0, 9.0]), GOOD),
-    "foreign joint": (message(["elbow"], [1.0], [3.0]), WRONG),
-    "joint twice": (message(["hip", "hip"], [1.0, 9.0], [3.0, 9.0]), GOOD),
     "thousands of joints": (
         message([*OTHERS, "hip"], [*[math.nan] * 3000, 1.0], [*[math.nan] * 3000, 3.0]),
         GOOD,
     ),
-    "thousands of foreign joints": (message(OTHERS, [0.0] * 3000, [0.0] * 3000), WRONG),
     "very long name": (message(["x" * 100_000], [1.0], [3.0]), WRONG),
     "name that is not ascii": (message(["елбоу 关节\x1b[31m🦾"], [1.0], [3.0]), WRONG),
-    "long frame": (message(OURS, [1.0], [3.0], frame_id="frame" * 2000), GOOD),
     "truncated bytes": (message(OURS, [1.0], [3.0])[:50], WRONG),
     "random bytes": (b"\x00\x01\x00\x00" + b"\xff" * 60, WRONG),
     "name that is not utf8": (message(["hipX"], [1.0], [3.0]).replace(b"pX", b"\xff\xfe"), WRONG),

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer node: the tracker's numbers bit for bit, whatever arrives and drives it."""
 
+from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,12 +29,9 @@ from staging.stamps import to_stamp
 from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.estimation.records import Innovation
-from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 
 JOINT = "elastic_joint"
-SHIPPED = config_path(SHIPPED_DESIGN)
-FIXED = str(config_path(FIXED_DESIGN))
 ARM = Arm(BEGIN)
 
 
@@ -117,7 +114,6 @@ def test_every_reason_to_reject_is_counted_and_estimates_go_on(stage: Stage) -> 
     [
         ({"stamp": 0}, "zero stamp", "let the driver stamp"),
         ({"effort": []}, "missing input", "`assume_zero_torque` takes a missing effort as 0"),
-        ({"name": ["elbow"]}, "wrong joint or shape", "the parameter `joints`"),
     ],
 )
 def test_a_silence_of_rejected_messages_is_told_from_one_without_messages(
@@ -192,31 +188,6 @@ def test_a_silenced_observer_discards_what_comes_and_then_restarts(
         assert values(stage.statuses()["observer: state"])["resets"] == "1"
 
 
-def test_an_observer_is_unconfigured_until_its_design_is_there(
-    stage: Stage, manage: Callable[[Any], Any], tmp_path: Path
-) -> None:
-    path = tmp_path / "my.design.yaml"
-    observer = stage.add(autostart=False, design=str(path))
-    manager = manage(observer)
-    bare = manager.entities
-    assert not manager.change("configure")
-    assert (manager.state, manager.entities) == ("unconfigured", bare)
-    path.write_text(SHIPPED.read_text(encoding="utf-8"), encoding="utf-8")
-    assert manager.change("configure")
-    stage.match()
-    stage.step(BEGIN)
-    stage.play(samples(1, 20))
-    assert (stage.watcher.published, observer.received) == ([], 0)
-    assert manager.change("activate")
-    stage.play(samples(21, 20))
-    assert observer.joints[0].tracker.used == 20
-    assert values(stage.statuses()["observer: certificate"])["design"] == str(path)
-    assert manager.change("deactivate", "cleanup")
-    assert manager.entities == bare
-    for topic in OUTPUTS:
-        assert observer.count_publishers(f"/observer/{topic}") == 0
-
-
 JOINTS = [f"joint_{k}" for k in range(1, 8)]
 
 
@@ -229,32 +200,38 @@ def test_messages_of_any_joints_in_any_order_give_each_joint_what_it_has_alone(
     foreign = [f"foreign_{k}" for k in range(93)]
     alone = {joint.name: tracker_of(observer) for joint in observer.joints}
     expected: dict[str, dict[int, float]] = {joint: {} for joint in JOINTS}
-    events = []
+    events, offered = [], Counter[str]()
     for stamp in ARM.stamps(BEGIN, 0.3):
         some = list(rng.permutation(JOINTS))[: int(rng.integers(1, len(JOINTS) + 1))]
         others = foreign if rng.random() < 0.7 else []
         sample = ARM.measurement(stamp)
         taken = {joint: sample.y + rng.normal(0.0, 0.01) for joint in some}
+        torques = dict.fromkeys(some, sample.u)
+        if stamp > BEGIN + 100 * MS and "joint_3" in some:  # what befalls one is that one's
+            torques["joint_3"] = rng.choice([-1.7e308, 1.7e308, np.inf], 1)
         message = JointState(
             name=[*others, *some],
             position=[9.0] * len(others) + [float(y[0]) for y in taken.values()],
-            effort=[8.0] * len(others) + sample.u.tolist() * len(some),
+            effort=[8.0] * len(others) + [float(u[0]) for u in torques.values()],
         )
         message.header.stamp = to_stamp(stamp)
         events.append(Event(stamp, message))
         for joint, y in taken.items():
-            outcome = alone[joint].offer(sample._replace(y=y), stamp)
-            assert isinstance(outcome, Innovation)
-            expected[joint][stamp] = float(outcome.value[0])
+            outcome = alone[joint].offer(sample._replace(y=y, u=torques[joint]), stamp)
+            if isinstance(outcome, Innovation):
+                expected[joint][stamp] = float(outcome.value[0])
+            offered[joint] += 1
     stage.play(events)
 
     published: dict[str, dict[int, float]] = {joint: {} for joint in JOINTS}
     for each in stage.watcher.of("innovation"):
         for joint, value in zip(each.message.name, each.message.position, strict=True):
             published[joint][each.stamp] = value
+    del published["joint_3"], expected["joint_3"]
     assert published == expected
     for joint in observer.joints:
-        assert joint.received == joint.tracker.used == len(expected[joint.name])
+        assert joint.received == offered[joint.name]
+        assert joint.tracker.used == len(expected.get(joint.name, [])) or joint.name == "joint_3"
     last = stage.watcher.of("joint_states")[-1].message
     assert list(last.name) == [f"{j}_{side}" for j in JOINTS for side in ("link", "motor")]
     assert list(stage.watcher.of("disturbance")[-1].message.name) == JOINTS
@@ -348,21 +325,3 @@ def test_on_the_systems_clock_in_a_namespace_it_ticks_all_by_itself(stage: Stage
     assert 0.0 < float(timing["latency p50 [ms]"]) <= float(timing["latency p99 [ms]"])
     assert stage.call(Trigger, "/left/observer/reset", Trigger.Request()).success
     assert observer.joints[0].tracker.used == 0
-
-
-def test_a_process_of_its_own_wakes_up_for_measurements(stage: Stage, ros_process: Any) -> None:
-    """The ticks, one a second, cannot have made the estimates."""
-    process = ros_process("observer", parameters={"rate": 1.0, "publish_on": "measurement"})
-    process.wait_for_line("certificate holds")
-    stamps: list[int] = []
-    stage.node.create_subscription(
-        JointState, "observer/joint_states", lambda m: stamps.append(m.header.stamp.nanosec), 100
-    )
-    clock = stage.node.get_clock()
-    stage.node.create_timer(
-        0.02, lambda: stage.sensor.publish(ARM.message(clock.now().nanoseconds))
-    )
-    stage.wait_until(lambda: bool(stamps), "the first estimate")
-    began = clock.now().nanoseconds
-    stage.wait_until(lambda: len(stamps) >= 30, "thirty estimates")
-    assert len(stamps) > 3 * (clock.now().nanoseconds - began) / NANOSECONDS

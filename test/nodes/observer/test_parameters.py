@@ -18,7 +18,6 @@ from tsobs_ros.nodes.observer import Observer, create
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 SHIPPED, FIXED = config_path(SHIPPED_DESIGN), str(config_path(FIXED_DESIGN))
-TS_DESIGN = Path(__file__).parents[2] / "design/data/system.design.yaml"
 
 
 @pytest.fixture
@@ -56,10 +55,7 @@ def test_senseless_or_structural_changes_are_refused_with_a_reason(
     [
         ({"joints": [""]}, "joints: expected names"),
         ({"joints": ["hip", "knee", "hip"]}, "joints: expected names, each once"),
-        ({"joints": ["hip", "knee"], "joint_designs": [""]}, "one for each of the 2 joints"),
         ({"gain_mode": "certain"}, "gain_mode"),
-        ({"fault.warn": 0.6}, "disturbance error level"),
-        ({"coast_after": 6.0}, "coast_after"),
         ({"joints": ["a", "b", "c"], "torque_warn": [1.0, 2.0]}, "each of the 3 joints, a single"),
     ],
 )
