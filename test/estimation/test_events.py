@@ -66,7 +66,7 @@ def seconds(event: Event) -> float:
 def test_a_start_is_reported_in_three_lines_and_then_nothing() -> None:
     play = Play()
     play.goes_on(4.0, basis=Basis.STARTING, learning=Learning.STARTING)
-    play.goes_on(3600.0)
+    play.goes_on(600.0)
     assert [(seconds(each), each.level, each.text) for each in play.events] == [
         (0.0, Level.OK, "TRACKING: measurements arrive on /sensor"),
         (4.0, Level.OK, "the bound is certified"),
@@ -124,10 +124,22 @@ def test_what_is_over_at_once_is_not_reported_unless_the_bound_was_void(
     changes: dict[str, Any], reported: bool
 ) -> None:
     play = Play().settled()
-    for _ in range(50):
+    for _ in range(15):
         play.goes_on(0.8, **changes)
         play.goes_on(30.0)
     assert bool(play.events[3:]) is reported
+
+
+def test_a_node_that_waits_reports_it_once_after_a_second() -> None:
+    log = EventLog("/sensor", coast_after=0.1, stale_after=5.0)
+    found = [
+        (tick, event.text)
+        for tick in range(1000)
+        for event in log.silence(BEGIN + tick * SECOND // 10)
+    ]
+    assert found == [(10, "WAITING for the first measurement on /sensor")]
+    (event,) = log.update(GOOD._replace(basis=Basis.STARTING, learning=Learning.STARTING))
+    assert event.text == "TRACKING: measurements arrive on /sensor"
 
 
 def test_flickering_is_reported_at_intervals_with_the_number_of_changes() -> None:
