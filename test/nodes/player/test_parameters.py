@@ -36,19 +36,9 @@ def test_senseless_parameters_are_refused(
         play(bag, **parameters)
 
 
-@pytest.mark.parametrize(
-    ("path", "reason"),
-    [
-        ("none", "none: "),
-        ("bag/metadata.yaml", "metadata.yaml: not an MCAP file"),
-        ("bag", "bag_0.mcap: the file has no end"),
-    ],
-)
-def test_what_is_no_whole_bag_is_refused(
-    play: Play, tmp_path: Path, path: str, reason: str
-) -> None:
+def test_a_bag_without_an_end_is_refused(play: Play, tmp_path: Path) -> None:
     file = write_bag(tmp_path / "bag", regular(5)) / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[:-100])
 
-    with pytest.raises(BagReadError, match=reason):
-        play(tmp_path / path)
+    with pytest.raises(BagReadError, match=r"bag_0.mcap: the file has no end"):
+        play(tmp_path / "bag")

@@ -74,14 +74,12 @@ def test_what_was_latched_before_the_start_is_published_first_even_in_a_pause(
     assert listener.texts("/a") == texts(5, 10)
 
 
-@pytest.mark.parametrize("reliability", ["reliable", "best_effort"])
 def test_the_first_messages_are_not_lost_to_a_subscriber_that_is_just_being_discovered(
-    ros: Any, play: Play, listener: Any, tmp_path: Path, reliability: str
+    play: Play, listener: Any, tmp_path: Path
 ) -> None:
-    offers = {"/a": [QosProfile(reliability=reliability)]}
-    bag = write_bag(tmp_path / "bag", regular(50, 0.5), offers)
+    bag = write_bag(tmp_path / "bag", regular(50, 0.5), {"/a": [BEST_EFFORT]})
     player = play(bag)
-    qos = QoSProfile(depth=100, reliability=ReliabilityPolicy[reliability.upper()])
+    qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
     listener.listen("/a", qos=qos)
 
     listener.hear_out(player)

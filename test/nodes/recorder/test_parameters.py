@@ -18,11 +18,6 @@ from tsobs_ros.nodes.recorder.parameters import RecorderParameters
         ({"regex": "*joints"}, r"parameter 'regex': not a regular expression .*'\*joints'"),
         ({"exclude_regex": "("}, "parameter 'exclude_regex': not a regular expression"),
         ({"compression": "zip"}, "compression"),
-        ({"max_bag_size": -1}, "max_bag_size"),
-        ({"max_bag_duration": -1.0}, "max_bag_duration"),
-        ({"snapshot_size": 0}, "snapshot_size"),
-        ({"snapshot_duration": 0.0}, "snapshot_duration"),
-        ({"repeat_latched": -1}, "repeat_latched"),
         ({"queue_depth": 5001}, "parameter 'queue_depth' must be at least 1 and at most 5000"),
     ],
 )

@@ -158,11 +158,6 @@ class Player(ManagedNode[PlayerParameters]):
         return super().finished or self._finished
 
     @property
-    def paused(self) -> bool:
-        """Whether a pause is wanted, by a service or by `start_paused`."""
-        return self._paused
-
-    @property
     def messages(self) -> int:
         """The number of messages published since it was configured."""
         return self._topics.messages

@@ -11,13 +11,11 @@ from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from itertools import chain, count
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
 
-from tsobs_ros.bag.recording import BufferedMessage
 from tsobs_ros.errors import BagWriteError, NodeError, printable
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import DiagnosticsPublisher
@@ -210,9 +208,8 @@ class Recorder(ManagedNode[RecorderParameters]):
             self._discard()
 
     def _discard(self) -> None:
-        for name, topic in self._finder.recorded.items():
-            for data, source_ns, _, latch in topic.drain(self.parameters.queue_depth):
-                message = BufferedMessage(name, data, 0, max(source_ns, 0))
+        for topic in self._finder.recorded.values():
+            for message, latch in topic.drain(self.parameters.queue_depth):
                 self._recording.discard(message, latch)
 
     def _record(self) -> None:
@@ -221,19 +218,14 @@ class Recorder(ManagedNode[RecorderParameters]):
             simulated_ns = self.get_clock().now().nanoseconds
             if simulated_ns == 0:
                 return  # no /clock yet: let messages wait rather than stamp them with 1970
-        limit = self.parameters.queue_depth
-        batch = [
-            (received.received_ns, name, received)
-            for name, topic in self._finder.recorded.items()
-            for received in topic.drain(limit)
-        ]
+        limit, recorded = self.parameters.queue_depth, self._finder.recorded.values()
+        batch = [received for topic in recorded for received in topic.drain(limit)]
         # Drained topic by topic, but readers of an unfinished file see it in file order.
-        batch.sort(key=itemgetter(0))
-        record = self._recording.record
-        for received_ns, name, (data, source_ns, _, latch) in batch:
-            log_time_ns = received_ns if simulated_ns is None else simulated_ns
-            message = BufferedMessage(name, data, log_time_ns or time.time_ns(), max(source_ns, 0))
-            record(message, latch)
+        batch.sort(key=lambda received: received[0].log_time_ns)
+        for message, latch in batch:
+            if simulated_ns is not None:
+                message = message._replace(log_time_ns=simulated_ns)
+            self._recording.record(message, latch)
 
     def _flush(self) -> None:
         self._recording.flush()

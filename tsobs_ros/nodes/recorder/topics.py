@@ -13,7 +13,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.metadata import QosProfile, QosTime
-from tsobs_ros.bag.recording import Latch
+from tsobs_ros.bag.recording import BufferedMessage, Latch
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import message_class
@@ -52,15 +52,6 @@ class QosKind(NamedTuple):
 
 # Publication time, number and length: of two messages of a topic, one is never the same.
 _Key = tuple[int, int | None, int]
-
-
-class Received(NamedTuple):
-    """A message as it came off the wire; times in ns since the epoch, of the system's clocks."""
-
-    data: bytes
-    source_ns: int
-    received_ns: int
-    latch: Latch | None
 
 
 class RecordedTopic:
@@ -116,11 +107,14 @@ class RecordedTopic:
                 self._subscriptions = dict(sorted(self._subscriptions.items()))
         self.losses.see(_gids(publishers))
 
-    def drain(self, limit: int) -> list[Received]:
-        """Take what has arrived for the first time, at most `limit` from each subscription."""
+    def drain(self, limit: int) -> list[tuple[BufferedMessage, Latch | None]]:
+        """Take what has arrived for the first time, at most `limit` from each subscription.
+
+        The log times are those of arrival by the system's clock.
+        """
         taken = [(kind, s, s.drain(limit)) for kind, s in self._subscriptions.items()]
         only_one = len(taken) == 1
-        received: list[Received] = []
+        received: list[tuple[BufferedMessage, Latch | None]] = []
         numbers: list[int | None] = []
         for kind, subscription, messages in reversed(taken):
             publishers = 0
@@ -133,11 +127,13 @@ class RecordedTopic:
                     continue
                 self._recent.add(key)
                 latch = Latch(number, publishers) if kind.latched else None
-                received.append(Received(data, source_ns, info["received_timestamp"], latch))
+                received_ns = info["received_timestamp"] or time.time_ns()
+                message = BufferedMessage(self.name, data, received_ns, max(source_ns, 0))
+                received.append((message, latch))
                 numbers.append(number)
         if received:
             if self.since_ns is None:
-                self.since_ns = min(each.received_ns for each in received) or time.time_ns()
+                self.since_ns = min(message.log_time_ns for message, _ in received)
             self.losses.add(numbers, lambda: _gids(self._find_publishers()))
         if len(self._recent) > _REMEMBERED:
             self._recent, self._older = set(), self._recent
