@@ -10,32 +10,6 @@ PERIOD = 5_000_000
 SECOND = 1_000_000_000
 
 
-def test_measurements_and_truth_are_the_cores_bit_for_bit_at_exact_stamps(listener: Any) -> None:
-    listener.start(seed=3, disturbance__kind="sinusoid", joint="elbow")
-    listener.wait_for(listener.measurements, 100)
-    disturbance = PlantSimulatorParameters().disturbance
-    samples = listener.core(5000, seed=3, disturbance=type(disturbance)(kind="sinusoid"))
-    found = listener.places(listener.measurements, samples)
-    assert found == sorted(set(found))
-    start = listener.measurements[0].stamp - found[0] * PERIOD
-    for k, item in zip(found, listener.measurements, strict=True):
-        assert item.stamp == start + k * PERIOD
-        assert list(item.message.name) == ["elbow"]
-        assert list(item.message.effort) == samples[k].torque.tolist()
-        assert item.message.header.frame_id == ""
-        assert len(item.message.velocity) == 0
-    for item in listener.states:
-        q1, v1, q2, v2 = samples[(item.stamp - start) // PERIOD].physical.tolist()
-        assert list(item.message.name) == ["elbow_link", "elbow_motor"]
-        assert list(item.message.position) == [q1, q2]
-        assert list(item.message.velocity) == [v1, v2]
-    for item in listener.disturbances:
-        d = samples[(item.stamp - start) // PERIOD].disturbance.tolist()
-        assert list(item.message.name) == ["elbow"]
-        assert list(item.message.position) == d
-    assert min(len(listener.states), len(listener.disturbances)) > 50
-
-
 def test_a_command_moves_the_arm_until_its_timeout(listener: Any) -> None:
     listener.start(command_timeout=0.1)
     listener.wait_for(listener.measurements, 10)

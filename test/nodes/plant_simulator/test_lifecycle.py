@@ -27,8 +27,7 @@ def test_after_a_pause_the_arm_goes_on_from_there_with_present_stamps(
     found = listener.indices(listener.states, listener.core(5000))
     assert found == list(range(found[0], found[0] + len(found)))
     stamps = [item.stamp for item in listener.states]
-    (gap,) = {b - a for a, b in itertools.pairwise(stamps)} - {PERIOD}
-    assert gap > SECOND // 2
+    assert max(b - a for a, b in itertools.pairwise(stamps)) > SECOND // 2
     assert stamps[-1] > paused_at + SECOND // 2
 
 

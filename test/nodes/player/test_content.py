@@ -129,23 +129,3 @@ def test_what_cannot_be_published_is_left_out_with_a_warning(
     (warning,) = [line for line in capfd.readouterr().err.splitlines() if "[WARN]" in line]
     assert "not playing /strange: " in warning
     assert reason in warning
-
-
-def test_messages_without_a_checksum_are_played_with_a_warning(
-    play: Play, listener: Any, tmp_path: Path, capfd: Any
-) -> None:
-    bag = write_bag(tmp_path / "bag", regular(3))
-    (file,) = bag.glob("*.mcap")
-    data = bytearray(file.read_bytes())
-    for span in BagReader(bag).summaries[0].spans:
-        data[span.offset + 33 : span.offset + 37] = bytes(4)  # the checksum of the chunk
-    file.write_bytes(data)
-    listener.listen("/a")
-    player = play(bag)
-    listener.hear_out(player)
-    player.close()
-
-    assert listener.texts() == texts(0, 3)
-    warnings = [line for line in capfd.readouterr().err.splitlines() if "[WARN]" in line]
-    assert len(warnings) == 1
-    assert "messages have no checksum: damage in them is not noticed" in warnings[0]

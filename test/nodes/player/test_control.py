@@ -23,19 +23,9 @@ def bag(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def call(ros: Any) -> Callable[[str], Any]:
+def call(manage: Any) -> Callable[[str], Any]:
     """Give what calls one of the player's services and returns the answer."""
-    node = ros.node("caller")
-    clients: dict[str, Any] = {}
-
-    def ask(name: str) -> Any:
-        client = clients.setdefault(name, node.create_client(Trigger, f"player/{name}"))
-        ros.spin_until(client.service_is_ready, what=f"the service {name}")
-        future = client.call_async(Trigger.Request())
-        ros.spin_until(future.done, what=f"the answer of {name}")
-        return future.result()
-
-    return ask
+    return lambda name: manage("/player").call(Trigger, name, Trigger.Request())
 
 
 def set_parameter(player: Any, name: str, value: Any) -> None:

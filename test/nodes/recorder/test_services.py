@@ -17,19 +17,12 @@ Call = Callable[[str], str]
 
 
 @pytest.fixture
-def call(ros) -> Call:
+def call(manage: Callable[[Any], Any]) -> Call:
     """Give what calls one of the recorder's services and returns its answer."""
-    node = ros.node("operator")
 
     def call(service: str) -> str:
-        client = node.create_client(Trigger, f"/recorder/{service}")
-        ros.spin_until(client.service_is_ready, what=f"the service {service}")
-        future = client.call_async(Trigger.Request())
-        ros.spin_until(future.done, what=f"the answer of {service}")
-        response = future.result()
-        assert response is not None
-        assert response.success or service == "is_paused"
-        assert service != "is_paused" or response.success == (response.message == "paused")
+        response = manage("/recorder").call(Trigger, service, Trigger.Request())
+        assert response.success == (service != "is_paused" or response.message == "paused")
         return str(response.message)
 
     return call

@@ -182,10 +182,8 @@ def test_a_late_publisher_that_offers_less_is_recorded_and_takes_nothing_from_ot
     assert (offer.reliability, offer.durability) == ("reliable", "transient_local")
 
 
-EVENTS = "/arm/enable/_service_event"
-
-
-def call_an_introspected_service(ros: Any, recorder: Any) -> None:
+def test_the_events_of_services_are_recorded(ros, recording) -> None:
+    recorder = recording.start(services=["/arm/enable"])
     node = ros.node("arm", namespace="/arm")
 
     def answer(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -198,22 +196,16 @@ def call_an_introspected_service(ros: Any, recorder: Any) -> None:
     )
     client = node.create_client(SetBool, "enable")
     ros.spin_until(client.service_is_ready, what="the service")
-    ros.spin_until(lambda: EVENTS in recorder.statistics.topics, what="the events' topic")
     ros.spin_until(lambda: recorder.ready, what="the events' match")
     future = client.call_async(SetBool.Request(data=True))
     ros.spin_until(future.done, what="the answer")
-    ros.spin_until(lambda: recorder.statistics.topics[EVENTS].messages == 2, what="the events")
-
-
-def test_the_events_of_services_are_recorded(ros, recording) -> None:
-    recorder = recording.start(services=["/arm/enable"])
-    call_an_introspected_service(ros, recorder)
+    events = "/arm/enable/_service_event"
+    ros.spin_until(lambda: recording.count(recorder, events) == 2, what="the events")
     recorder.close()
 
-    path = recorder.path
-    found = verify(path)
+    found = verify(recorder.path)
     assert (found.errors, found.remarks) == ((), ())
-    messages = list(BagReader(path).messages())
+    messages = list(BagReader(recorder.path).messages())
     received, sent = (deserialize_message(m.data, SetBool.Event) for m in messages)
     assert received.info.event_type == ServiceEventInfo.REQUEST_RECEIVED
     assert [request.data for request in received.request] == [True]
