@@ -173,17 +173,6 @@ def test_arrays_that_do_not_fit_are_refused(design: Design, time, angle, torque,
         ts.estimate(design, time, angle, torque)
 
 
-def test_a_bag_of_estimates_is_reproduced(tmp_path: Path, design: Design) -> None:
-    ts.estimate_bag(LOG, rate=150.0, output=tmp_path / "bag")
-
-    again = ts.estimate_bag(str(tmp_path / "bag"), design)
-
-    assert again.reproduced == 1.0
-    (estimates,) = again.joints.values()
-    assert estimates.state.shape[0] > 400
-    assert np.isfinite(estimates.state[-1]).all()
-
-
 def test_paths_may_be_text(tmp_path: Path, design: Design) -> None:
     design_file, bag = str(tmp_path / "x.yaml"), str(tmp_path / "bag")
     ts.save_design(design, design_file)

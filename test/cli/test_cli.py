@@ -190,20 +190,11 @@ def test_the_version_is_printed(capsys: Captured) -> None:
     assert capsys.readouterr().out == f"tsobs {tsobs_ros.__version__}\n"
 
 
-def tsobs(*arguments: str, block: tuple[str, ...] = ()) -> subprocess.Popen[bytes]:
-    """Start the command, without the libraries in `block`."""
-    code = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r}); "
-        f"sys.modules.update(dict.fromkeys({block!r})); "
-        f"from tsobs_ros.cli.main import main; sys.exit(main({list(arguments)!r}))"
-    )
-    return subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    )
-
-
 def test_a_reader_that_has_gone_is_no_traceback() -> None:
-    with tsobs("verify", "--json") as process:
+    command = [sys.executable, "-m", "tsobs_ros.executables", "tsobs", "verify", "--json"]
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
         assert process.stdout is not None
         process.stdout.close()
         assert process.stderr is not None
@@ -212,10 +203,14 @@ def test_a_reader_that_has_gone_is_no_traceback() -> None:
     assert "Traceback" not in err
 
 
-def test_a_missing_library_is_one_line_with_the_command_that_installs_it(tmp_path: Path) -> None:
-    with tsobs("design", "--output", str(tmp_path / "x.yaml"), block=("cvxpy",)) as process:
-        err = process.communicate()[1].decode()
-    assert process.returncode == 1
+def test_a_missing_library_is_one_line_with_the_command_that_installs_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: Captured
+) -> None:
+    monkeypatch.setitem(sys.modules, "tsobs_ros.design.synthesis", None)
+    monkeypatch.delitem(sys.modules, "tsobs_ros.design.synthesis")
+    monkeypatch.setitem(sys.modules, "cvxpy", None)
+    assert main(["design", "--output", "x.yaml"]) == 1
+    err = capsys.readouterr().err
     assert err.startswith(f"error: cvxpy is not installed: {sys.executable} -m pip install ")
     assert err.endswith("cvxpy-base clarabel scipy\n")
 

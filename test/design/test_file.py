@@ -100,14 +100,10 @@ def test_a_file_of_the_first_format_is_what_saving_its_design_writes(
     design = load_design(old)
     save_design(design, path)
     assert path.read_bytes() == old.read_bytes()
+    shipped = {"arm": "elastic_joint_fixed", "adaptive_arm": "elastic_joint"}.get(name)
+    assert not shipped or config_path(f"{shipped}.design.yaml").read_bytes() == old.read_bytes()
     assert load_design(path).certificate == design.certificate
     assert [entry.name for entry in tmp_path.iterdir()] == ["again.yaml"]
-
-
-def test_the_shipped_designs_are_as_they_were() -> None:
-    for shipped, old in (("elastic_joint_fixed", "arm"), ("elastic_joint", "adaptive_arm")):
-        path = config_path(f"{shipped}.design.yaml")
-        assert path.read_bytes() == (DATA / f"{old}.design.yaml").read_bytes()
 
 
 def test_a_scheduled_system_with_more_than_one_premise_is_read(
@@ -194,23 +190,9 @@ def changed(data: dict[str, Any], place: tuple[Any, ...], value: Any) -> dict[st
     return result
 
 
-DEFAULTED = [
-    ("arm",), ("disturbance",), ("initial_std",), ("arm", "link_damping"),
-    ("process_noise", "motor"), ("disturbance", 0, "density"), ("uncertainty",),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("place", DEFAULTED, ids=lambda place: ".".join(map(str, place)))
-def test_what_a_file_leaves_out_has_its_default(
-    arm_data: dict[str, Any], place: tuple[Any, ...], tmp_path: Path
-) -> None:
-    path = written(tmp_path, changed(arm_data, ("design", *place), ...))
-    assert load_design(path).request == ArmRequest()
-
-
 def test_a_request_may_stand_alone_and_leave_out_everything(tmp_path: Path) -> None:
     assert load_request(written(tmp_path, "design: {}")) == ArmRequest()
-    assert load_request(str(written(tmp_path, "{}"))) == ArmRequest()
+    assert load_request(str(written(tmp_path, "{disturbance: [{kind: bias}]}"))) == ArmRequest()
     # YAML 1.1 reads 1e-4 as text.
     path = written(
         tmp_path,
@@ -333,23 +315,15 @@ def test_an_edited_design_is_refused_by_its_certificate(
     assert "THE CERTIFICATE DOES NOT HOLD" in parse_design(path).text()
 
 
-def test_a_request_that_makes_no_model_is_refused_when_read(tmp_path: Path) -> None:
-    text = "arm: {link_inertia: 1, motor_inertia: 2, stiffness: 1.0e+100, gravity_torque: 1}"
-    with pytest.raises(DesignFileError, match=r"my\.yaml: "):
-        load_request(written(tmp_path, text))
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("arm: {link_inertia: 1, motor_inertia: 2, stiffness: 1e+100, gravity_torque: 1}", ""),
         ("design: {arm: {stiffness: 9}}", "design.arm.link_inertia: missing; an arm has all of"),
-        ("arm: {link_inertia: 1, motor_inertia: 2, stiffness: 9}", "arm.gravity_torque: missing"),
         ("arm: {}", "arm.link_inertia: missing"),
         ("desing: {rate: 100}", "unknown entry 'desing' (did you mean 'design'?)"),
-        ("sistem: {}", "unknown entry 'sistem' (did you mean 'system'?)"),
         ("design: {arm: {stifness: 9}}", "unknown entry 'stifness' (did you mean 'stiffness'?)"),
         ("torque_limit: 0", "torque_limit: expected a number above 0, got 0.0; left out it is"),
-        ("torque_rate_limit: 0.0", "torque_rate_limit: expected a number above 0"),
         ("x_max: 45", "got 45.0 rad; as degrees it would be 0.7854 rad"),
     ],
 )

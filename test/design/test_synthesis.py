@@ -183,16 +183,6 @@ def test_a_wrong_disturbance_term_is_named(
         DisturbanceTerm(kind, parameters)
 
 
-def test_terms_are_filled_with_defaults_and_added_up() -> None:
-    term = DisturbanceTerm("sinusoid", {"frequency": 3.0})
-    assert dict(term) == {
-        "kind": "sinusoid", "frequency": 3.0, "density": 1e-4, "initial_std": 0.3
-    }  # fmt: skip
-    request = ArmRequest(disturbance=[DisturbanceTerm("bias"), term])
-    assert request.disturbance_model.label == "bias+sinusoid"
-    assert request.flow.state_count == 7
-
-
 def test_the_initial_covariance_is_given_in_physical_units() -> None:
     arm = ElasticJointArm(link_inertia=2.0, stiffness=30.0)
     request = ArmRequest(arm=arm, initial_std=(0.1, 0.2, 0.3, 0.4))
