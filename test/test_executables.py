@@ -91,17 +91,17 @@ def test_an_output_that_nothing_can_name_is_refused(
     assert [each.name for each in tmp_path.iterdir()] == ["self"]
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells of a parent's end")
 def test_a_node_does_not_outlive_the_process_that_needs_it(ros: Any, tmp_path: Path) -> None:
     log = tmp_path / "log"
     parent = subprocess.Popen(
         [
             sys.executable,
             "-c",
-            f"import os, subprocess, time\n"
+            f"import os, subprocess\n"
+            f"reading, held = os.pipe()\n"
             f"node = subprocess.Popen({[*COMMAND, 'observer']!r}, stdout=open({str(log)!r}, 'w'),\n"
-            f"    stderr=subprocess.STDOUT, env={{**os.environ, {PARENT!r}: str(os.getpid())}},\n"
-            "    start_new_session=True)\n"
+            f"    stderr=subprocess.STDOUT, env={{**os.environ, {PARENT!r}: str(reading)}},\n"
+            "    pass_fds=[reading], start_new_session=True)\n"
             "print(node.pid, flush=True)\n"
             "node.wait()\n",
         ],

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -23,8 +24,7 @@ if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
 
 
 PARENT = "TSOBS_PARENT"
-"""Variable with the id of a process that a node shall not outlive, such as a demo's."""
-_PR_SET_PDEATHSIG = 1
+"""Variable with the reading end of a pipe whose other end only the parent holds, such as a demo."""
 
 
 def end_at_once(exit_code: int = 0) -> None:
@@ -34,21 +34,24 @@ def end_at_once(exit_code: int = 0) -> None:
 
 
 def end_with_parent() -> None:
-    """Let the end of the process named by `PARENT` interrupt this one, where there is a way."""
-    parent = os.environ.pop(PARENT, "")
-    if parent and os.uname().sysname == "Linux":
-        import ctypes
+    """Let the end of the process that holds the other end of `PARENT` interrupt this one."""
+    pipe = os.environ.pop(PARENT, "")
 
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
-        if os.getppid() != int(parent):  # it has ended already
-            os._exit(0)
+    def wait() -> None:
+        os.read(int(pipe), 1)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    if pipe:
+        threading.Thread(target=wait, daemon=True).start()
 
 
 def interrupt() -> None:
     """Let the first of the signals raise KeyboardInterrupt; further ones change nothing."""
 
     def raise_once(number: int, frame: FrameType | None) -> None:
-        ignore_signals()
+        # Not by SIG_IGN: the interpreter complains of a signal that came before that.
+        for each in _SIGNALS:
+            signal.signal(each, lambda _number, _frame: None)
         raise KeyboardInterrupt
 
     for number in _SIGNALS:

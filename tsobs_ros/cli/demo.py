@@ -113,8 +113,6 @@ def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROS_LOG_DIR": str(output / "log"),
         "PYTHONUNBUFFERED": "1",
-        # What ends the demo by force must not leave its nodes to themselves.
-        PARENT: str(os.getpid()),
     }
     environment.pop("ROS_LOCALHOST_ONLY", None)
 
@@ -182,15 +180,20 @@ class _NodeProcess:
         for key, value in parameters.items():
             arguments += ["-p", f"{key}:={value}"]
         with log.open("wb") as output:
+            # What ends the demo by force closes its end of the pipe, which ends the node.
+            reading, writing = os.pipe()
+            self._held = open(writing, "wb")  # noqa: SIM115 as long as the node runs
             self._process = subprocess.Popen(
                 arguments,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                env=dict(environment),
+                env={**environment, PARENT: str(reading)},
+                pass_fds=[reading],
                 # The terminal's Ctrl-C goes to the demo alone, which ends its nodes in order.
                 start_new_session=True,
             )
+            os.close(reading)
 
     @property
     def running(self) -> bool:
@@ -212,6 +215,7 @@ class _NodeProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        self._held.close()
 
     def require_success(self) -> None:
         """Raise `NodeError` with the end of its log unless it ended with exit code 0."""
