@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.paper.analysis import (
-    augmented_modes,
     check_autonomous_innovation,
     check_matching,
     uncertainty_factor,
 )
 from tsobs_ros.paper.augmentation import Augmentation, check_conditions
-from tsobs_ros.paper.examples import arm_system, example_1, example_3
+from tsobs_ros.paper.examples import example_1
 
 
 def some_system(seed: int, n: int = 4, p: int = 2, r: int = 3) -> TSModel:
@@ -46,31 +44,6 @@ def test_innovation_is_autonomous_for_every_l(seed: int) -> None:
     closed = np.tensordot(h, aug.A1 - H1 @ aug.C_bar, axes=1)
     F = np.linalg.inv(aug.L[4:]) + aug.C_bar @ np.tensordot(h, H1, axes=1)
     np.testing.assert_allclose(aug.C_bar @ closed, -F @ aug.C_bar, atol=1e-9)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_every_mode_of_every_rule_is_hidden(seed: int) -> None:
-    aug = some_augmentation(seed)
-    for modes, A in zip(augmented_modes(aug), aug.system.A, strict=True):
-        hidden = np.sort_complex([mode.eigenvalue for mode in modes.hidden])
-        np.testing.assert_allclose(hidden, np.sort_complex(np.linalg.eigvals(A)), atol=1e-6)
-        for mode in modes.hidden:
-            np.testing.assert_allclose(aug.C_bar @ mode.shape, 0.0, atol=1e-6)
-        grows = [value for value in hidden if value.real >= 0.0]
-        assert modes.detectable == (not grows)
-        assert len(modes.persistent) == len(grows)
-
-
-def test_undamped_arm_is_not_detectable_and_a_damped_one_is() -> None:
-    verdicts = augmented_modes(Augmentation(example_3().system))
-    assert not any(verdict.detectable for verdict in verdicts)
-    text = str(verdicts[0])
-    assert "NOT DETECTABLE" in text
-    assert "0+4.776j with [x; ω] = " in text
-    damped = arm_system(ElasticJointArm(link_damping=1.0, motor_damping=1.0))
-    verdicts = augmented_modes(Augmentation(damped))
-    assert all(verdict.detectable for verdict in verdicts)
-    assert all(len(verdict.hidden) == 4 for verdict in verdicts)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -153,7 +153,8 @@ def test_the_page_shows_every_figure_claim_and_proof(report: dict[str, Any], out
     assert re.search(r"error of x₃ is \d\d times that of the better one", short)
     assert all(html.escape(claim["claim"]) in page for claim in report["claims"])
     assert page.count('<tr class="does_not_hold">') == counts["does not hold"]
-    assert "NOT DETECTABLE" in page
+    assert "Proposition 2: (37) is INFEASIBLE: rule 1 has a mode that does not decay" in page
+    assert page.count("holds for ΔA = 0 only") == 2
 
 
 def test_existing_files_are_not_replaced(tmp_path: Path, capsys: Any) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
-from tsobs_ros.report.run import hold, interpolate_motion, read_run
+from tsobs_ros.report.run import hold, interpolate, read_run
 from tsobs_ros.series import Series
 
 SECOND = 1_000_000_000
@@ -147,12 +147,12 @@ def test_interpolated_motion_keeps_the_documented_error() -> None:
     wanted = stamps[:-1] + period // 2
     exact = wanted / 1e9
 
-    motion = interpolate_motion(Series(stamps, values), wanted)
+    motion = interpolate(Series(stamps, values), wanted, rated=True)
 
     h = 5e-3
     angle_error = np.abs(motion[:, 0] - np.sin(w * exact)).max()
     velocity_error = np.abs(
-        interpolate_motion(Series(stamps, values), stamps[:-1] + 1_056_624)[:, 1]
+        interpolate(Series(stamps, values), stamps[:-1] + 1_056_624, rated=True)[:, 1]
         - w * np.cos(w * (t[:-1] + 1.056624e-3))
     ).max()
     assert 0.9 < angle_error / (h**4 / 384 * w**4) <= 1.001
@@ -167,10 +167,10 @@ def test_nothing_is_interpolated_outside_or_in_gaps() -> None:
         [-1, 5_000_000, 20_000_000, 25_000_000, 305_000_000, 310_000_000, 310_000_001]
     )
 
-    known = np.isfinite(interpolate_motion(series, wanted)).all(axis=1)
+    known = np.isfinite(interpolate(series, wanted)).all(axis=1)
 
     assert known.tolist() == [False, True, False, False, True, True, False]
-    assert np.isnan(interpolate_motion(Series(stamps[:1], np.zeros((1, 4))), wanted)).all()
+    assert np.isnan(interpolate(Series(stamps[:1], np.zeros((1, 4))), wanted)).all()
 
 
 def test_a_held_value_is_the_newest_and_not_too_old() -> None:

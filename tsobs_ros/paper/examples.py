@@ -30,9 +30,8 @@ from itertools import product
 
 import numpy as np
 
-from tsobs_ros.checks import Array, as_matrix
+from tsobs_ros.checks import Array
 from tsobs_ros.core.functions import evaluate
-from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
@@ -61,9 +60,6 @@ class PaperExample:
         initial_state: x(0), shape (n,).
         torque: The input u(t).
         disturbance: ω(t) of the outputs; zero for Example 3, whose disturbance is noise.
-
-    Raises:
-        ModelError: A matrix has the wrong shape, or a bound is below ‖ΔAᵢ‖.
     """
 
     name: str
@@ -75,19 +71,6 @@ class PaperExample:
     initial_state: Array
     torque: Signal
     disturbance: Signal
-
-    def __post_init__(self) -> None:
-        r, n, p = len(self.system.A), self.system.state_count, len(self.system.C)
-        shapes = {"delta_A": (r, n, n), "alpha": (r,), "xi": (r,), "Gamma": (r, p, p)}
-        shapes["initial_state"] = (n,)
-        for field, shape in shapes.items():
-            object.__setattr__(self, field, as_matrix(field, getattr(self, field), shape))
-        for rule, (change, bound) in enumerate(zip(self.delta_A, self.alpha, strict=True), 1):
-            if np.linalg.norm(change, 2) > bound * (1.0 + 1e-12):
-                raise ModelError(
-                    f"alpha: expected at least the norm {np.linalg.norm(change, 2):.6g} of ΔA of "
-                    f"rule {rule}, got {bound:.6g}"
-                )
 
 
 def _system(A1: list[list[float]], A2: list[list[float]]) -> TSModel:

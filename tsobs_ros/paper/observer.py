@@ -49,7 +49,6 @@ INNOVATION_RATE = 20.0
 integrates what is left of the observer's own start, and the further Ξ̂ wanders from the truth."""
 
 _MAX_STEP = 1e-2  # s
-_ASYMMETRY = 1e-12
 _EDGE = 1e-9
 
 
@@ -78,13 +77,6 @@ class AugmentedState(NamedTuple):
         return np.asarray(self.xi[..., : self.xi.shape[-1] - self.y.shape[-1]])
 
 
-class Estimate(NamedTuple):
-    """An estimate: x̂, shape (..., n), and ω̂ by (29), shape (..., p)."""
-
-    x: Array
-    omega: Array
-
-
 class AugmentedObserver:
     """The adaptive T–S observer for one system or a batch of runs of it.
 
@@ -92,12 +84,11 @@ class AugmentedObserver:
         augmentation: The system in augmented form.
         H1: Gains H₁ᵢ = E_L⁻¹Hᵢ, shape (r, n + p, p).
         M: P⁻¹C̄ᵀ, shape (n + p, p).
-        Gamma: Adaptation gains Γᵢ, shape (r, p, p), or one for all, shape (p, p); None for no
-            adaptation.
+        Gamma: Adaptation gains Γᵢ ≻ 0, shape (r, p, p); None for no adaptation.
         xi: Bounds ξᵢ to project Ξ̂ᵢ on, shape (r,); None for no projection.
 
     Raises:
-        ModelError: A matrix has the wrong shape, or a Γᵢ is not symmetric positive definite.
+        ModelError: A matrix has the wrong shape, or a bound is negative.
     """
 
     def __init__(
@@ -112,7 +103,7 @@ class AugmentedObserver:
         self.augmentation = augmentation
         self.H1 = as_matrix("H₁", H1, (r, augmentation.size, p))
         self.M = as_matrix("M", M, (augmentation.size, p))
-        self.Gamma = None if Gamma is None else checked_gamma(Gamma, r, p)
+        self.Gamma = None if Gamma is None else as_matrix("Γ", Gamma, (r, p, p))
         self.xi = None if xi is None else as_matrix("xi", xi, (r,))
         if self.xi is not None and (self.xi < 0.0).any():
             raise ModelError(f"xi: expected bounds of at least 0, got {self.xi.tolist()}")
@@ -218,12 +209,12 @@ class AugmentedObserver:
         """Return x̂̄ = [x̂; ω̂₀] = ξ + E_L⁻¹L y, shape (..., n + p)."""
         return np.asarray(state.xi + state.y @ self.augmentation.L1.T)
 
-    def estimate(self, state: AugmentedState) -> Estimate:
-        """Return x̂ and ω̂, the latter recovered by (29) if the Cᵢ differ."""
+    def estimate(self, state: AugmentedState) -> tuple[Array, Array]:
+        """Return x̂, shape (..., n), and ω̂ by (29), shape (..., p)."""
         aug, x_bar = self.augmentation, self.augmented_estimate(state)
         x, omega_0 = x_bar[..., : aug.state_count], x_bar[..., aug.state_count :]
         weights = aug.system.rule_base.weights(state.z)
-        return Estimate(x, aug.recover_disturbance(x, omega_0, weights))
+        return x, aug.recover_disturbance(x, omega_0, weights)
 
     def innovation(self, state: AugmentedState) -> Array:
         """Return e_y = y − C̄x̂̄, shape (..., p)."""
@@ -306,32 +297,6 @@ def runge_kutta(rates: Rates, node: int, state: Array, h: float) -> Array:
     third = rates(node + 1, state + 0.5 * h * second)
     fourth = rates(node + 2, state + h * third)
     return state + (h / 6.0) * (first + 2.0 * (second + third) + fourth)
-
-
-def checked_gamma(Gamma: ArrayLike, rules: int, outputs: int) -> Array:
-    """Return Γᵢ as an array of shape (rules, outputs, outputs).
-
-    Raises:
-        ModelError: A shape is wrong, or a Γᵢ is not symmetric or not positive definite; the
-            text names the rule.
-    """
-    given = np.asarray(Gamma, dtype=np.float64)
-    if given.ndim == 2:
-        given = np.repeat(given[np.newaxis], rules, axis=0)
-    checked = as_matrix("Γ", given, (rules, outputs, outputs))
-    for rule, matrix in enumerate(checked, 1):
-        asymmetry = float(np.abs(matrix - matrix.T).max())
-        if asymmetry > _ASYMMETRY * float(np.abs(matrix).max()):
-            raise ModelError(
-                f"Γ of rule {rule}: expected a symmetric matrix, got {matrix.tolist()}"
-            )
-        smallest = float(np.linalg.eigvalsh(matrix)[0])
-        if smallest <= 0.0:
-            raise ModelError(
-                f"Γ of rule {rule}: expected a positive definite matrix, got smallest "
-                f"eigenvalue {smallest:.6g}"
-            )
-    return checked
 
 
 def printed_observer() -> AugmentedObserver:

@@ -22,7 +22,12 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.files import require_new, written_whole
-from tsobs_ros.paper.analysis import analyse, check_stability
+from tsobs_ros.paper.analysis import (
+    check_autonomous_innovation,
+    check_matching,
+    check_stability,
+)
+from tsobs_ros.paper.augmentation import Augmentation
 from tsobs_ros.paper.claims import Claim, Verdict, check_printed, claims_text, judge
 from tsobs_ros.paper.examples import PaperExample, example_1, example_2, example_3
 from tsobs_ros.paper.figures import Drawn, draw_arm, draw_example
@@ -137,7 +142,7 @@ def make_paper_report(
         kept = tuple(one._replace(path=output / one.path.name) for one in drawn)
         seconds = time.perf_counter() - started
         report = PaperReport(output, claims, _numbers(runs, comparison), kept, seconds)
-        analysis = "\n\n".join(map(_analysis, examples))
+        analysis = "\n\n".join(map(analysis_of, examples))
         parts = [
             f"<h1>{_TITLE}</h1>",
             *_elements("p", [conclusion(claims, comparison), _INTRODUCTION]),
@@ -204,10 +209,22 @@ def _claims_table(claims: Iterable[Claim]) -> str:
     return "\n".join(["<table>", f"<tr>{head}</tr>", *rows, "</table>"])
 
 
-def _analysis(example: PaperExample) -> str:
-    delta_A = example.delta_A if example.delta_A.any() else None
-    analysis = analyse(example.system, example.alpha, delta_A=delta_A)
-    return f"Example {example.name[-1]}\n{analysis}"
+def analysis_of(example: PaperExample) -> str:
+    """Return Propositions 1 to 3 of docs/method.md, checked on an example."""
+    augmentation, change = Augmentation(example.system), example.delta_A
+    stability = check_stability(example.system.A, augmentation.alpha_1(example.alpha))
+    answer = "FEASIBLE" if stability.feasible else "INFEASIBLE"
+    lines = [
+        f"Example {example.name[-1]}",
+        str(check_autonomous_innovation(augmentation)),
+        f"Proposition 2: (37) is {answer}: {stability.reason}",
+    ]
+    if stability.P is not None and change.any():
+        # S⁻ᵀ diag(P, I) S⁻¹ with S = [T [0; I]] solves (37) for a P on {C̄x̄ = 0}.
+        lifted = augmentation.C_bar.T @ augmentation.C_bar
+        lifted[: len(stability.P), : len(stability.P)] += stability.P
+        lines.append(str(check_matching(augmentation, lifted, change)))
+    return "\n".join(lines)
 
 
 def _numbers(runs: Mapping[str, ExampleRun], comparison: ArmComparison) -> dict[str, Any]:

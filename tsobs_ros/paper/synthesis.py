@@ -26,7 +26,7 @@ from tsobs_ros.errors import DesignError, DetectabilityError
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.paper.analysis import StabilityVerdict, check_stability
 from tsobs_ros.paper.augmentation import Augmentation, ConditionReport, check_conditions
-from tsobs_ros.paper.observer import INNOVATION_RATE, AugmentedObserver, checked_gamma
+from tsobs_ros.paper.observer import INNOVATION_RATE, AugmentedObserver
 
 # Remark 3's step of ε, relative, and the number of steps.
 _EPSILON_STEP = 1e-3
@@ -104,15 +104,14 @@ def design_adaptive_observer(
         system: The T–S system.
         alpha: Bounds ‖ΔAᵢ‖ ≤ αᵢ, shape (r,).
         xi: Bounds ‖Ξᵢ‖ ≤ ξᵢ, shape (r,).
-        Gamma: Γᵢ, shape (r, p, p), or one for all rules, shape (p, p); the identity by default.
+        Gamma: Γᵢ ≻ 0, shape (r, p, p); the identity by default.
         L: Shape (n + p, p); [0; I] by default.
         innovation_rate: Asked decay of the innovation [1/s], which (37) leaves open. It is asked
             for in the direction of the smallest P; in others the rate may be lower by up to
             cond(P).
 
     Raises:
-        ModelError: A matrix has the wrong shape, Γᵢ is not symmetric positive definite, or E_L
-            is singular.
+        ModelError: A matrix has the wrong shape, or E_L is singular.
         DetectabilityError: No P exists; the text names the rule, the mode and what would help.
         DesignError: The solver failed, or its answer did not pass the re-check.
 
@@ -124,7 +123,7 @@ def design_adaptive_observer(
     started = time.perf_counter()
     augmentation = Augmentation(system, free_matrix=L)
     r, p = augmentation.rule_count, augmentation.output_count
-    gains = checked_gamma(np.eye(p) if Gamma is None else Gamma, r, p)
+    gains = as_matrix("Γ", [np.eye(p)] * r if Gamma is None else Gamma, (r, p, p))
     non_negative("innovation_rate", innovation_rate)
     bound = augmentation.min_epsilon(alpha, xi)
     alpha_1 = augmentation.alpha_1(alpha)

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from tsobs_ros.checks import Array
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import TSRequest
+from tsobs_ros.design.signals import Signals
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.methods import EKFS, ObserverSettings
@@ -33,14 +33,8 @@ from tsobs_ros.report.metrics import (
     measure,
     root_mean,
 )
-from tsobs_ros.report.quantities import (
-    QUANTITIES,
-    measured_states,
-    outputs_of,
-    quantities_of,
-)
-from tsobs_ros.report.run import RecordedRun, Rows, nearest_pass
-from tsobs_ros.series import Series
+from tsobs_ros.report.quantities import QUANTITIES, outputs_of
+from tsobs_ros.report.run import RecordedRun, Rows, run_of
 
 DIVERGED = 1e6
 """No joint's error is so large [rad, rad/s]; the number is not worth a column of digits."""
@@ -271,7 +265,7 @@ class _EnoughError(Exception):
 class RunScores:
     """Measures runs over the same measurements; if time restarted, the longest pass.
 
-    Their estimates are kept in temporary files, 0.1 kB for each.
+    Their estimates are kept in temporary files, 0.2 kB for each.
 
     Args:
         source: The measurements.
@@ -282,17 +276,17 @@ class RunScores:
     def __init__(
         self, source: Source, runs: Sequence[Run], options: MetricsOptions | None = None
     ) -> None:
-        self._source = source
+        self._source, self._options = source, options
         self._kept = [
-            (_Kept(run, joint, name), metrics_options(run.observer.designs[joint], options))
-            for joint, name in enumerate(source.joints)
+            (run, joint, {key: Rows(width) for key, width in _widths(run.signals[joint]).items()})
+            for joint in range(len(source.joints))
             for run in runs
         ]
 
     def add(self) -> None:
         """Add what the runs have made of their window."""
-        for one, _ in self._kept:
-            one.add()
+        for run, joint, kept in self._kept:
+            _keep(run, joint, kept)
 
     def errors(self) -> list[ObserverErrors]:
         """Return the errors of all observers, joint by joint."""
@@ -301,123 +295,74 @@ class RunScores:
     def results(self) -> Iterator[tuple[ObserverErrors, RecordedRun | None]]:
         """Yield the errors of each observer with its run, None if it made no estimate."""
         truth = self._truth()
-        for one, options in self._kept:
-            run = one.run([each[one.joint] for each in truth])
-            design = one.of.observer.designs[one.joint]
+        for one, joint, kept in self._kept:
+            name, method = self._source.joints[joint], one.observer.name
+            design = one.observer.designs[joint]
+            found = {key: rows.passes() for key, rows in (kept | truth[joint]).items()}
+            run = run_of(found, method, name, design.request) if found["states"] else None
             errors = ObserverErrors(
-                one.of.observer.name,
-                one.name,
-                tuple(map(root_mean, one.innovations.read()["values"].T)),
-                None if run is None else measure(run, options),
+                method,
+                name,
+                tuple(map(root_mean, kept["innovations"].read()["values"].T)),
+                None if run is None else measure(run, metrics_options(design, self._options)),
                 tuple(outputs_of(design.request)),
             )
             yield errors, run
 
-    def _truth(self) -> list[list[Rows]]:
-        """Return the recorded truth of each kind, joint by joint."""
-        signals = self._kept[0][0].of.signals
-        kept = [
-            [Rows({"values": len(getattr(own, name))}) for own in signals]
-            for name in ("states", "disturbances", "torques")
+    def _truth(self) -> list[dict[str, Rows]]:
+        """Return the recorded truth of each joint."""
+        signals = self._kept[0][0].signals
+        widths = [
+            {"truth": own.states, "true_disturbance": own.disturbances, "true_torque": own.torques}
+            for own in signals
         ]
+        kept = [{key: Rows(len(places)) for key, places in own.items()} for own in widths]
         for part in self._source.truth(WINDOW):
-            for rows, series in zip(kept, part, strict=True):
-                for joint, one in enumerate(rows if series is not None else ()):
-                    assert series is not None
-                    there = series.named[:, joint]
-                    width = one.widths["values"]
-                    one.add(
-                        stamps=series.stamps[there],
-                        log_times=series.log_times[there],
-                        values=series.values[there, joint, :width],
-                    )
+            for joint, own in enumerate(kept):
+                for (key, rows), series in zip(own.items(), part, strict=True):
+                    if series is not None:
+                        there = series.named[:, joint]
+                        values = series.values[there, joint, : len(widths[joint][key])]
+                        rows.add(series.stamps[there], series.log_times[there], values)
         return kept
 
 
-class _Kept:
-    """The estimates of one joint by one run, as they are made.
+_FIELDS = {
+    "states": "state",
+    "state_bounds": "state_bound",
+    "disturbance": "disturbance",
+    "disturbance_bounds": "disturbance_bound",
+    "torque": "torque_disturbance",
+    "torque_bounds": "torque_disturbance_bound",
+}
+"""Fields of an estimate by the parts of a run."""
 
-    Args:
-        of: The run.
-        joint: Place of the joint.
-        name: Its name.
-    """
 
-    def __init__(self, of: Run, joint: int, name: str) -> None:
-        self.of, self.joint, self.name = of, joint, name
-        own = of.signals[joint]
-        p, m, plant, t = map(len, (own.outputs, own.inputs, own.states, own.torques))
-        self._fields = {
-            "states": ("state", plant),
-            "state_bounds": ("state_bound", plant),
-            "disturbance": ("disturbance", p),
-            "disturbance_bounds": ("disturbance_bound", p),
-            "torque": ("torque_disturbance", t),
-            "torque_bounds": ("torque_disturbance_bound", t),
-        }
-        self._estimates = Rows({name: width for name, (_, width) in self._fields.items()})
-        self._measurements, self.innovations = Rows({"values": p + m}), Rows({"values": p})
+def _widths(own: Signals) -> dict[str, int]:
+    """Return how many numbers each part of a run has."""
+    p, m, plant, t = map(len, (own.outputs, own.inputs, own.states, own.torques))
+    estimated = zip(_FIELDS, (plant, plant, p, p, t, t), strict=True)
+    return {"measurements": p + m, "innovations": p, **dict(estimated)}
 
-    def add(self) -> None:
-        """Add what the run has made of its window."""
-        samples, ticks = self.of.window.samples, self.of.window.ticks
-        table, joint = self.of.table, self.joint
-        there = np.flatnonzero(np.isfinite(table.values(joint, "state")[:, 0]))
 
-        def values(name: str, width: int) -> Array:
-            found = table.values(joint, name)[there]
-            return found if found.shape[1] else np.full((len(there), width), np.nan)
-
-        self._estimates.add(
-            stamps=ticks.stamps[there],
-            log_times=ticks.log_times[there],
-            **{key: values(*each) for key, each in self._fields.items()},
-        )
-        p = self.innovations.widths["values"]
-        m = self._measurements.widths["values"] - p
-        measured = np.hstack([samples.y[:, joint, :p], samples.u[:, joint, :m]])
-        innovations = table.innovations[joint]
-        for rows, numbers, own in (
-            (self._measurements, measured, samples.complete[:, joint]),
-            (self.innovations, innovations, np.isfinite(innovations).any(axis=1)),
-        ):
-            rows.add(
-                stamps=samples.stamps[own], log_times=samples.log_times[own], values=numbers[own]
-            )
-
-    def run(self, truth: Sequence[Rows]) -> RecordedRun | None:
-        """Return the run as if it had been recorded, None without an estimate.
-
-        Args:
-            truth: Of states, disturbances and torque disturbances.
-        """
-        found = self._estimates.passes()
-        if not found:
-            return None
-        request = self.of.observer.designs[self.joint].request
-        rows = max(found, key=len)
-        log_time = int(rows["log_times"][0])
-        measured, innovations, *true = (
-            None if one is None else Series(one["stamps"], one["values"])
-            for one in (
-                nearest_pass(each.passes(), log_time)
-                for each in (self._measurements, self.innovations, *truth)
-            )
-        )
-        ordered = (None if one is None else one.ordered() for one in (innovations, *true))
-        names = ("innovations", "truth", "true_disturbance", "true_torque")
-        estimates: dict[str, Any] = {key: rows[key] for key in self._fields}
-        others: dict[str, Any] = dict(zip(names, ordered, strict=True))
-        return RecordedRun(
-            name=self.of.observer.name,
-            joint=self.name,
-            measurements=Series.empty(0) if measured is None else measured,
-            stamps=rows["stamps"],
-            quantities=quantities_of(request),
-            measured=measured_states(request),
-            **estimates,
-            **others,
-        )
+def _keep(run: Run, joint: int, kept: Mapping[str, Rows]) -> None:
+    """Add what a run has made of a joint in its window."""
+    samples, ticks, table = run.window.samples, run.window.ticks, run.table
+    widths = _widths(run.signals[joint])
+    there = np.flatnonzero(np.isfinite(table.values(joint, "state")[:, 0]))
+    for key, field in _FIELDS.items():
+        found = table.values(joint, field)[there]
+        if not found.shape[1]:
+            found = np.full((len(there), widths[key]), np.nan)
+        kept[key].add(ticks.stamps[there], ticks.log_times[there], found)
+    p = widths["innovations"]
+    m, innovations = widths["measurements"] - p, table.innovations[joint]
+    measured = np.hstack([samples.y[:, joint, :p], samples.u[:, joint, :m]])
+    for key, numbers, own in (
+        ("measurements", measured, samples.complete[:, joint]),
+        ("innovations", innovations, np.isfinite(innovations).any(axis=1)),
+    ):
+        kept[key].add(samples.stamps[own], samples.log_times[own], numbers[own])
 
 
 def render_comparison(rows: Sequence[ObserverErrors]) -> str:

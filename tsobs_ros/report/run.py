@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One recorded run of the observer as stamped series of numbers, read from a bag."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -65,24 +65,19 @@ class Rows:
     """Rows of numbers that grow in a temporary file, so that long recordings need little memory.
 
     Args:
-        widths: Number of columns of each field, by name; stamps and log times come besides.
-
-    Attributes:
-        widths: The same.
+        width: Number of values of a row, which come with a stamp and a log time.
     """
 
-    def __init__(self, widths: Mapping[str, int]) -> None:
-        self.widths = widths
+    def __init__(self, width: int) -> None:
         times = [("stamps", np.int64), ("log_times", np.int64)]
-        self._type = np.dtype([*times, *((key, np.float64, (n,)) for key, n in widths.items())])
+        self._type = np.dtype([*times, ("values", np.float64, (width,))])
         self._file = TemporaryFile()  # noqa: SIM115
         finalize(self, self._file.close)
 
-    def add(self, **fields: NDArray[Any]) -> None:
-        """Add rows, each field of shape (n, width), the times of shape (n,)."""
-        rows = np.empty(len(fields["stamps"]), self._type)
-        for key, values in fields.items():
-            rows[key] = values
+    def add(self, stamps: Stamps, log_times: Stamps, values: Array) -> None:
+        """Add rows: times [ns] of shape (n,), values of shape (n, width)."""
+        rows = np.empty(len(stamps), self._type)
+        rows["stamps"], rows["log_times"], rows["values"] = stamps, log_times, values
         self._file.write(rows.tobytes())
 
     def read(self) -> NDArray[Any]:
@@ -96,12 +91,6 @@ class Rows:
         """Return the passes over the recorded time, of which a looped bag has several."""
         rows = self.read()
         return [rows[begin:end] for begin, end in passes(rows["stamps"]) if begin < end]
-
-
-def nearest_pass(found: Sequence[NDArray[Any]], log_time: int) -> NDArray[Any] | None:
-    """Return the pass of `Rows` that began nearest to a log time [ns], None without any."""
-    # Each topic restarts at its own moment, but all of them at about the same.
-    return min(found, key=lambda one: abs(int(one["log_times"][0]) - log_time), default=None)
 
 
 class Estimated(NamedTuple):
@@ -205,7 +194,7 @@ class RecordedRun:
         return {
             kind: None if series is None else read(series, self.stamps)
             for kind, series, read in (
-                ("state", self.truth, interpolate_motion if rated else interpolate),
+                ("state", self.truth, partial(interpolate, rated=rated)),
                 ("disturbance", self.true_disturbance, hold),
                 ("torque", self.true_torque, hold),
             )
@@ -355,46 +344,16 @@ class FoundObserver:
             raise BagReadError(
                 f"{self.reader.path}: no message about joint '{joint}' on {', '.join(empty)}"
             )
-        states = max(found["states"], key=lambda one: float(np.ptp(one["stamps"])))
-        log_time = int(states["log_times"][0])
-        chosen = {
-            key: rows
-            for key, all_of_it in found.items()
-            if (rows := nearest_pass(all_of_it, log_time)) is not None
-        }
-        series = {key: Series(one["stamps"], one["values"]) for key, one in chosen.items()}
-        stamps = (ordered := series.pop("states").ordered()).stamps
-        nothing = np.full((len(stamps), len(own.torques)), np.nan)
-        aligned: dict[str, Any] = {
-            key: align(series.pop(key), stamps) if key in series else nothing
-            for key in _ALIGNED
-            if key != "states"
-        }
-        if "health" in series:
-            series["health"] = series["health"]._replace(values=as_of_now(series["health"].values))
-        measurements = series.pop("measurements")
-        others: dict[str, Any] = {key: one.ordered() for key, one in series.items()}
         parts = [part for part in Path(self.reader.path).absolute().parts if part != "bag"]
-        return RecordedRun(
-            name=f"{joint}, {parts[-1]}" if len(parts) > 1 else joint,
-            joint=joint,
-            measurements=measurements,
-            stamps=stamps,
-            states=ordered.values,
-            topic=str(self.names["measurements"]),
-            passes=len(found["states"]),
-            quantities=quantities_of(request),
-            measured=measured_states(request),
-            **aligned,
-            **others,
-        )
+        name = f"{joint}, {parts[-1]}" if len(parts) > 1 else joint
+        return run_of(found, name, joint, request, str(self.names["measurements"]))
 
     def _rows(self, wanted: Mapping[str, Wanted]) -> dict[str, Rows]:
         """Read what is there of a joint."""
         there = {name: (key, wanted[key]) for key, name in self.names.items()
                  if name is not None and any(wanted[key])}  # fmt: skip
         found = {
-            key: Rows({"values": sum(map(len, groups[: 1 if key in _TWICE else None]))})
+            key: Rows(sum(map(len, groups[: 1 if key in _TWICE else None])))
             for key, groups in there.values()
         }
         blocks = read_blocks(self.reader, {name: own for name, (_, own) in there.items()}, BLOCK)
@@ -407,11 +366,8 @@ class FoundObserver:
                     several = one.named[:, 1]
                     parts = [np.where(several[:, np.newaxis], parts[1], parts[0])]
                     there_is = there_is | several
-                found[key].add(
-                    stamps=one.stamps[there_is],
-                    log_times=one.log_times[there_is],
-                    values=np.hstack(parts)[there_is],
-                )
+                values = np.hstack(parts)[there_is]
+                found[key].add(one.stamps[there_is], one.log_times[there_is], values)
         return found
 
     def statuses(self, joint: str) -> Iterator[RecordedStatus]:
@@ -433,6 +389,52 @@ class FoundObserver:
             raise BagReadError(
                 f"{self.reader.path}: no topic ends in {', '.join(missing)}; topics: {has}"
             )
+
+
+def run_of(
+    found: Mapping[str, Sequence[NDArray[Any]]],
+    name: str,
+    joint: str,
+    request: ArmRequest | TSRequest,
+    topic: str = "",
+) -> RecordedRun:
+    """Return the run with the longest pass of estimates, and what is nearest to it.
+
+    Args:
+        found: Passes of `Rows` by the parts of a run; there are some of its states.
+        name: Its origin.
+        joint: The joint.
+        request: Of its design.
+        topic: Name of the measurements' topic.
+    """
+    longest = max(found["states"], key=lambda one: float(np.ptp(one["stamps"])))
+    log_time = int(longest["log_times"][0])
+    series: dict[str, Any] = {}
+    for key, all_of_it in found.items():
+        # Each topic restarts at its own moment, but all of them at about the same.
+        for one in sorted(all_of_it, key=lambda one: abs(int(one["log_times"][0]) - log_time))[:1]:
+            series[key] = Series(one["stamps"], one["values"])
+    stamps, states, _ = series.pop("states").ordered()
+    quantities, measurements = quantities_of(request), series.pop("measurements")
+    nothing = np.full((len(stamps), sum(one.kind == "torque" for one in quantities)), np.nan)
+    parts: dict[str, Any] = {
+        key: align(series.pop(key), stamps) if key in series else nothing for key in _ALIGNED[1:]
+    }
+    if "health" in series:
+        series["health"] = series["health"]._replace(values=as_of_now(series["health"].values))
+    return RecordedRun(
+        name=name,
+        joint=joint,
+        measurements=measurements,
+        stamps=stamps,
+        states=states,
+        topic=topic,
+        passes=len(found["states"]),
+        quantities=quantities,
+        measured=measured_states(request),
+        **parts,
+        **{key: one.ordered() for key, one in series.items()},
+    )
 
 
 def _wanted(joint: str, own: Signals, learnt: tuple[str, ...]) -> dict[str, Wanted]:
@@ -476,48 +478,51 @@ def align(series: Series, stamps: Stamps) -> Array:
     return result
 
 
-def interpolate_motion(series: Series, stamps: Stamps, max_gap: float = MAX_GAP) -> Array:
-    """Return [q₁, q̇₁, q₂, q̇₂] between its samples, NaN outside of them and in gaps.
+def interpolate(
+    series: Series, stamps: Stamps, max_gap: float = MAX_GAP, *, rated: bool = False
+) -> Array:
+    """Return values between their samples, NaN outside of them and in gaps.
 
-    Angles follow the cubic that has the angles and velocities of both neighbours, velocities
-    its derivative. Of a smooth motion the angle is off by at most h⁴/384 max|q⁗| and the
-    velocity by at most √3 h³/216 max|q⁗|: 10⁻⁹ rad and 10⁻⁶ rad/s for the elastic-joint arm at
-    h = 5 ms. A white acceleration of density s makes the truth between samples random; the cubic
-    is then its conditional mean, with a 1σ of √(s h)/4 in velocity half way: 2·10⁻⁴ rad/s at
+    They follow the cubic that has the values and slopes of both neighbours. If slopes are sampled,
+    then of a smooth motion an angle is off by at most h⁴/384 max|q⁗| and a velocity by at most
+    √3 h³/216 max|q⁗|: 10⁻⁹ rad and 10⁻⁶ rad/s for the elastic-joint arm at h = 5 ms. A white
+    acceleration of density s makes the truth between samples random; the cubic is then its
+    conditional mean, with a 1σ of √(s h)/4 in velocity half way: 2·10⁻⁴ rad/s at
     s = 10⁻⁴ rad²/s³, a hundredth of the estimation error.
-
-    Args:
-        series: Samples in ascending order, values of shape (n, 4).
-        stamps: Where to evaluate [ns], shape (m,).
-        max_gap: Distance of neighbouring samples that still counts as sampled [s].
-
-    Returns:
-        The motion, shape (m, 4).
-    """
-
-    def motion(times: Array, values: Array, wanted: Array) -> Array:
-        pair = _hermite(times, values[:, 0::2], values[:, 1::2], wanted)
-        return np.stack(pair, axis=2).reshape(len(wanted), 4)
-
-    return _between(series, stamps, max_gap, motion)
-
-
-def interpolate(series: Series, stamps: Stamps, max_gap: float = MAX_GAP) -> Array:
-    """Return values between their samples, NaN outside of them and in gaps, shape (m, k).
-
-    They follow the cubic that has the values of both neighbours and their slopes to the next ones.
 
     Args:
         series: Samples in ascending order, values of shape (n, k).
         stamps: Where to evaluate [ns], shape (m,).
         max_gap: Distance of neighbouring samples that still counts as sampled [s].
+        rated: Whether each value is followed by its rate, as in [q₁, q̇₁, q₂, q̇₂]; else slopes are
+            those to the next samples.
+
+    Returns:
+        The values, shape (m, k).
     """
-
-    def curve(times: Array, values: Array, wanted: Array) -> Array:
-        slopes = np.gradient(values, times, axis=0)
-        return _hermite(times, values, slopes, wanted)[0]
-
-    return _between(series, stamps, max_gap, curve)
+    if np.array_equal(series.stamps, stamps):
+        return series.values
+    result = np.full((len(stamps), series.values.shape[1]), np.nan)
+    series = series.take(np.flatnonzero(np.isfinite(series.values).all(axis=1)))
+    for begin in range(0, len(stamps), BLOCK):
+        own = stamps[begin : begin + BLOCK]
+        first, last = np.searchsorted(series.stamps, own[[0, -1]]).tolist()
+        known = series.take(slice(max(first - 2, 0), last + 2))
+        if len(known.stamps) < 2:
+            continue
+        inside = (own >= known.stamps[0]) & (own <= known.stamps[-1])
+        right = np.searchsorted(known.stamps, own, side="right").clip(1, len(known.stamps) - 1)
+        inside &= known.stamps[right] - known.stamps[right - 1] <= max_gap * NANOSECONDS
+        origin = int(known.stamps[0])
+        times, wanted = known.seconds(origin), (own[inside] - origin) / NANOSECONDS
+        if rated:
+            pair = _hermite(times, known.values[:, 0::2], known.values[:, 1::2], wanted)
+            found = np.stack(pair, axis=2).reshape(len(wanted), -1)
+        else:
+            slopes = np.gradient(known.values, times, axis=0)
+            found = _hermite(times, known.values, slopes, wanted)[0]
+        result[begin : begin + BLOCK][inside] = found
+    return result
 
 
 def _hermite(times: Array, values: Array, slopes: Array, wanted: Array) -> tuple[Array, Array]:
@@ -530,35 +535,6 @@ def _hermite(times: Array, values: Array, slopes: Array, wanted: Array) -> tuple
     cube = slopes[k] + slopes[k + 1] - 2.0 * mean
     curve = values[k] + step * part * (slopes[k] + part * (square + part * cube))
     return curve, slopes[k] + part * (2.0 * square + 3.0 * part * cube)
-
-
-def _between(
-    series: Series,
-    stamps: Stamps,
-    max_gap: float,
-    curve: Callable[[Array, Array, Array], Array],
-) -> Array:
-    """Evaluate a curve through samples block by block, NaN outside of them and in gaps."""
-    if np.array_equal(series.stamps, stamps):
-        return series.values
-    result = np.full((len(stamps), series.values.shape[1]), np.nan)
-    series = series.take(np.flatnonzero(np.isfinite(series.values).all(axis=1)))
-    for begin in range(0, len(stamps), BLOCK):
-        own = stamps[begin : begin + BLOCK]
-        near = slice(
-            max(int(np.searchsorted(series.stamps, own[0])) - 2, 0),
-            int(np.searchsorted(series.stamps, own[-1])) + 2,
-        )
-        known = series.take(near)
-        if len(known.stamps) < 2:
-            continue
-        inside = (own >= known.stamps[0]) & (own <= known.stamps[-1])
-        right = np.searchsorted(known.stamps, own, side="right").clip(1, len(known.stamps) - 1)
-        inside &= known.stamps[right] - known.stamps[right - 1] <= max_gap * NANOSECONDS
-        origin = int(known.stamps[0])
-        wanted = (own[inside] - origin) / NANOSECONDS
-        result[begin : begin + BLOCK][inside] = curve(known.seconds(origin), known.values, wanted)
-    return result
 
 
 def hold(series: Series, stamps: Stamps, max_gap: float = MAX_GAP) -> Array:
