@@ -182,7 +182,7 @@ class _NodeProcess:
         with log.open("wb") as output:
             # What ends the demo by force closes its end of the pipe, which ends the node.
             reading, writing = os.pipe()
-            self._held = open(writing, "wb")  # noqa: SIM115 as long as the node runs
+            self._held = os.fdopen(writing, "wb")
             self._process = subprocess.Popen(
                 arguments,
                 stdin=subprocess.DEVNULL,
