@@ -15,11 +15,7 @@ from tsobs_ros.bag.definitions import find_definition, share_folders
 from tsobs_ros.errors import BagWriteError
 
 SEPARATOR = "=" * 80
-TYPES = [
-    "sensor_msgs/msg/JointState",
-    "diagnostic_msgs/msg/DiagnosticArray",
-    "visualization_msgs/msg/InteractiveMarkerUpdate",
-]
+TYPES = ["sensor_msgs/msg/JointState", "visualization_msgs/msg/InteractiveMarkerUpdate"]
 
 
 def installed_text(package: str, name: str) -> str:
@@ -51,7 +47,6 @@ def write_package(share: Path, package: str, **messages: str) -> None:
         ("std_msgs/String",),
         ("diagnostic_msgs/DiagnosticArray", "diagnostic_msgs/DiagnosticStatus",
          "diagnostic_msgs/KeyValue", "std_msgs/Header", "builtin_interfaces/Time"),
-        ("std_msgs/Float64MultiArray", "std_msgs/MultiArrayLayout", "std_msgs/MultiArrayDimension"),
     ],
     ids=lambda types: types[0],
 )  # fmt: skip

@@ -215,23 +215,17 @@ def test_topics_of_a_lost_chunk_are_found_in_the_folders_metadata(tmp_path: Path
     assert verify(tmp_path / "new").holds
 
 
-@pytest.mark.parametrize("change", ["no metadata", "other hash", "other writer"])
-def test_without_a_known_topic_nothing_is_recovered(tmp_path: Path, change: str) -> None:
+def test_without_a_known_topic_nothing_is_recovered(tmp_path: Path) -> None:
     write_bag(tmp_path / "bag", compression="none")
-    path = tmp_path / "bag" / "bag_0.mcap"
-    chunks = sample("none").chunks
-    data = zero(path.read_bytes()[: chunks[-1][1]], *chunks[0])
+    path, chunks = tmp_path / "bag" / "bag_0.mcap", sample("none").chunks
+    path.write_bytes(zero(path.read_bytes()[: chunks[-1][1]], *chunks[0]))
     description = tmp_path / "bag" / "metadata.yaml"
-    if change == "no metadata":
-        description.unlink()
-    elif change == "other hash":
-        description.write_text(re.sub("RIHS01_....", "RIHS01_0000", description.read_text()))
-    else:
-        data = data.replace(b"tsobs_ros ", b"otherbags ", 1)
-    path.write_bytes(data)
-    with pytest.raises(BagReadError, match=r"no message can be recovered: .*bytes"):
-        recover(tmp_path / "bag", tmp_path / "new")
-    assert not (tmp_path / "new").exists()
+    text = re.sub("RIHS01_....", "RIHS01_0000", description.read_text())
+    for change in (lambda: description.write_text(text), description.unlink):
+        change()
+        with pytest.raises(BagReadError, match=r"no message can be recovered: .*bytes"):
+            recover(tmp_path / "bag", tmp_path / "new")
+        assert not (tmp_path / "new").exists()
 
 
 def make_split(path: Path) -> list[Entry]:
@@ -243,11 +237,6 @@ def make_split(path: Path) -> list[Entry]:
 def cut_last_file(bag: Path) -> None:
     last = max(bag.glob("*.mcap"))
     last.write_bytes(last.read_bytes()[:-200])
-
-
-def cut_metadata(bag: Path) -> None:
-    path = bag / "metadata.yaml"
-    path.write_bytes(path.read_bytes()[:-150])
 
 
 def forget_last_file(bag: Path) -> None:
@@ -263,7 +252,6 @@ def forget_last_file(bag: Path) -> None:
     [
         lambda bag: None,
         cut_last_file,
-        cut_metadata,
         forget_last_file,
         lambda bag: (bag / "metadata.yaml").unlink(),
         lambda bag: (bag / "metadata.yaml").write_bytes(b"\xff" * 100),
@@ -291,10 +279,6 @@ def test_a_folder_is_recovered_file_by_file_and_not_touched(
         len(scanned(p.read_bytes())) for p in sorted(bag.glob("*.mcap"))
     ]
     assert read_metadata(new).custom_data == {"why": "a test"}
-    shutil.copytree(new, tmp_path / "copy")
-    recover(tmp_path / "copy", tmp_path / "two" / "new")
-    one, two = snapshot(new), snapshot(tmp_path / "two" / "new")
-    assert {k: v[0] for k, v in one.items()} == {k: v[0] for k, v in two.items()}
 
 
 def test_files_that_cannot_be_read_do_not_keep_the_others_from_being_recovered(
@@ -320,9 +304,7 @@ def test_files_that_cannot_be_read_do_not_keep_the_others_from_being_recovered(
     ("content", "reason"),
     [
         (b"", "it is empty"),
-        (MAGIC, "it holds no messages"),
         (bytes(10_000), "nothing but zeros"),
-        (b"SQLite format 3\0" * 1_000, "not a record"),
         (random.Random(1).randbytes(100_000), "not a record|chunk"),
         (None, "not a regular file"),
     ],
@@ -524,12 +506,6 @@ def zero_block(made: Made, choose: random.Random) -> bytes:
     return made.data[:start] + bytes(end - start) + made.data[end:]
 
 
-def lose_bytes(made: Made, choose: random.Random) -> bytes:
-    start, end = choose.choice(made.chunks)
-    at = choose.randrange(start, end)
-    return made.data[:at] + made.data[at + choose.choice([1, 9, 31, 60]) :]
-
-
 def wrong_length(made: Made, choose: random.Random) -> bytes:
     data = bytearray(made.data)
     start, _ = choose.choice([*made.chunks, *places(made.data, Opcode.MESSAGE_INDEX)])
@@ -565,7 +541,7 @@ def swap_chunks(made: Made, choose: random.Random) -> bytes:
 
 
 KINDS: list[Callable[[Made, random.Random], bytes]] = [
-    flip, truncate, double_chunk, chunk_of_another_file, zero_block, lose_bytes, wrong_length, bomb,
+    flip, truncate, double_chunk, chunk_of_another_file, zero_block, wrong_length, bomb,
     damage_index, swap_chunks,
 ]  # fmt: skip
 

@@ -12,7 +12,7 @@ import pytest
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.options import SupervisionOptions, TorqueLimits
+from tsobs_ros.estimation.options import TorqueLimits
 from tsobs_ros.estimation.records import (
     Basis,
     Hypothesis,
@@ -22,10 +22,9 @@ from tsobs_ros.estimation.records import (
 )
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
-from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
-from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario, Trajectories
+from tsobs_ros.simulation.plant import Mismatch, Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import Sinusoid
@@ -153,44 +152,6 @@ def test_a_jump_of_the_sensor_is_followed_within_samples_and_counted_once(
     assert (got.basis[EVENT + 20 : EVENT + RATE // 2] == Basis.JUMP).all()
     assert got.basis[-1] <= Basis.LEARNT
     assert got.claimed[-1]
-
-
-def test_a_disturbance_stays_within_its_limit() -> None:
-    supervision = SupervisionOptions(disturbance_limit=0.05)
-    tracker = make_tracker(DESIGNS["fixed"], ObserverSettings(supervision=supervision))
-    got = course("fixed", simulated(), changed(EVENT, 0.3), tracker=tracker)
-    every = got.tracker.state.records["hypotheses"][0, awake(got.tracker)]
-    assert np.abs(every["x"][:, 4]).max() <= 0.05 + 1e-9
-    assert "sensor jumps" not in got.found
-
-
-def after_hits(size: float) -> Trajectories:
-    """Return the run of an arm whose link's velocity is changed every five seconds."""
-    run, states = simulated(), []
-    start, between = run.physical[0, 0], 5 * RATE
-    for number, place in enumerate(range(0, COUNT, between)):
-        start = start + np.array([0.0, size * (-1.0) ** number * (number > 0), 0.0, 0.0])
-        scenario = Scenario(
-            rate=RATE,
-            initial_state=tuple(Scenario().arm.from_physical(start).tolist()),
-            initial_spread=(0.0,) * 4,
-            process_noise=ProcessNoise(0.0, 0.0),
-        )
-        plant, torques = Plant(scenario), run.torques[0, place : place + between]
-        states.append(plant.run(len(torques), torques).physical)
-        start = plant.step().physical
-    noise = STD * np.random.default_rng(2).standard_normal((COUNT, 1))
-    truth = np.concatenate(states)
-    return run._replace(physical=truth[np.newaxis], measurements=(truth[:, :1] + noise)[np.newaxis])
-
-
-@both
-@pytest.mark.parametrize("size", [3.0])
-def test_hits_are_followed(name: str, size: float) -> None:
-    got = course(name, after_hits(size))
-    late = np.arange(COUNT) % (5 * RATE) > RATE
-    assert got.inside[late & (np.arange(COUNT) > 5 * RATE)].mean() > 0.95
-    assert got.is_honest()
 
 
 @both

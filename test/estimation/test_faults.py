@@ -97,20 +97,6 @@ def test_a_ramp_is_a_drift_with_its_rate() -> None:
     assert last.level is Level.WARN
 
 
-# The history holds but two periods of the slowest.
-@pytest.mark.parametrize(("frequency", "tolerance"), [(0.9, 0.08), (3.0, 0.01), (12.0, 0.01)])
-def test_a_tone_is_an_oscillation_with_amplitude_and_frequency(
-    frequency: float, tolerance: float
-) -> None:
-    last = feed(FaultMonitor(STD), lambda t: 0.3 * math.sin(frequency * t), 20.0)[-1]
-    assert last.kind is FaultKind.OSCILLATION
-    assert last.frequency == pytest.approx(frequency, rel=tolerance)
-    # Means over a tenth of a second lose a twentieth of the fastest.
-    assert last.magnitude == pytest.approx(0.3, rel=0.08)
-    # Its zero crossings do not make it small.
-    assert last.level is Level.WARN
-
-
 def test_louder_white_innovations_are_noise_of_their_size() -> None:
     noise = 1.8
     faults = feed(FaultMonitor(STD), nothing, 10.0, noise=noise)
@@ -154,17 +140,6 @@ def test_samples_that_repeat_are_stuck_within_a_tenth_of_a_second() -> None:
     assert set(later[120:1900]) == {FaultKind.UNKNOWN}
     assert later[-1] is FaultKind.BIAS
     assert after[-1].level is Level.OK
-
-
-def test_after_a_gap_the_history_is_empty_again() -> None:
-    def tone(time: float) -> float:
-        return 0.2 * math.sin(3.0 * time)
-
-    gapless, gap = FaultMonitor(STD), FaultMonitor(STD)
-    for monitor in (gapless, gap):
-        assert feed(monitor, tone, 20.0)[-1].kind is FaultKind.OSCILLATION
-    assert feed(gapless, nothing, 3.0, begin=21.0)[-1].kind is not FaultKind.NONE
-    assert feed(gap, nothing, 3.0, begin=26.0)[-1].kind is FaultKind.NONE
 
 
 @pytest.mark.parametrize(

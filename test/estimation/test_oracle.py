@@ -168,11 +168,8 @@ class Plan:
             self.start = 0.9 * self.X
         self.S = self.C @ self.X @ self.C.T + self.R
         self.K = self.X @ self.C.T @ np.linalg.inv(self.S)
-        self.plant, self.supervised, self.force = (
-            len(system.flow.to_physical(np.ones(n))),
-            forks,
-            0.0,
-        )
+        self.plant = len(system.flow.to_physical(np.ones(n)))
+        self.supervised, self.force = forks, 0.0
 
     def estimator(self, **options: Any) -> Estimator:
         made = certified_estimator(
@@ -257,7 +254,7 @@ class Filter:
             self.upsilon = self.upsilon - self.plan.K @ omega
             for i in range(len(y)):
                 inflation = self.inflation()
-                self._follow([e[i]], [variances[i]], {i: now.elapsed[i]})
+                self._follow(i, e[i], variances[i], now.elapsed[i])
                 self._learn(omega[i], e[i], known[i, i], inflation, adapt)
         else:
             self._leave()
@@ -286,7 +283,7 @@ class Filter:
         inflation, before = self.inflation(), self.x[self.n :].copy()
         self.x, self.P = self.x + K * e, self.P - known * np.outer(K, K)
         self.upsilon = self.upsilon - np.outer(K, omega)
-        self._follow([e], [variance], {i: now.elapsed[i]})
+        self._follow(i, e, variance, now.elapsed[i])
         self._learn(omega, e, known, inflation, adapt)
         if self.kind is Hypothesis.TONE:
             spread = self.P[self.n, self.n] + self.P[self.n + 1, self.n + 1]
@@ -297,19 +294,18 @@ class Filter:
                 self.frequency *= 1.0 + float(np.clip(share, -0.01, 0.01))
         return float(-0.5 * e**2 / variance - 0.5 * np.log(variance))
 
-    def _follow(self, e: Any, variances: Any, elapsed: dict[int, float]) -> None:
-        """Average squares, products of neighbours and slow parts of the innovations in sigmas."""
-        p, sigmas = len(self.plan.C), np.clip(e / np.sqrt(variances), -GATE, GATE)
+    def _follow(self, i: int, e: float, variance: float, T: float) -> None:
+        """Average squares, products of neighbours and slow parts of an innovation in sigmas."""
         if not self.plan.supervised:
             return
-        for r, (i, T) in zip(sigmas, elapsed.items(), strict=True):
-            share = min(T / BANK["SLOW_TIME"], 1.0)
-            self.nis += T / p * (r * r - self.nis)
-            self.colour += T / p * (r * self.previous[i] - self.colour)
-            self.previous[i] = r
-            self.slow[i] += share * (r - self.slow[i])
-            power = self.slow[i] ** 2 * (2.0 - share) / share
-            self.slow_power += T / BANK["POWER_TIME"] / p * (power - self.slow_power)
+        p, r = len(self.plan.C), float(np.clip(e / math.sqrt(variance), -GATE, GATE))
+        share = min(T / BANK["SLOW_TIME"], 1.0)
+        self.nis += T / p * (r * r - self.nis)
+        self.colour += T / p * (r * self.previous[i] - self.colour)
+        self.previous[i] = r
+        self.slow[i] += share * (r - self.slow[i])
+        power = self.slow[i] ** 2 * (2.0 - share) / share
+        self.slow_power += T / BANK["POWER_TIME"] / p * (power - self.slow_power)
 
     def inflation(self) -> float:
         wide = 1.0

@@ -11,13 +11,6 @@ import pytest
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Rows
-from tsobs_ros.estimation.faults import (
-    FaultKind,
-    FaultMonitor,
-    add_estimates,
-    add_samples,
-    new_watches,
-)
 from tsobs_ros.estimation.history import NON_FINITE, USED
 from tsobs_ros.estimation.records import Basis, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
@@ -153,28 +146,3 @@ def test_what_is_wrong_with_one_output_is_no_reason_to_refuse_the_other(
     kept = seconds(13.0)
     error = np.abs(rows["state"] - run(bias=0.0).physical[0])
     assert ((error <= 3.0 * rows["state_bound"])[kept].mean(axis=0) >= 0.97).all()
-
-
-def test_a_stopped_encoder_is_reported_as_missing_and_the_other_as_sound() -> None:
-    y, u = run(bias=0.0).measurements[0].copy(), run().torques[0]
-    y[seconds(10.0, 12.0), MOTOR] = np.nan
-    tracker, watches = make_tracker(DESIGN), new_watches([0.005, 0.002])
-    monitors = [FaultMonitor(std, watch=watches[i : i + 1]) for i, std in enumerate((0.005, 0.002))]
-    kinds: list[tuple[float, FaultKind, FaultKind]] = []
-    for k, stamp in enumerate(stamps_of(len(y)).tolist()):
-        own = slice(k, k + 1)
-        _, codes, innovations, expected = tracker.offer_many([stamp], y[own], u[own], stamp)
-        columns = [each.T.copy() for each in (y[own], codes, innovations, expected)]
-        add_samples(watches, np.array([stamp]), *columns)
-        known = tracker.estimate(stamp)
-        assert known is not None
-        disturbances, bounds = known.disturbance, known.disturbance_bound
-        if add_estimates(watches, stamp, disturbances, bounds):
-            for monitor, value, bound in zip(monitors, disturbances, bounds, strict=True):
-                monitor.judge(float(value), float(bound))
-        kinds.append((k * 0.005, monitors[LINK].fault.kind, monitors[MOTOR].fault.kind))
-    missing = [time for time, _, motor in kinds if motor is FaultKind.MISSING]
-    assert 10.09 < missing[0] < 10.2
-    assert 11.9 < missing[-1] < 12.7
-    assert {link for time, link, _ in kinds if time > 3.0} == {FaultKind.NONE}
-    assert kinds[-1][2] is FaultKind.NONE

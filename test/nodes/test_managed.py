@@ -178,16 +178,6 @@ def test_a_start_that_fails_raises(probe: Any, capfd: Any, call: str, error: Exc
     assert "[ERROR]" not in capfd.readouterr().err
 
 
-def test_parameters_are_retuned_while_configured_and_read_again_otherwise(probe: Any) -> None:
-    manager = probe()
-    node = manager.node
-    node.set_parameters([Parameter("gain", value=2.0)])
-    assert (node.calls, node.parameters.gain) == ([], 2.0)
-    manager.change("configure")
-    node.set_parameters([Parameter("gain", value=3)])
-    assert (node.calls[-1], node.parameters.gain) == ("retune 3.0", 3.0)
-
-
 NODES = ["observer", "plant_simulator", "recorder", "player", "visualizer"]
 LONGEST, EARLIEST = 2**31 - 1, -(2**31)
 

@@ -51,7 +51,7 @@ def script(ros_process, tmp_path):
     return start
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_an_idle_process_and_a_second_changes_nothing(script, number: int) -> None:
     process = script(
         """

@@ -17,12 +17,10 @@ from staging.stage import (
     Stage,
     good,
     replayed,
-    tracker_of,
     values,
 )
 
 from tsobs_ros.estimation.history import GATED
-from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.nodes.observer.joints import NAMES, OF_INPUT
 from tsobs_ros.series import NANOSECONDS
 
@@ -62,41 +60,6 @@ def test_after_a_gap_of_any_length_it_goes_on(stage: Stage, gap: float) -> None:
     assert all(stamp <= newest + stale_after * NANOSECONDS for stamp in coasting)
     assert len(coasting) >= int(min(gap, stale_after) * rate) - 1
     assert replayed(stage.watcher, observer, events)
-
-
-def test_whatever_the_order_of_arrival_the_estimate_is_that_of_the_order_of_stamps(
-    stage: Stage,
-) -> None:
-    """Outliers, a jump and a stuck stretch included: what the supervision decides rewinds too."""
-    observer = stage.add(rate=50.0, supervision__jump_quiet=0.0)
-    arm = Arm(BEGIN, rate=730.0, seconds=2.0)
-    rng = np.random.default_rng(2)
-    samples, frozen = {}, arm.measurement(BEGIN).y
-    for index, stamp in enumerate(arm.stamps(BEGIN, 200.0 / 730.0)):
-        sample = arm.measurement(stamp)
-        offset = 0.3 * (index > 90) + rng.choice([0.0, 2.0], p=[0.95, 0.05])
-        samples[stamp] = sample._replace(y=frozen if 40 <= index < 60 else sample.y + offset)
-    arrivals = sorted((stamp + int(rng.integers(0, 300 * MS)), stamp) for stamp in samples)
-    events = [
-        Event(at, arm.message(stamp, position=samples[stamp].y.tolist())) for at, stamp in arrivals
-    ]
-    stage.step(BEGIN - 20 * MS)
-    stage.play(events, period=20 * MS)
-
-    tracker = observer.joints[0].tracker
-    assert tracker.used + tracker.rejected[RejectReason.GATED] == len(samples)
-    assert tracker.rejected[RejectReason.GATED] > 0
-    assert tracker.rewinds > 10
-    states = stage.watcher.of("joint_states")
-    for published in states[::15] + states[-1:]:
-        in_order, stamp = tracker_of(observer), published.stamp
-        for arrived in sorted(taken for at, taken in arrivals if at <= stamp):
-            in_order.offer(samples[arrived], stamp)
-        estimate = in_order.estimate(stamp)
-        assert estimate is not None
-        assert published.bits == estimate.state[[0, 2, 1, 3]].tobytes()
-    assert tracker.events == in_order.events
-    assert tracker.rejected == in_order.rejected
 
 
 def test_a_clock_that_goes_back_may_be_waited_for_instead(stage: Stage) -> None:
@@ -152,29 +115,6 @@ def test_a_leap_of_the_clock_is_a_gap_and_no_missed_tick(stage: Stage) -> None:
     timing = values(stage.statuses()["observer: timing"])
     assert int(timing["clock jumps ahead"]) >= 3
     assert int(timing["missed ticks"]) - missed < 10_000  # of 6 million
-
-
-def test_what_a_tick_finds_is_used_in_the_order_of_stamps(stage: Stage) -> None:
-    """Half a second of a sensor at 1 kHz backwards: as cheap as forwards, and the same."""
-    # A tick takes for at most .4 of its period what waits, of 20 ms too little on a busy machine.
-    observer = stage.add(rate=10.0)
-    stage.step(BEGIN)
-    arm = Arm(BEGIN, rate=1000.0, seconds=2.0)
-    stamps = list(arm.stamps(BEGIN + PERIOD, 0.45))
-    last = stamps[-1]
-    events = [Event(last, arm.message(stamp)) for stamp in stamps]
-    backwards = events[::-1]
-    backwards.insert(7, Event(last, arm.message(last, position=[])))
-    backwards.insert(9, events[3])
-    stage.step(last, backwards)
-
-    assert observer.joints[0].tracker.used == len(stamps)
-    assert observer.joints[0].tracker.rejected == {
-        RejectReason.WRONG_JOINT: 1,
-        RejectReason.DUPLICATE: 1,
-    }
-    assert observer.joints[0].tracker.rewinds <= 1  # of those that came after the tick
-    assert replayed(stage.watcher, observer, events)
 
 
 def test_ten_thousand_rejections_are_a_few_lines_of_log(stage: Stage) -> None:

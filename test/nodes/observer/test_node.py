@@ -319,9 +319,7 @@ def test_on_the_systems_clock_in_a_namespace_it_ticks_all_by_itself(stage: Stage
     found = stage.statuses()
     assert all(name.startswith("left/observer: ") for name in found)
     timing = values(found["left/observer: timing"])
-    assert timing["wanted rate [Hz]"] == "200"
     assert float(timing["achieved rate [Hz]"]) > 0.0
-    assert 0.0 < float(timing["tick time p50 [ms]"]) <= float(timing["tick time p99 [ms]"])
     assert 0.0 < float(timing["latency p50 [ms]"]) <= float(timing["latency p99 [ms]"])
     assert stage.call(Trigger, "/left/observer/reset", Trigger.Request()).success
     assert observer.joints[0].tracker.used == 0

@@ -16,7 +16,7 @@ from tsobs_ros.nodes.observer.input import WRONG
 from tsobs_ros.nodes.observer.joints import ObservedJoint, TorqueWatch, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, of_node
-from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 
 FIXED = str(config_path(FIXED_DESIGN))
@@ -114,11 +114,6 @@ def test_each_concern_of_one_joint_has_a_status() -> None:
         "hypothesis": (Level.OK, "arm and sensor behave as designed"),
         "parameters": (Level.OK, "learning waits until the estimate has settled"),
     }
-    identity = found["certificate"].values
-    assert identity["design"] == str(config_path(SHIPPED_DESIGN))
-    assert (identity["disturbance model"], identity["claimed"]) == ("bias", "yes")
-    assert float(identity["margin [1/s]"]) > 0.0
-    assert found["state"].values["resets"] == "3"
     failed, _ = statuses(joints, BEGIN + 60 * PERIOD, failed=True)
     assert failed["state"][1:3] == (Level.ERROR, "TRACKING, after a numerical failure")
 
@@ -136,14 +131,8 @@ def test_the_node_is_as_bad_as_its_worst_joint_and_counts_the_samples_of_all() -
     assert found["joints"][1:] == (
         Level.ERROR, f"knee: state: {stale}", {"hip": "OK", "knee": "ERROR"}
     )  # fmt: skip
-    counts = [
-        {key: int(each) for key, each in own["measurements"].values.items() if key != "remedy"}
-        for own in (*parts.values(), found)
-    ]
-    assert counts[2] == {key: counts[0][key] + counts[1][key] for key in counts[0]}
-    assert (counts[2]["received"], counts[2]["used"]) == (1242, 1240)
-    assert counts[1]["rejected: wrong joint or shape"] == 1
-    assert counts[1]["rejected: duplicate stamp"] == 1
+    received = [own["measurements"].values["received"] for own in (*parts.values(), found)]
+    assert received == ["1220", "22", "1242"]
     assert parts["knee"]["measurements"][1:3] == (
         Level.WARN, "9 % of the last minute rejected, most: wrong joint or shape"
     )  # fmt: skip
@@ -152,9 +141,7 @@ def test_the_node_is_as_bad_as_its_worst_joint_and_counts_the_samples_of_all() -
     )  # fmt: skip
     assert parts["hip"]["certificate"].values["design"] == FIXED
     assert "parameters" not in parts["hip"]
-    learnt = parts["knee"]["parameters"]
-    assert learnt.message == "learning waits until the estimate has settled"
-    assert set(learnt.values) == {"stiffness", "gravity", "learning"}
+    assert set(parts["knee"]["parameters"].values) == {"stiffness", "gravity", "learning"}
 
 
 def test_rejections_warn_for_a_minute_and_name_the_main_reason() -> None:
