@@ -3,16 +3,24 @@
 """A run is read from a bag as it was recorded, whatever its topics are called."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
-from tsobs_ros.report.run import hold, interpolate, read_run
+from tsobs_ros.report.run import RecordedRun, find_observer, hold, interpolate
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.series import Series
 
 SECOND = 1_000_000_000
+
+
+def read_run(bag: Path, namespace: str | None = None) -> RecordedRun:
+    found = find_observer(bag, namespace=namespace)
+    return found.run(found.choose(None), load_design(config_path(SHIPPED_DESIGN)).request)
 
 
 @pytest.mark.parametrize("namespace", ["", "/lab/left"])

@@ -40,9 +40,6 @@ from tsobs_ros.report.run import find_observer
 from tsobs_ros.report.summary import About, Summary, Table, summarise
 from tsobs_ros.series import NANOSECONDS
 
-MAX_RIVAL = 200_000
-"""Measurements of a recording over which EKFs are run: a quarter of an hour at 200 Hz."""
-
 
 class ReportError(TsobsError, RuntimeError):
     """A report cannot be made or written."""
@@ -138,7 +135,7 @@ def make_bag_report(
         design: File of the design that the estimates were made with; if None, the one in the bag,
             else the shipped one.
         other_design: Whether that may be another one than the bag's.
-        ekf: Whether to run EKFs over the same measurements, over up to `MAX_RIVAL` of them.
+        ekf: Whether to run EKFs over the same measurements.
         html: Whether to write the page too; it is left out, with a remark, without plotly.
         joint: Name of the joint in the bag; None if there is one only.
         namespace: Namespace of the topics, for a bag with several arms.
@@ -178,14 +175,7 @@ def make_bag_report(
     comparison, rival = None, None
     remarks = [*ran.doubt(given), *ran.remarks]
     if ekf and run.truth is not None:
-        comparison, rival = compare_with_ekf(
-            run, metrics, bag, files, ran.settings(), options, MAX_RIVAL
-        )
-        if metrics.estimates > MAX_RIVAL:
-            remarks.append(
-                f"note: the EKF was run over the first {comparison.observer.duration:.0f} s, and "
-                "is compared with the observer over the same time"
-            )
+        comparison, rival = compare_with_ekf(run, metrics, bag, files, ran.settings(), options)
     if run.truth is None:
         remarks.append("note: the bag has no ground truth, so there are bounds but no errors")
     if run.passes > 1:

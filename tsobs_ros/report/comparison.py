@@ -9,7 +9,6 @@ one is the better rival: one keeps the nominal parameters, the other has them as
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,13 +25,7 @@ from tsobs_ros.methods import EKFS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.replay.windows import WINDOW
-from tsobs_ros.report.metrics import (
-    SIGMAS,
-    MetricsOptions,
-    RunMetrics,
-    measure,
-    root_mean,
-)
+from tsobs_ros.report.metrics import SIGMAS, MetricsOptions, RunMetrics, measure, root_mean
 from tsobs_ros.report.quantities import QUANTITIES, outputs_of
 from tsobs_ros.report.run import RecordedRun, Rows, run_of
 
@@ -161,7 +154,6 @@ def compare_with_ekf(
     files: Mapping[str, DesignFile],
     settings: ObserverSettings,
     options: MetricsOptions | None = None,
-    limit: int | None = None,
 ) -> tuple[EkfComparison, RecordedRun]:
     """Run EKFs over the measurements of a recorded run, as `tsobs compare` does.
 
@@ -175,7 +167,6 @@ def compare_with_ekf(
         files: Design file of each joint that the observer observed.
         settings: Those that it ran with.
         options: Options of the measures.
-        limit: Number of estimates after which they end, to compare up to there; none if None.
 
     Returns:
         The comparison, and the run of the EKF.
@@ -187,13 +178,11 @@ def compare_with_ekf(
         for method in (EKFS if learns else EKFS[:1])
     ]
     observers, _ = without_misfits(observers)
-    scores = _scores(source, observers, options, limit)
+    scores = _scores(source, observers, options)
     own = [one for one in scores.results() if one[0].joint == run.joint]
     best, theirs = min(own, key=lambda one: one[0].normalised_rmse)
     if best.metrics is None or theirs is None:
         raise BagReadError(f"{bag}: no EKF could be run over the measurements of {run.joint}")
-    if limit is not None and len(run.stamps) > limit:
-        metrics = measure(run.until(int(theirs.stamps[-1])), options)
     return EkfComparison(metrics, best.metrics, best.observer, len(own)), theirs
 
 
@@ -240,26 +229,12 @@ def compare_observers(
 
 
 def _scores(
-    source: Source,
-    observers: Sequence[Observer],
-    options: MetricsOptions | None,
-    limit: int | None = None,
+    source: Source, observers: Sequence[Observer], options: MetricsOptions | None
 ) -> "RunScores":
     runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
     scores = RunScores(source, runs, options)
-
-    def add() -> None:
-        scores.add()
-        if limit is not None and runs[0].estimates >= limit:
-            raise _EnoughError
-
-    with suppress(_EnoughError):
-        run_all(source, runs, None, after_window=add)
+    run_all(source, runs, None, after_window=scores.add)
     return scores
-
-
-class _EnoughError(Exception):
-    """Ends runs early."""
 
 
 class RunScores:

@@ -3,7 +3,7 @@
 """One recorded run of the observer as stamped series of numbers, read from a bag."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
@@ -23,7 +23,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
+from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
 from tsobs_ros.replay.health import as_of_now
 from tsobs_ros.replay.places import places_of
 from tsobs_ros.replay.source import MEASUREMENTS, UNNAMED_SYSTEM, passes
@@ -181,12 +181,6 @@ class RecordedRun:
         """Times of the estimates since the origin [s], shape (m,)."""
         return np.asarray((self.stamps - self.origin) / NANOSECONDS, dtype=np.float64)
 
-    def until(self, stamp: int) -> "RecordedRun":
-        """Return the run with its estimates up to a stamp [ns]."""
-        own = slice(int(np.searchsorted(self.stamps, stamp, side="right")))
-        cut: dict[str, Any] = {key: getattr(self, key)[own] for key in ("stamps", *_ALIGNED)}
-        return replace(self, **cut)
-
     @cached_property
     def _true_values(self) -> dict[str, Array | None]:
         """Truth at the estimates' stamps by kind, NaN if unknown."""
@@ -214,31 +208,6 @@ class RecordedRun:
             None if series is None else series.column(column),
             None if truth is None else truth[:, column],
         )
-
-
-def read_run(
-    bag: Path,
-    joint: str | None = None,
-    *,
-    namespace: str | None = None,
-    observer: str = "observer",
-) -> RecordedRun:
-    """Read a run from a bag, of the design that its observer ran, else of the shipped one.
-
-    Args:
-        bag: Bag folder or MCAP file.
-        joint: Name of the joint; None if there are estimates of one only.
-        namespace: Namespace of all topics, for a bag with several arms.
-        observer: Name of the observer node.
-
-    Raises:
-        BagReadError: As for `find_observer` and its `run`.
-        DesignFileError: The design that the observer ran is not known here.
-    """
-    found = find_observer(bag, namespace=namespace, observer=observer)
-    joint = found.choose(joint)
-    (files,) = choose_designs(bag, found.ran, [joint]).values()
-    return found.run(joint, files[0].design.request)
 
 
 def find_observer(
