@@ -13,6 +13,7 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from staging.stamps import to_nanoseconds
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 
 from tsobs_ros.nodes.player import Player, create
 
@@ -80,3 +81,9 @@ def play(ros: Any) -> Callable[..., Player]:
         return ros.add(create(context=ros.context, parameter_overrides=overrides))
 
     return start
+
+
+@pytest.fixture
+def call(manage: Any) -> Callable[[str], Any]:
+    """Give what calls one of the player's services and returns the answer."""
+    return lambda name: manage("/player").call(Trigger, name, Trigger.Request())

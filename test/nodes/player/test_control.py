@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from player.bags import regular, texts, write_bag
 from rclpy.parameter import Parameter
-from std_srvs.srv import Trigger
 
 Play = Callable[..., Any]
 S = 10**9
@@ -20,12 +19,6 @@ S = 10**9
 def bag(tmp_path: Path) -> Path:
     """Give a bag of 100 messages on /a, one every 10 ms."""
     return write_bag(tmp_path / "bag", regular(100))
-
-
-@pytest.fixture
-def call(manage: Any) -> Callable[[str], Any]:
-    """Give what calls one of the player's services and returns the answer."""
-    return lambda name: manage("/player").call(Trigger, name, Trigger.Request())
 
 
 def set_parameter(player: Any, name: str, value: Any) -> None:
@@ -124,14 +117,14 @@ def test_seeking_and_another_rate_while_playing_go_on_playing_from_there(
 
 
 def test_in_a_loop_the_clock_jumps_back_to_the_start(
-    ros: Any, play: Play, listener: Any, bag: Path
+    ros: Any, play: Play, listener: Any, call: Any, bag: Path
 ) -> None:
     listener.listen("/a").listen_to_clock()
     part = {"start_offset": 0.9, "duration": 0.05, "loop": True}
     player = play(bag, **part, clock=200.0, rate=0.5, start_paused=True)
     # Only a subscription of /clock that is matched hears every pass of it.
     ros.spin_until(lambda: bool(listener.clock), what="the clock in the pause")
-    player.resume()
+    call("resume")
     ros.spin_until(lambda: len(listener.heard) >= 15, what="two passes and a half")
     assert not player.finished
     set_parameter(player, "loop", False)

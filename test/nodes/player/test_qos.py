@@ -60,7 +60,7 @@ def latched_bag(tmp_path: Path) -> Path:
 
 
 def test_what_was_latched_before_the_start_is_published_first_even_in_a_pause(
-    ros: Any, play: Play, listener: Any, latched_bag: Path
+    ros: Any, play: Play, listener: Any, call: Any, latched_bag: Path
 ) -> None:
     player = play(latched_bag, start_paused=True, start_offset=0.05)
     ros.spin_until(lambda: player.messages == 1, what="the latched message's publication")
@@ -68,7 +68,7 @@ def test_what_was_latched_before_the_start_is_published_first_even_in_a_pause(
     ros.spin_until(lambda: listener.texts("/latched") == ["l20"], what="the latched message")
 
     listener.listen("/a")
-    player.resume()
+    call("resume")
     listener.hear_out(player)
     assert listener.texts("/latched") == ["l20", "l60"]
     assert listener.texts("/a") == texts(5, 10)

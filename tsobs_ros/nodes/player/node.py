@@ -39,8 +39,8 @@ _MAX_BURST = 5_000_000
 _WAIT_POLL = 10_000_000
 _ACKNOWLEDGE_TIMEOUT = 5_000_000_000
 _WARN_EVERY = 5.0
-# Longest wait, after which a change is noticed without a call of `wake` [ns].
-_MAX_WAIT = 50_000_000
+# Longest wait, after which a change of the position or the rate is noticed [ns].
+_MAX_WAIT = 20_000_000
 # A best-effort subscriber receives nothing before it has matched the publisher too, and others may
 # be discovered at the same time [ns].
 _SETTLING = 200_000_000
@@ -150,7 +150,6 @@ class Player(ManagedNode[PlayerParameters]):
         """Play at another rate, with or without a loop."""
         self._playback.set_rate(parameters.rate, time.monotonic_ns())
         self._playback.loop = parameters.loop
-        self._pacer.wake()
 
     @property
     def finished(self) -> bool:
@@ -182,11 +181,6 @@ class Player(ManagedNode[PlayerParameters]):
         """Return the lateness of each message published since the last call [ns]."""
         lags, self._lags = self._lags, []
         return lags
-
-    def resume(self) -> None:
-        """Play on, after a pause."""
-        self._paused = False
-        self._pacer.wake()
 
     def step(self) -> tuple[bool, str]:
         """Publish the next message, in a pause; return whether there was one, and which or why."""
@@ -259,24 +253,23 @@ class Player(ManagedNode[PlayerParameters]):
         target = self._bag_start + round(seconds * 1e9)
         self._playback.seek(target, time.monotonic_ns())
 
-    def _refusal(self, position: float) -> str | None:
-        """Return why a position is refused."""
+    def _refusal(self, position: float) -> str:
+        """Return why a position is refused, empty if it is not."""
         length = self._length * 1e-9
         if position <= length:
-            return None
+            return ""
         return f"parameter 'position' must be at most {length:.9g} s, the bag's length"
 
     def _check_position(self, proposal: Sequence[Parameter]) -> SetParametersResult:
         positions = [p.value for p in proposal if p.name == "position" and self.configured]
-        refusals = list(filter(None, map(self._refusal, positions)))
-        return SetParametersResult(successful=not refusals, reason="; ".join(refusals))
+        reason = "; ".join(filter(None, map(self._refusal, positions)))
+        return SetParametersResult(successful=not reason, reason=reason)
 
     def _take_position(self, accepted: Sequence[Parameter]) -> None:
         """Go to a position that was set, even to the one that was set before."""
         for parameter in accepted:
             if parameter.name == "position" and self.configured:
                 self._seek(parameter.value)
-                self._pacer.wake()
 
     @property
     def _state_text(self) -> str:
@@ -284,11 +277,9 @@ class Player(ManagedNode[PlayerParameters]):
 
     def _pause(self, paused: bool) -> tuple[bool, str]:
         """Stand still, or play on; return the answer of a service."""
+        self._paused = paused
         if paused:
-            self._paused = True
             self._playback.pause(time.monotonic_ns())
-        else:
-            self.resume()
         return True, self._state_text
 
     def _warn_of_unchecked(self) -> None:
@@ -359,17 +350,12 @@ class Pacer:
     def start(self) -> None:
         """Start to tick, at once."""
         self._running = True
-        self.wake()
+        self._schedule(0)
 
     def stop(self) -> None:
         """Stop ticking, until the next `start`."""
         self._running = self._taken_over = False
         self._timer.cancel()
-
-    def wake(self) -> None:
-        """Tick at once, as the next due time has changed."""
-        if self._running and not self._taken_over:
-            self._schedule(0)
 
     def take_over(self) -> None:
         """Stop the timer; from now on `run_if_due` ticks."""
@@ -381,7 +367,7 @@ class Pacer:
         """Let the timer tick again."""
         if self._taken_over:
             self._taken_over = False
-            self.wake()
+            self._schedule(0)
 
     def run_if_due(self) -> int:
         """Do what is due, and return the time until more is [ns]."""
