@@ -220,7 +220,7 @@ def test_the_bag_holds_what_was_published_and_replays_to_the_last_bit(
         for data in stored[ESTIMATES[0]]
     ]
     assert stamps == sorted(set(stamps))
-    assert len(stamps) > 100
+    assert len(stamps) > 10
     check_an_independent_reader(recording)
     assert check_estimates_after_the_fact(recording, design) == len(stamps)
 
@@ -233,4 +233,4 @@ def test_the_bag_holds_what_was_published_and_replays_to_the_last_bit(
     agreement = estimated_again(played, played.with_name("played_again"), design).agreement()
     assert agreement is not None
     assert agreement.complete, agreement.text()
-    assert agreement.recorded > 100
+    assert agreement.recorded > 10
