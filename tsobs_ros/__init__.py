@@ -49,12 +49,11 @@ if TYPE_CHECKING:
         compare,
         estimate,
         estimate_bag,
-        load_design,
         simulate,
     )
     from tsobs_ros.bag.reader import BagReader
     from tsobs_ros.bag.writer import BagWriter
-    from tsobs_ros.design.file import load_request, save_design
+    from tsobs_ros.design.file import load_design, load_request, save_design
     from tsobs_ros.design.record import Design
     from tsobs_ros.design.request import ArmRequest
     from tsobs_ros.design.synthesis import synthesise
@@ -85,7 +84,7 @@ _HOMES = {
     "estimate": "api",
     "estimate_bag": "api",
     "export_c": "exported",
-    "load_design": "api",
+    "load_design": "design.file",
     "load_request": "design.file",
     "make_tracker": "methods",
     "save_design": "design.file",

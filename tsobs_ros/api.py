@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tsobs_ros.checks import Array, Flags, as_matrix, check_names, shown
-from tsobs_ros.design import file
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
@@ -24,7 +23,6 @@ from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.replay.health import PROVED
 from tsobs_ros.replay.loop import run_tracker
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput, TorqueDisturbance
@@ -134,23 +132,6 @@ class Estimates:
     def proved(self) -> Flags:
         """Whether that is so, but for what is uncertain of learnt parameters, shape (n,)."""
         return np.isin(self.basis, PROVED)
-
-
-def load_design(path: str | Path | None = None) -> Design:
-    """Read a design file, of an arm or of a T–S system, and check its certificate again.
-
-    Args:
-        path: The file; None for the design that comes with the package.
-
-    Raises:
-        DesignFileError: The file is missing or no design; the text names the entry.
-        CertificateError: The certificate does not hold; the text names each inequality.
-
-    >>> import tsobs_ros as ts
-    >>> ts.load_design().certificate.holds
-    True
-    """
-    return file.load_design(config_path(SHIPPED_DESIGN) if path is None else path)
 
 
 def simulate(

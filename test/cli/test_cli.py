@@ -163,15 +163,6 @@ def test_a_ts_model_is_designed_and_verified(tmp_path: Path, capsys: Captured) -
     assert (printed["holds"], printed["bound_std"]) == (False, None)
 
 
-def test_the_papers_procedure_designs_what_it_can(tmp_path: Path, capsys: Captured) -> None:
-    pytest.importorskip("cvxpy")
-    output = tmp_path / "paper.yaml"
-    assert main(["design", "--method", "paper", "--example", "2", "--output", str(output)]) == 0
-    assert "DOES NOT" not in capsys.readouterr().out
-    assert main(["design", "--method", "paper", "--example", "3", "--output", "unused.yaml"]) == 1
-    assert "eigenvalue 0+4.776j" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("arguments", [[], ["demo", "--duration", "nan"], ["report"]])
 def test_wrong_usage_is_exit_code_2(capsys: Captured, arguments: list[str]) -> None:
     with pytest.raises(SystemExit, match="2"):

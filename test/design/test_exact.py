@@ -101,6 +101,7 @@ def test_positive_definiteness_and_inverse_are_exact(root: Array) -> None:
 def test_the_shipped_design_is_proved_with_its_margins(shipped: Design) -> None:
     report = verify_exactly(shipped)
     assert report.holds
+    assert report.worst in report.inequalities
     for exact, rounded in zip(report.inequalities, shipped.certificate.inequalities, strict=True):
         assert (exact.name, exact.where) == (rounded.name, rounded.where)
         assert exact.margin == pytest.approx(rounded.margin, rel=2e-3)

@@ -23,15 +23,6 @@ def add_parser(commands: Commands) -> None:
         help="YAML with the arm or T-S system, noise and domain; else defaults",
     )
     design.add_argument("--output", type=Path, required=True, metavar="FILE")
-    design.add_argument(
-        "--method",
-        choices=("certified", "paper"),
-        default="certified",
-        help="the certified design, or Steps 1-5 of the published method for one of its examples",
-    )
-    design.add_argument(
-        "--example", type=int, choices=(1, 2, 3), default=1, help="of the published method"
-    )
     design.add_argument("--force", action="store_true", help="replace an existing file")
     add_json(design)
     design.set_defaults(command=run)
@@ -52,8 +43,6 @@ def run(options: argparse.Namespace) -> int:
     from tsobs_ros.design.synthesis import synthesise
 
     require_new([options.output], force=options.force)
-    if options.method == "paper":
-        return _design_by_the_paper(options)
     request = load_request(options.request) if options.request else ArmRequest()
     for question in questions(request):
         note(f"is it meant so? {question}")
@@ -65,38 +54,6 @@ def run(options: argparse.Namespace) -> int:
         summary |= {"arm": asdict(request.arm), "resonances": list(resonances(request.arm))}
     lines += [design.text(), f"written to {printable(str(options.output))}"]
     show(summary, "\n".join(lines), options.json)
-    return 0
-
-
-def _design_by_the_paper(options: argparse.Namespace) -> int:
-    from tsobs_ros.paper import examples
-    from tsobs_ros.paper.synthesis import design_adaptive_observer
-    from tsobs_ros.yaml_files import write_yaml, yaml_text
-
-    build = (examples.example_1, examples.example_2, examples.example_3)[options.example - 1]
-    example = build()
-    result = design_adaptive_observer(
-        example.system, example.alpha, example.xi, Gamma=example.Gamma
-    )
-    conditions = [str(condition) for condition in result.conditions.conditions]
-    mapping = {
-        "format": "tsobs_ros adaptive observer of the published method",
-        "example": options.example,
-        "epsilon": result.epsilon,
-        "steps": result.steps,
-        "P": result.P.tolist(),
-        "H1": result.H1.tolist(),
-        "M": result.M.tolist(),
-        "Gamma": result.Gamma.tolist(),
-        "conditions": conditions,
-        "solver": asdict(result.solver),
-    }
-    header = "# Made by `tsobs design --method paper`.\n"
-    write_yaml(options.output, yaml_text(header, mapping))
-    lines = [f"{example.name}: epsilon {result.epsilon:.6g}, {result.steps} step(s)"]
-    lines += [f"  {condition}" for condition in conditions]
-    lines += [f"written to {options.output}"]
-    show(mapping, "\n".join(lines), options.json)
     return 0
 
 

@@ -92,7 +92,7 @@ class CertificateReport:
         failing = [inequality for inequality in self.inequalities if not inequality.holds]
         if failing:
             return failing[0]
-        return min(self.inequalities, key=lambda each: each.margin / each.required)
+        return min(self.inequalities, key=lambda each: each.margin / (each.required or 1.0))
 
     def require(self, source: str) -> None:
         """Raise `CertificateError` naming `source` and each failing inequality, if one fails."""

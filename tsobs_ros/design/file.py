@@ -22,6 +22,7 @@ from tsobs_ros.errors import DesignFileError
 from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import system_uncertainty
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode, encode, located, naming, within
 from tsobs_ros.yaml_files import read_text, read_yaml, write_yaml, yaml_mapping, yaml_text
 
@@ -88,8 +89,11 @@ def design_text(design: Design) -> str:
     return yaml_text(_HEADERS[kind], data)
 
 
-def load_design(path: FilePath) -> Design:
+def load_design(path: FilePath | None = None) -> Design:
     """Read the design file of an arm or of a T–S system and re-check its certificate.
+
+    Args:
+        path: The file; None for the design that comes with the package.
 
     Raises:
         DesignFileError: The file is missing, too large, not YAML, or not a design; the text
@@ -97,11 +101,10 @@ def load_design(path: FilePath) -> Design:
         CertificateError: The certificate does not hold; the text names each inequality, its
             vertex and its margin.
 
-    >>> from tsobs_ros.resources import config_path
-    >>> load_design(config_path("elastic_joint.design.yaml")).request.rate
-    200.0
+    >>> load_design().certificate.holds
+    True
     """
-    return load_design_file(path).design
+    return load_design_file(config_path(SHIPPED_DESIGN) if path is None else path).design
 
 
 class DesignFile(NamedTuple):
