@@ -27,7 +27,7 @@ def some_system(seed: int, n: int = 4, p: int = 2, r: int = 3) -> TSModel:
 
 
 def some_augmentation(seed: int) -> Augmentation:
-    return Augmentation(some_system(seed), 1, np.random.default_rng(seed + 99).normal(size=(6, 2)))
+    return Augmentation(some_system(seed), np.random.default_rng(seed + 99).normal(size=(6, 2)))
 
 
 def some_P(seed: int, size: int) -> NDArray[np.float64]:

@@ -21,7 +21,7 @@ def some_L(seed: int) -> NDArray[np.float64]:
 @pytest.mark.parametrize("seed", [None, 1, 2, 3])
 @pytest.mark.parametrize("rule", [0, 1])
 def test_stands_for_the_system_whatever_the_disturbance_does(seed: int | None, rule: int) -> None:
-    aug = Augmentation(SYSTEM, rule, None if seed is None else some_L(seed))
+    aug = Augmentation(SYSTEM, None if seed is None else some_L(seed))
     random = np.random.default_rng(7)
     x, omega, omega_rate, u = (random.normal(size=k) for k in (3, 3, 3, 1))
     x_rate = SYSTEM.A[rule] @ x + SYSTEM.B[rule] @ u
@@ -34,7 +34,7 @@ def test_stands_for_the_system_whatever_the_disturbance_does(seed: int | None, r
 
 
 def test_bound_of_the_uncertainty_covers_every_uncertainty_of_that_norm() -> None:
-    aug = Augmentation(SYSTEM, 0, some_L(1))
+    aug = Augmentation(SYSTEM, some_L(1))
     random = np.random.default_rng(3)
     limits = aug.alpha_1([0.3, 0.7])
     for _ in range(50):
@@ -60,9 +60,8 @@ SINGULAR = np.vstack([np.zeros((3, 3)), np.diag([1.0, 1.0, 0.0])])
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Augmentation(SYSTEM, 0, SINGULAR), r"L: expected E_L .* invertible.*singular val"),
-        (lambda: Augmentation(SYSTEM, 0, np.eye(3)), r"L: expected shape \(6, 3\), got \(3, 3\)"),
-        (lambda: Augmentation(SYSTEM, 2), "output_rule: expected 0 to 1, got 2"),
+        (lambda: Augmentation(SYSTEM, SINGULAR), r"L: expected E_L .* invertible.*singular val"),
+        (lambda: Augmentation(SYSTEM, np.eye(3)), r"L: expected shape \(6, 3\), got \(3, 3\)"),
         (
             lambda: Augmentation(SYSTEM).augmented_uncertainty(np.eye(3)),
             r"ΔA: expected shape \(2, ",

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 EXAMPLE = example_1()
 RANDOM = np.random.default_rng(11)
-AUG = Augmentation(EXAMPLE.system, 0, np.vstack([RANDOM.normal(size=(3, 3)), 2.0 * np.eye(3)]))
+AUG = Augmentation(EXAMPLE.system, np.vstack([RANDOM.normal(size=(3, 3)), 2.0 * np.eye(3)]))
 P = np.diag([1.0, 2.0, 1.5, 1.0, 0.7, 1.2])
 M = np.linalg.solve(P, AUG.C_bar.T)
 H1 = np.stack([3.0 * AUG.E_L_inverse[:, 3:], 4.0 * AUG.E_L_inverse[:, 3:]])
@@ -124,7 +124,7 @@ def test_innovation_decays_by_its_own_equation() -> None:
     rules = RuleBase(((membership("always"),),))
     first = EXAMPLE.system
     system = TSModel(first.A[:1], first.B[:1], first.C, rules, np.zeros((1, 3)), np.ones((1, 1)))
-    aug = Augmentation(system, 0, AUG.L)
+    aug = Augmentation(system, AUG.L)
     observer = AugmentedObserver(aug, H1[:1], M)
     state = run(observer, 0.5, 0.005)
     start = y_of(0.0) - aug.C_bar @ START

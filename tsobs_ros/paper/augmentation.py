@@ -40,23 +40,17 @@ class Augmentation:
 
     Attributes:
         system: The T–S system; n states, m inputs, p outputs, r rules.
-        output_rule: Index of the rule whose Cᵢ serves as the common C.
         free_matrix: L, shape (n + p, p); [0; I] by default.
 
     Raises:
-        ModelError: There is no such rule, L has another shape, or E_L is singular.
+        ModelError: L has another shape, or E_L is singular.
     """
 
     system: TSModel
-    output_rule: int = 0
     free_matrix: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         n, p = self.state_count, self.output_count
-        if not 0 <= self.output_rule < self.rule_count:
-            raise ModelError(
-                f"output_rule: expected 0 to {self.rule_count - 1}, got {self.output_rule!r}"
-            )
         singular = np.linalg.svd(self.E_L, compute_uv=False)
         if singular[-1] < _SINGULAR * singular[0]:
             raise ModelError(
@@ -87,8 +81,8 @@ class Augmentation:
 
     @property
     def C(self) -> Array:
-        """The common output matrix, shape (p, n)."""
-        return np.asarray(self.system.rule_outputs[self.output_rule])
+        """The common output matrix, that of the first rule, shape (p, n)."""
+        return np.asarray(self.system.rule_outputs[0])
 
     @cached_property
     def L(self) -> Array:
