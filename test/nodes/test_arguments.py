@@ -3,7 +3,6 @@
 """The executables' command lines: help that is complete, and no argument that is passed over."""
 
 import re
-import signal
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -108,20 +107,3 @@ def test_unknown_arguments_are_named(arguments: list[str], named: str, capsys: A
 )
 def test_what_ros_understands_is_left_to_it(arguments: list[str]) -> None:
     check("observer", *arguments)
-
-
-def test_a_start_is_one_short_line_and_parameters_are_for_debugging(ros_process: Any) -> None:
-    arguments = ["--ros-args", "--log-level", "observer:=debug", "-p", "settle_time:=2"]
-    process = ros_process("observer", arguments=arguments)
-    line = process.wait_for_line("certificate holds")
-    process.signal(signal.SIGINT)
-
-    finished = process.finish()
-
-    assert finished.exit_code == 0
-    assert len(line) < 200
-    lines = finished.stderr.splitlines()
-    assert [each for each in lines if not each.startswith("[DEBUG]")] == [line.rstrip()]
-    (parameters,) = [each for each in lines if "parameters: " in each]
-    assert "rate=0.0 Hz, publish_on='tick'" in parameters
-    assert "settle_time=2.0 s" in parameters

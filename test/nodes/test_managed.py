@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterValue
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
@@ -235,27 +235,19 @@ def test_no_request_for_parameters_ends_a_node(any_node: Any, capfd: Any, name: 
     manager = any_node(name)
     known, chance = [*manager.node._parameters, "", "nobody's", "x\x1b[2Jy"], random.Random(9)
 
-    def ask(service: str, parameters: list[ParameterMessage]) -> list[Any]:
-        if service == "set_parameters":
-            kind: Any = SetParameters
-            results = manager.call(kind, service, kind.Request(parameters=parameters)).results
-        else:
-            kind = SetParametersAtomically
-            request = kind.Request(parameters=parameters)
-            results = [manager.call(kind, service, request).result]
-        return list(results)
+    def ask(parameters: list[ParameterMessage]) -> list[Any]:
+        request = SetParameters.Request(parameters=parameters)
+        return list(manager.call(SetParameters, "set_parameters", request).results)
 
     good = ParameterMessage(
         name="use_sim_time", value=Parameter("", value=False).get_parameter_value()
     )
     unknown = ParameterMessage(name="autostart", value=ParameterValue(type=77))
-    accepted, refused = ask("set_parameters", [good, unknown])
+    accepted, refused = ask([good, unknown])
     assert accepted.successful
     assert not refused.successful
     assert "'autostart' of type 77" in refused.reason
     assert "'autostart' of type 77" in capfd.readouterr().err
-    (both,) = ask("set_parameters_atomically", [good, unknown])
-    assert not both.successful
     for _ in range(12):
         asked = [
             ParameterMessage(
@@ -272,8 +264,7 @@ def test_no_request_for_parameters_ends_a_node(any_node: Any, capfd: Any, name: 
             )
             for _ in range(chance.randrange(4))
         ]
-        results = ask(chance.choice(["set_parameters", "set_parameters_atomically"]), asked)
-        assert all("\x1b" not in result.reason for result in results)
+        assert all("\x1b" not in result.reason for result in ask(asked))
     assert manager.state == "active"
 
 

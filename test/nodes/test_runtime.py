@@ -142,24 +142,6 @@ def test_a_bug_keeps_its_traceback_and_costs_no_other_step(script, where: str) -
     assert finished.stderr.count("KeyError: 'bug'") == (1 if where == "tick" else 2)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["-p", "gains:=[1, 2.5]"], "write every number of the list with a decimal point"),
-        (["-r", "__node:=not a name"], "error: "),
-    ],
-)
-def test_malformed_ros_arguments_are_one_error_line(script, arguments, message: str) -> None:
-    process = script("sys.exit(runtime.run(Worker))", "--ros-args", *arguments)
-
-    finished = process.finish()
-
-    assert finished.exit_code == 1
-    (line,) = [line for line in finished.stderr.splitlines() if line.startswith("error: ")]
-    assert message in line
-    assert "Traceback" not in finished.stderr
-
-
 def test_a_hanging_teardown_is_ended_by_a_signal(script) -> None:
     process = script(
         """

@@ -79,13 +79,10 @@ class Scene:
         self.stage.play(events)
         self.sent[TOPIC] += len(events)
 
-    def reset(self) -> None:
-        """Restart the observer by its service."""
-        assert self.stage.call(Trigger, "/observer/reset", Trigger.Request()).success
-
-    def enable(self, on: bool) -> None:
-        """Silence the observer, or let it go on."""
-        assert self.stage.call(SetBool, "/observer/enable", SetBool.Request(data=on)).success
+    def call(self, service: str, request: Any) -> None:
+        """Call a service of the observer."""
+        kind = SetBool if service == "enable" else Trigger
+        assert self.stage.call(kind, f"/observer/{service}", request).success
 
     def change(self, label: str) -> None:
         """Ask the observer for a transition."""
@@ -139,11 +136,11 @@ def test_what_an_observer_did_not_receive_is_left_out_and_all_the_rest_reproduce
     scene.start()
     scene.play(60, outliers=3)
     scene.play(60, outliers=1)
-    scene.reset()
+    scene.call("reset", Trigger.Request())
     scene.play(60)
-    scene.enable(False)
+    scene.call("enable", SetBool.Request(data=False))
     scene.play(40)
-    scene.enable(True)
+    scene.call("enable", SetBool.Request(data=True))
     scene.play(60, outliers=2)
     scene.change("deactivate")
     scene.play(40)
@@ -193,7 +190,7 @@ def test_joints_of_late_doubled_and_unusable_messages_are_reproduced(
             at = events[place].at
             events[place] = Event(at, arms[0].message(at, position=[position]))
         scene.send(events)
-        scene.reset()
+        scene.call("reset", Trigger.Request())
     scene.end()
     bag = scene.recorded()
 
