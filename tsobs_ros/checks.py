@@ -76,6 +76,11 @@ def as_matrix(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
         raise ModelError(f"{name}: expected shape {shape}, got {array.shape}")
     if not np.isfinite(array).all():
         raise ModelError(f"{name}: every entry must be finite, got {array.tolist()}")
+    return fixed(array)
+
+
+def fixed(array: Array) -> Array:
+    """Return the array, which can be written to no more."""
     array.setflags(write=False)
     return array
 

@@ -307,7 +307,9 @@ def test_what_was_certified_cannot_be_changed_afterwards(shipped: Design) -> Non
     for mapping in (arm.uncertainty, arm.disturbance[0]):
         with pytest.raises(TypeError, match="item assignment"):
             mapping["density"] = 1.0
-    for array in (shipped.P, shipped.K, system.process_noise, system.D_s, system.initial_std):
+    arrays = [shipped.P, shipped.K, shipped.covariance_bound, arm.measurement_covariance]
+    arrays += [arm.initial_covariance, system.process_noise, system.D_s, system.initial_std]
+    for array in arrays:
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
 

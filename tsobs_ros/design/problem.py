@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
-from tsobs_ros.checks import Array, Fixed, finite, non_negative, positive, shown
+from tsobs_ros.checks import Array, Fixed, finite, fixed, non_negative, positive, shown
 from tsobs_ros.design.names import Labels, labelled
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.options import TorqueLimits
@@ -269,7 +269,7 @@ class Request(ABC):
     @cached_property
     def measurement_covariance(self) -> Array:
         """R of one sample, diagonal, shape (p, p)."""
-        return np.diag(self.output_std**2)
+        return fixed(np.diag(self.output_std**2))
 
     @cached_property
     def initial_covariance(self) -> Array:
@@ -279,7 +279,7 @@ class Request(ABC):
         if flow.torque_disturbance is not None:
             std.append(flow.torque_disturbance.initial_std)
         with np.errstate(over="ignore"):  # what is not finite is refused by the observer
-            return np.diag(np.concatenate(std) ** 2)
+            return fixed(np.diag(np.concatenate(std) ** 2))
 
     def _take(self, **checked: Any) -> None:
         """Check the rates, and set fields of the frozen request to their checked values."""
