@@ -8,6 +8,7 @@ from dataclasses import replace
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from tsobs_ros.report.figures import draw_run
 from tsobs_ros.report.metrics import measure
@@ -67,6 +68,8 @@ def test_a_figure_has_gaps_where_its_series_have_them(troubled, tmp_path, gap: s
         assert np.isfinite([plot.limits for plot in shown.plots]).all(), list(each)
     draw_run(shown, tmp_path / "run.png")
     write_html(shown, tmp_path / "run.html")
+    pixels = imread(tmp_path / "run.png")[..., :3]
+    assert (pixels[:, [0, -1]] > 0.9).all(), "something is clipped"
 
 
 def test_a_figure_survives_what_a_bag_may_lack(robot, tmp_path) -> None:

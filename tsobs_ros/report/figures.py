@@ -32,7 +32,7 @@ from tsobs_ros.style import MUTED, STYLE
 _WIDTH, _ROW, _HEAD, _DPI = 10.0, 1.6, 1.5, 140
 _FAINT = 0.15
 # Characters of a label and of a remark in a line, for which there is room.
-_LABEL_WIDTH, _REMARK_WIDTH = 20, 82
+_LABEL_WIDTH, _REMARK_WIDTH = 20, 70
 
 
 def draw_run(picture: Picture, path: Path) -> None:
