@@ -179,9 +179,10 @@ OTHERS: dict[str, tuple[tuple[str, ...], dict[str, Any], tuple[int, int]]] = {
 }
 
 
-@pytest.mark.parametrize("kind", OTHERS)
-def test_of_other_chunks_the_messages_are_picked_out(tmp_path: Path, kind: str) -> None:
-    topics, options, expected = OTHERS[kind]
+@pytest.mark.parametrize(("topics", "options", "expected"), OTHERS.values(), ids=OTHERS)
+def test_of_other_chunks_the_messages_are_picked_out(
+    tmp_path: Path, topics: tuple[str, ...], options: dict[str, Any], expected: tuple[int, int]
+) -> None:
     file = write_mcap(tmp_path / "other.mcap", WRITTEN, **options)
     new = copy(file, tmp_path / "new", topics)
     check(file, new, topics)

