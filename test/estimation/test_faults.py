@@ -89,8 +89,13 @@ def test_a_bias_is_told_with_its_size_and_when_it_was_first_seen() -> None:
 
 
 def test_a_ramp_is_a_drift_with_its_rate() -> None:
-    last = feed(FaultMonitor(STD), lambda t: 0.01 * (t - 1.0), 25.0)[-1]
+    monitor = FaultMonitor(STD)
+    last = feed(monitor, lambda t: 0.01 * (t - 1.0), 25.0)[-1]
     assert last.kind is FaultKind.DRIFT
+    values = monitor.status(27 * SECOND).values
+    assert {"kind", "since"} < values.keys()
+    assert any(key.startswith("rate") for key in values)
+    assert monitor.innovation_status().level is Level.OK
     assert last.rate == pytest.approx(0.01, rel=0.1)
     assert last.frequency is None
     assert last.magnitude == pytest.approx(0.245, abs=0.01)
