@@ -132,3 +132,14 @@ def test_a_hostile_summary_is_refused(tmp_path: Path, data, summary, reason: str
         return
     with pytest.raises(BagReadError, match=rf"x\.mcap: .*{reason}"):
         read_summary(path)
+
+
+def test_a_summary_of_gigabytes_is_refused_unread(tmp_path: Path) -> None:
+    front = MAGIC + bytes_of(HEADER)
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as stream:
+        stream.write(front)
+        stream.seek(4 * MAX_SIZE)  # a hole
+        stream.write(bytes_of(Footer(len(front), 0, 0)) + MAGIC)
+    with pytest.raises(BagReadError, match="too many to read"):
+        read_summary(path)

@@ -4,6 +4,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,14 @@ def test_what_is_no_metadata_is_refused(
         read_metadata(tmp_path)
 
 
+@pytest.mark.parametrize("name", ["bag\0.mcap", "bag_1.mcap"])
+def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path, name: str) -> None:
+    files = (FileMetadata(name), FileMetadata("bag_1.mcap"))
+    write_metadata(tmp_path, replace(METADATA, files=files))
+    with pytest.raises(BagReadError, match="needs a name that no other has"):
+        read_metadata(tmp_path)
+
+
 def test_the_yaml_is_the_one_jazzy_writes_and_rosbags_understands() -> None:
     forever = {"sec": 9223372036, "nsec": 854775807}
     assert yaml.safe_load(profiles_to_yaml([QosProfile()])) == [
@@ -144,6 +153,7 @@ def test_profiles_survive_yaml_and_policies_by_number_are_those_of_the_rmw() -> 
         (of(depth=-1), "`int` >= 0 - at .*depth"),
         (of(deadline={"sec": math.inf, "nsec": 0}), "got `float` - at .*deadline.sec"),
         ("a: b", "not a"),
+        ("- 1", "not a"),
         ("[", "not a"),
         ("- {history: unknown}", "not a"),
     ],

@@ -249,6 +249,7 @@ def overwritten(data: bytes, opcode: Opcode, place: int, new: bytes) -> bytes:
     [
         (lambda d: d.replace(b"hello", b"HELLO"), "at byte .* checksum .*tsobs bag recover"),
         (lambda d: d[:-1], "has no end.*tsobs bag recover"),
+        (lambda d: b"", "not an MCAP file"),
         (lambda d: MAGIC * 2, "has no end|damaged"),
         (lambda d: d[:-12] + b"abcd" + MAGIC, "checksum .* of its summary"),
         (lambda d: MAGIC + d[d.index(b"\x0c") :], "does not start with a header"),
