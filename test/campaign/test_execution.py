@@ -6,7 +6,7 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -83,18 +83,16 @@ def test_neither_threads_nor_interruptions_change_a_bit(
         run_campaign(short.with_runs(100), folder)
 
 
-@pytest.mark.slow
-def test_a_cluster_whose_worker_is_killed_gives_the_same_bits(
-    short: Campaign, done: Path, tmp_path: Path
-) -> None:
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[tuple[str, list[Any]]]:
+    """Yield the address and the processes of a scheduler and two workers."""
     distributed: Any = pytest.importorskip("distributed")
-    folder, file = tmp_path / "campaign", tmp_path / "scheduler.json"
+    file = tmp_path / "scheduler.json"
     common = ("--no-dashboard", "--scheduler-file", str(file))
     options = ("--port", "0", "--host", "127.0.0.1"), *[("--no-nanny",)] * 2
-    python = (sys.executable, "-m")
     processes = [
         subprocess.Popen(
-            [*python, f"distributed.cli.dask_{what}", *common, *option],
+            [sys.executable, "-m", f"distributed.cli.dask_{what}", *common, *option],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
@@ -104,21 +102,41 @@ def test_a_cluster_whose_worker_is_killed_gives_the_same_bits(
         with distributed.Client(scheduler_file=str(file), set_as_default=False) as client:
             client.wait_for_workers(2)  # both then have parts that are not done
             address = str(client.scheduler.address)
-        seen: list[int] = []
-
-        def progress(runs: int) -> None:
-            if runs and not sum(seen):
-                processes[1].send_signal(signal.SIGKILL)
-            seen.append(runs)
-
-        run_campaign(short, folder, scheduler=address, progress=progress)
-        assert processes[1].wait(20.0) == -signal.SIGKILL
+        yield address, processes
     finally:
         for process in processes:
             process.kill()
             process.wait()
+
+
+@pytest.mark.slow
+def test_a_cluster_whose_worker_is_killed_gives_the_same_bits(
+    short: Campaign, done: Path, tmp_path: Path, cluster: tuple[str, list[Any]]
+) -> None:
+    address, (_, worker, _) = cluster
+    seen: list[int] = []
+
+    def progress(runs: int) -> None:
+        if runs and not sum(seen):
+            worker.send_signal(signal.SIGKILL)
+        seen.append(runs)
+
+    run_campaign(short, tmp_path / "campaign", scheduler=address, progress=progress)
+    assert worker.wait(20.0) == -signal.SIGKILL
     assert sum(seen) == 250
-    assert files_of(folder) == files_of(done)
+    assert files_of(tmp_path / "campaign") == files_of(done)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_goes_away_ends_the_campaign_with_one_line(
+    short: Campaign, tmp_path: Path, cluster: tuple[str, list[Any]]
+) -> None:
+    address, (scheduler, *_) = cluster
+    with pytest.raises(CampaignError, match=r"scheduler tcp.*the same command goes on with the"):
+        run_campaign(
+            short, tmp_path / "campaign", scheduler=address,
+            progress=lambda runs: scheduler.kill() if runs else None,
+        )  # fmt: skip
 
 
 def test_a_scheduler_that_is_not_there(short: Campaign, tmp_path: Path) -> None:
