@@ -6,7 +6,8 @@
 
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --disable-pip-version-check
+# Not compiled at once, which would take a third of the time and of the room.
+PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile
 SOURCES := setup.py setup.cfg pyproject.toml package.xml \
   $(wildcard config/*.yaml examples/*.py tsobs_ros/core/*.[ch])
 # What the demo needs, and everything that the README shows; tests need more.

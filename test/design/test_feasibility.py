@@ -29,6 +29,8 @@ BIAS, CLEAN = (DisturbanceTerm("bias"),), (DisturbanceTerm("clean"),)
 DRIFT = (DisturbanceTerm("gauss_markov"),)
 NO_GRAVITY = ElasticJointArm(gravity_torque=0.0)
 
+SLOW = pytest.mark.slow
+
 
 def tone(frequency: float) -> tuple[DisturbanceTerm, ...]:
     return (DisturbanceTerm("sinusoid", {"frequency": frequency}),)
@@ -139,20 +141,20 @@ def lorenz() -> TSRequest:
         pytest.param(of(("motor_angle", BIAS), ("link_angle", BIAS), link=BIAS),
          ["kind gauss_markov for the torque at the link", "kind clean for motor_angle",
           "kind clean for link_angle", "kind clean for the torque at the link"],
-         id="two encoders"),
+         id="two encoders", marks=SLOW),
         pytest.param(of(("link_velocity", CLEAN), x_max=2.0),
          ["a smaller domain: x_max below 1.571 rad", "a further output without disturbance: link_"],
          id="velocity"),
         pytest.param(ArmRequest(disturbance=tone(1.4)),
          ["x_max below 0.5722 rad", "a disturbance frequency away", "motor_ang"],
-         id="tone"),
-        pytest.param(ArmRequest(disturbance=(*BIAS, *BIAS)), ["fewer terms"], id="two biases"),
+         id="tone", marks=SLOW),
+        pytest.param(ArmRequest(disturbance=(*BIAS, *BIAS)), ["fewer terms"], id="two biases", marks=SLOW),
         pytest.param(of(("motor_angle", CLEAN), ("link_angle", (DisturbanceTerm("arbitrary"),))),
          ["a model of the disturbance"], id="arbitrary"),
         pytest.param(ArmRequest(process_noise=ProcessNoise(0.0, 0.0)), ["process_noise above 0"],
          id="no noise"),
         pytest.param(lorenz(), ["a faster rate: ", "a smaller domain: rules 75 % as far"],
-         id="Lorenz"),
+         id="Lorenz", marks=SLOW),
     ],
 )  # fmt: skip
 def test_every_remedy_that_is_suggested_has_a_design(
