@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 
 TYPE_CHECKING = False
@@ -54,6 +55,15 @@ def interrupt() -> None:
             signal.signal(each, lambda _number, _frame: None)
         raise KeyboardInterrupt
 
+    def raise_again(lost: Any) -> None:
+        """Interrupt a moment later if the exception was lost, as in a destructor."""
+        if not isinstance(lost.exc_value, KeyboardInterrupt):
+            sys.__unraisablehook__(lost)
+            return
+        signal.signal(signal.SIGINT, raise_once)
+        threading.Timer(0.001, os.kill, (os.getpid(), signal.SIGINT)).start()
+
+    sys.unraisablehook = raise_again
     for number in _SIGNALS:
         signal.signal(number, raise_once)
 
