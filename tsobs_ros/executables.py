@@ -13,8 +13,9 @@ import signal
 import sys
 
 # Before anything else is imported, which takes a tenth of a second on a busy machine.
+_NAMES = ("observer", "plant_simulator", "recorder", "player", "visualizer", "tsobs")
 _PROCESS = sys.argv[0].rpartition("/")[2]
-if _PROCESS in ("observer", "plant_simulator", "recorder", "player", "visualizer", "tsobs"):
+if _PROCESS in _NAMES:
     for _number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(_number, lambda _number, _frame: os._exit(_PROCESS == "tsobs"))
 
@@ -92,9 +93,8 @@ visualizer = partial(run, "visualizer")
 
 if __name__ == "__main__":
     # `python -m tsobs_ros.executables observer …` where no script has been installed.
-    names = ("observer", "plant_simulator", "recorder", "player", "visualizer", "tsobs")
-    if len(sys.argv) < 2 or sys.argv[1] not in names:
-        print(f"usage: python -m tsobs_ros.executables {'|'.join(names)} …", file=sys.stderr)
+    if len(sys.argv) < 2 or sys.argv[1] not in _NAMES:
+        print(f"usage: python -m tsobs_ros.executables {'|'.join(_NAMES)} …", file=sys.stderr)
         sys.exit(2)
     name = sys.argv.pop(1)
     sys.exit(tsobs() if name == "tsobs" else run(name))

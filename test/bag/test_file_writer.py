@@ -15,8 +15,9 @@ from mcap.writer import CompressionType, Writer
 
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter
+from tsobs_ros.bag.message_series import MessageSeries
 from tsobs_ros.bag.metadata import TopicInfo
-from tsobs_ros.bag.writer import MessageSeries, packed
+from tsobs_ros.bag.writer import packed
 
 CHUNK_SIZE = 400
 TIMES = st.integers(0, 2**63 - 1)

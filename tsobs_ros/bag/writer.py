@@ -9,17 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
-from typing import Any, NamedTuple, Self, TypeAlias
+from typing import Any, Self
 
 import numpy as np
 from mcap.opcode import Opcode
-from numpy.typing import NDArray
 
 from tsobs_ros import __version__
 from tsobs_ros.bag.container import MESSAGE, RECORD, Records
 from tsobs_ros.bag.copying import RecordedChunk
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter
+from tsobs_ros.bag.message_series import Message, MessageSeries
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     BagMetadata,
@@ -35,38 +35,6 @@ from tsobs_ros.files import written_whole
 
 LIBRARY = "tsobs_ros"
 CHUNK_SIZE = 786_432
-
-Message: TypeAlias = tuple[str, str, bytes, int, int]
-"""A `BagMessage` as a plain tuple, whose class would cost more than the rest of it."""
-
-
-class MessageSeries(NamedTuple):
-    """Messages of a topic that have the same size, n of them.
-
-    Attributes:
-        topic: The topic.
-        type: Its type.
-        log_times: ns since the epoch, shape (n,).
-        publish_times: ns since the epoch, shape (n,).
-        data: In CDR, shape (n, size).
-    """
-
-    topic: str
-    type: str
-    log_times: NDArray[np.int64]
-    publish_times: NDArray[np.int64]
-    data: NDArray[np.uint8]
-
-    def take(self, chosen: NDArray[Any] | slice) -> "MessageSeries":
-        """Return some of the messages."""
-        times = self.log_times[chosen], self.publish_times[chosen]
-        return MessageSeries(self.topic, self.type, *times, self.data[chosen])
-
-    def messages(self) -> list[Message]:
-        """Return them one by one."""
-        times = zip(self.log_times.tolist(), self.publish_times.tolist(), strict=True)
-        rows = zip(self.data, times, strict=True)
-        return [(self.topic, self.type, row.tobytes(), *each) for row, each in rows]
 
 
 class BagWriter:

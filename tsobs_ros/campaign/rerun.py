@@ -9,8 +9,9 @@ import numpy as np
 
 from tsobs_ros.bag.estimate_topics import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, sides
 from tsobs_ros.bag.joint_states import JOINT_STATE
+from tsobs_ros.bag.message_series import Message
 from tsobs_ros.bag.metadata import QosProfile
-from tsobs_ros.bag.writer import BagWriter, Message
+from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.campaign.batches import stamps_of
 from tsobs_ros.campaign.definition import Campaign, CampaignError
 from tsobs_ros.campaign.drawing import draw

@@ -24,9 +24,10 @@ from tsobs_ros.bag.container import MAGIC
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.joint_series import RawMessages, Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
+from tsobs_ros.bag.message_series import Message, MessageSeries
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.tick_log import DEFINITION, TICK_LOG, encode_ticks
-from tsobs_ros.bag.writer import Message, MessageSeries, whole_bag
+from tsobs_ros.bag.writer import whole_bag
 from tsobs_ros.checks import Flags
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text

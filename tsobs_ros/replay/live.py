@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_series import RawMessages, Times
-from tsobs_ros.bag.writer import MessageSeries
+from tsobs_ros.bag.message_series import MessageSeries
 from tsobs_ros.checks import Flags
 from tsobs_ros.replay.windows import LiveCounts
 from tsobs_ros.series import NANOSECONDS

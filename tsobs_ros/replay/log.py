@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
+from tsobs_ros.bag.message_series import MessageSeries
 from tsobs_ros.bag.metadata import QosProfile, TopicInfo
 from tsobs_ros.bag.reader import BagMessage
-from tsobs_ros.bag.writer import MessageSeries
 from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import LogError

@@ -9,8 +9,9 @@ from collections.abc import Iterable, Iterator
 from operator import itemgetter
 
 from tsobs_ros.bag.copying import ChunkCopy
+from tsobs_ros.bag.message_series import Message, MessageSeries
 from tsobs_ros.bag.reader import BagMessage
-from tsobs_ros.bag.writer import BagWriter, Message, MessageSeries
+from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.replay.source import Source
 

@@ -3,20 +3,18 @@
 """The places of joints' numbers in the topics of an observer and of a simulator."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.message_series import MessageSeries
 from tsobs_ros.checks import Array
 from tsobs_ros.design.signals import Field, Place, Signals, positions
 from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.series import Stamps
-
-if TYPE_CHECKING:
-    from tsobs_ros.bag.writer import MessageSeries
 
 Places: TypeAlias = Mapping[str, Sequence[Place]]
 """The places of a joint's numbers by topic."""
@@ -149,7 +147,7 @@ class EstimateEncoder:
         """Full names of the topics."""
         return tuple(self._prefix + name for name in self._layouts)
 
-    def messages(self, topic: str, at: Times3, values: Sequence[Array]) -> list["MessageSeries"]:
+    def messages(self, topic: str, at: Times3, values: Sequence[Array]) -> list[MessageSeries]:
         """Return messages of what there is.
 
         Args:
@@ -158,9 +156,6 @@ class EstimateEncoder:
             values: Of each joint in the order of `places_of`, NaN for none, shape (m, width);
                 a joint without any may have fewer.
         """
-        # Not above: the observer encodes messages without what files take.
-        from tsobs_ros.bag.writer import MessageSeries
-
         if topic not in self._layouts:
             return []
         layout, found = self._layouts[topic], []
