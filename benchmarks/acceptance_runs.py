@@ -8,6 +8,7 @@ lost sample is lost with its torque: ours knows that, and the others hold the to
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,11 +17,11 @@ from numpy.typing import NDArray
 from tsobs_ros.campaign.batches import observe
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.baselines import GATE
+from tsobs_ros.estimation.baselines import GATE, extended_kalman
 from tsobs_ros.estimation.estimator import Estimator, Rows
 from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.estimation.records import Hypothesis
-from tsobs_ros.methods import ObserverSettings, make_ekf
+from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.report.comparison import THETAS
 from tsobs_ros.report.metrics import SIGMAS
@@ -146,7 +147,15 @@ def kalman(
         learns: Whether stiffness and gravity are states.
         gated: Whether it has a gate.
     """
-    ekf = make_ekf(design, arm=arm, learns=learns, gate=GATE if gated else np.inf)
+    request = replace(design.arm_request, arm=arm or design.arm_request.arm)
+    filter_ = extended_kalman(
+        request.flow,
+        request.measurement_covariance,
+        request.initial_covariance,
+        request.uncertainty_model if learns else None,
+        gate=GATE if gated else np.inf,
+    )
+    ekf = make_tracker(design, estimator=filter_)
     stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
     rows = []
     for y, u in zip(runs.measurements, runs.torques, strict=True):

@@ -25,10 +25,9 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.faults import FaultMonitor, add_samples, new_watches
-from tsobs_ros.methods import ObserverSettings, make_ekf, make_tracker
+from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation import plant
@@ -160,8 +159,8 @@ def accuracy(case: Case, design: Design, plain: Design, seeds: Sequence[int]) ->
     """Return the errors of the observers; `plain` is the design without torque disturbance."""
     runs = simulate(case.scenario, seeds)
     ours = observe(design, runs)
-    states = {"ours": ours.field("state"), "EKF": _ekf(design, runs, np.inf)}
-    states["gated EKF"] = _ekf(design, runs, GATE)
+    states = {"ours": ours.field("state"), "EKF": _ekf(design, runs, "ekf_plain")}
+    states["gated EKF"] = _ekf(design, runs, "ekf")
     if plain is not design:
         states[_PLAIN] = observe(plain, runs, estimator=plain.observer()).field("state")
         states[_PLAIN_NODE] = observe(plain, runs).field("state")
@@ -178,14 +177,8 @@ def accuracy(case: Case, design: Design, plain: Design, seeds: Sequence[int]) ->
     )
 
 
-def _ekf(design: Design, runs: Trajectories, gate: float) -> Array:
-    ekf = make_ekf(design, gate=gate)
-    stamps = _stamps(runs)
-    rows = []
-    for y, u in zip(runs.measurements, runs.torques, strict=True):
-        ekf.reset()
-        rows.append(ekf.follow(stamps, y, u)["state"])
-    return np.stack(rows)
+def _ekf(design: Design, runs: Trajectories, method: str) -> Array:
+    return observe(design, runs, ObserverSettings(method=method)).field("state")
 
 
 def _squares(design: Design, states: Array, runs: Trajectories) -> Array:

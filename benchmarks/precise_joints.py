@@ -24,12 +24,10 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.estimation.baselines import GATE
-from tsobs_ros.methods import make_ekf
+from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.report.metrics import SIGMAS
-from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Trajectories
 
 _COUNT = 2.0 * math.pi / 4096.0
@@ -213,14 +211,8 @@ def judged(case: Case, design: Design, runs: Trajectories) -> Found:
     late, place = runs.times >= _JUDGED, case.hidden
     mine = observe(design, runs)
     states = {"ours": mine.field("state")}
-    stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
-    for who, gate in (("plain", math.inf), ("gated", GATE)):
-        ekf = make_ekf(design, gate=gate)
-        rows = []
-        for y, u in zip(runs.measurements, runs.torques, strict=True):
-            ekf.reset()
-            rows.append(ekf.follow(stamps, y, u)["state"])
-        states[who] = np.stack(rows)
+    for who, method in (("plain", "ekf_plain"), ("gated", "ekf")):
+        states[who] = observe(design, runs, ObserverSettings(method=method)).field("state")
     away = {who: (each - runs.physical)[:, late] for who, each in states.items()}
     kept = np.abs(away["ours"]) <= SIGMAS * mine.field("state_bound")[:, late]
     claims = mine.field("claimed")[:, late] > 0.0

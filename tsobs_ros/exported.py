@@ -20,7 +20,7 @@ from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.methods import FILTERS, ObserverSettings, make_tracker
+from tsobs_ros.methods import ObserverSettings, make_tracker
 
 MAX_STEPS = 1024
 """Most measurements in a history, as that of the node."""
@@ -37,12 +37,10 @@ def exported(
         max_steps: Most measurements to which a late one can rewind. Each takes the room of a state.
 
     Raises:
-        ModelError: The method cannot observe this model or runs over recordings only, or the
-            number of measurements is not within 1 and a million.
+        ModelError: The method cannot observe this model, or the number of measurements is not
+            within 1 and a million.
     """
     settings = settings or ObserverSettings()
-    if settings.method in FILTERS:
-        raise ModelError(f"method {settings.method}: runs over recordings and arrays only")
     if not 1 <= max_steps <= 10**6:
         raise ModelError(f"max_steps: expected 1 to 1000000, got {max_steps}")
     tracker: Tracker = make_tracker(design, settings)

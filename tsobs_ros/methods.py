@@ -16,7 +16,6 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import STALE_AFTER
 from tsobs_ros.estimation.options import TORQUE_RATE, GainMode, SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.paper.observer import (
     PAPER_WARNING,
     SYSTEM_WARNING,
@@ -283,32 +282,6 @@ def make_tracker(
         restart_after=settings.stale_after,
     )
     return Tracker(estimator or make_estimator(design, settings), options)
-
-
-def make_ekf(
-    design: Design,
-    settings: ObserverSettings | None = None,
-    *,
-    arm: ElasticJointArm | None = None,
-    learns: bool = False,
-    gate: float = baselines.GATE,
-) -> Tracker:
-    """Return a tracker with the EKF of a design: with its disturbance model, noise and start.
-
-    Args:
-        design: The design.
-        settings: Timeouts; the node's defaults if None.
-        arm: The arm that it takes for the true one; the design's if None.
-        learns: Whether the parameters that the design calls uncertain are states.
-        gate: Sigmas of an innovation beyond which a sample is left out; infinite: none is.
-
-    Raises:
-        ModelError: The design calls nothing uncertain that is to be a state, or an arm is given for
-            one that is not for an arm.
-    """
-    request = design.request if arm is None else replace(design.arm_request, arm=arm)
-    estimator = _extended_kalman(request, learns=learns, gate=gate)
-    return make_tracker(design, settings, estimator)
 
 
 def _extended_kalman(request: ArmRequest | TSRequest, *, learns: bool, gate: float) -> Estimator:

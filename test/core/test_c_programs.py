@@ -105,8 +105,10 @@ def log_of(design: Design) -> tuple[Array, Array, Array]:
     return time[order], angle[order], torque[order]
 
 
-def of_python(design: Design, time: Array, angle: Array, torque: Array) -> Array:
-    tracker = ts.make_tracker(design)
+def of_python(
+    design: Design, settings: ts.ObserverSettings, time: Array, angle: Array, torque: Array
+) -> Array:
+    tracker = ts.make_tracker(design, settings)
     rows = tracker.estimator.new_rows(len(time))
     now = 0
     for at, y, u, row in zip(time.tolist(), angle, torque.tolist(), rows, strict=True):
@@ -118,18 +120,22 @@ def of_python(design: Design, time: Array, angle: Array, torque: Array) -> Array
     return rows
 
 
-def test_every_bit_is_that_of_python(design: Design, program: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("method", ["certified", "ekf"])
+def test_every_bit_is_that_of_python(
+    design: Design, program: Path, tmp_path: Path, method: str
+) -> None:
+    settings = ts.ObserverSettings(method=method)
     time, angle, torque = log_of(design)
     table = np.column_stack([time, angle, torque])
     lines = [",".join("" if np.isnan(x) else repr(float(x)) for x in row) for row in table]
     log, file = tmp_path / "log.csv", tmp_path / "my_arm.tsobs"
     log.write_text("\n".join(["time,outputs,torque", *lines, ""]), "ascii")
-    ts.export_c(design, file)
+    ts.export_c(design, file, settings)
 
     done = run(program, file, log)
 
     names, *printed = [line.split(",") for line in done.stdout.splitlines()]
-    expected = of_python(design, time, angle, torque)
+    expected = of_python(design, settings, time, angle, torque)
     assert len(names) == 1 + expected.shape[1]
     found = np.full_like(expected, np.nan)
     for row, line in zip(found, printed, strict=True):
@@ -138,7 +144,8 @@ def test_every_bit_is_that_of_python(design: Design, program: Path, tmp_path: Pa
     assert np.isfinite(expected).all(axis=1).mean() > 0.99
     np.testing.assert_array_equal(found, expected)
     assert found.tobytes() == np.where(np.isnan(expected), np.nan, expected).tobytes()
-    assert len(set(found[:, names.index("hypothesis_1") - 1])) > 1  # the bank was awake
+    awake = len(set(found[:, names.index("hypothesis_1") - 1])) > 1
+    assert awake == (method == "certified")
 
 
 @pytest.fixture(scope="module")
@@ -194,8 +201,8 @@ def test_records_that_do_not_fit_are_refused(
 
 def test_what_cannot_be_exported_is_said(tmp_path: Path) -> None:
     design, path = DESIGNS["fixed"](), tmp_path / "x.tsobs"
-    with pytest.raises(ts.TsobsError, match="method ekf: runs over recordings and arrays only"):
-        ts.export_c(design, path, ts.ObserverSettings(method="ekf"))
+    with pytest.raises(ts.TsobsError, match="method ekf_augmented: the design calls no parameter"):
+        ts.export_c(design, path, ts.ObserverSettings(method="ekf_augmented"))
     with pytest.raises(ts.TsobsError, match="max_steps: expected 1 to 1000000, got 0"):
         ts.export_c(design, path, max_steps=0)
     assert not path.exists()

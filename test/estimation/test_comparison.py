@@ -24,7 +24,7 @@ from tsobs_ros.estimation.baselines import (
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.methods import make_ekf
+from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -100,7 +100,7 @@ def test_parameters_of_an_ekf_are_as_states() -> None:
         sides = [kicked(x + each, torque) - kicked(x - each, torque) for each in columns]
         return np.array(sides).T / 2e-6
 
-    ekf = make_ekf(SHIPPED, learns=True, gate=np.inf)
+    ekf = make_tracker(SHIPPED, ObserverSettings(method="ekf_augmented"))
     found = ekf.follow(stamps_of(count), RUN.measurements[0, :count], RUN.torques[0, :count])
     to_physical = request.arm.to_physical
     for y, (u,), row in zip(RUN.measurements[0], RUN.torques[0], found, strict=False):
@@ -124,7 +124,9 @@ def test_parameters_of_an_ekf_are_as_states() -> None:
 def test_an_ekf_that_leaves_out_most_samples_starts_its_covariance_again() -> None:
     y, u = RUN.measurements[0].copy(), RUN.torques[0]
     y[2000:] += 1.0
-    ekf, plain = make_ekf(SHIPPED), make_ekf(SHIPPED, gate=np.inf)
+    ekf, plain = (
+        make_tracker(SHIPPED, ObserverSettings(method=method)) for method in ("ekf", "ekf_plain")
+    )
     rows, others = (each.follow(stamps_of(len(y)), y, u) for each in (ekf, plain))
     bounds, left_out = rows.state_bound, ekf.rejected
 

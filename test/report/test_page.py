@@ -179,6 +179,11 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
     silent = summarise(metrics, found, diagnose([], 0, 20.0), timing, events)
     assert silent.level is Level.WARN
     assert "Measurements stayed away 2 times." in silent.text
+    once = summarise(metrics, found, diagnose([], 0, 20.0), timing, events[:1])
+    assert "Measurements stayed away once." in once.text
+    # What comes after the last measurement is no silence.
+    ended = summarise(metrics, found, diagnose([], 0, 20.0), timing, events, until=0)
+    assert ended == summarise(metrics, found, diagnose([], 0, 20.0), timing)
 
     wrong = replace(simulated, state_bounds=0.1 * simulated.state_bounds)
     bad = summarise(measure(wrong), None, diagnosed, timing)

@@ -179,7 +179,8 @@ def make_bag_report(
     if run.truth is None:
         remarks.append("note: the bag has no ground truth, so there are bounds but no errors")
     if run.passes > 1:
-        remarks.append(f"note: time restarted {run.passes - 1} times; this is the longest pass")
+        often = "once" if run.passes == 2 else f"{run.passes - 1} times"
+        remarks.append(f"note: time restarted {often}; this is the longest pass")
     if not metrics.windows:
         remarks.append("note: the run is too short to have a settled part, so there are no errors")
     if not diagnosed.count:
@@ -214,7 +215,14 @@ def make_bag_report(
             events=tuple(events.events),
             begin=run.origin,
             comparison=comparison,
-            summary=summarise(metrics, summed, diagnosed, shown.timing, events.events),
+            summary=summarise(
+                metrics,
+                summed,
+                diagnosed,
+                shown.timing,
+                events.events,
+                int(run.measurements.stamps.max()),
+            ),
             diagnosed=diagnosed,
             timing=shown.timing,
             notes=dict(notes),

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run in plain words: how it went, and what its page has besides the panels."""
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -79,6 +80,7 @@ def summarise(
     diagnosed: Diagnosed,
     timing: TimingSummary,
     events: Iterable[JointEvent] = (),
+    until: float = math.inf,
 ) -> Summary:
     """Return how a run went, by its errors if they are known, else by its innovations.
 
@@ -88,14 +90,19 @@ def summarise(
         diagnosed: Faults and rejects, if recorded.
         timing: Of its measurements.
         events: Changes of the estimates' health.
+        until: Stamp of the last measurement [ns]; the silence after it is no fault of the run.
     """
-    silent = sum(one.event.text.startswith(Phase.COASTING.value) for one in events)
+    silences = sum(
+        one.event.text.startswith(Phase.COASTING.value) and one.event.stamp < until
+        for one in events
+    )
+    often = "once" if silences == 1 else f"{silences} times"
     parts = [
         _of_estimates(metrics),
         _of_bounds(health),
         _of_faults(diagnosed, metrics),
         _of_data(metrics, diagnosed, timing),
-        (Level.WARN, f"Measurements stayed away {silent} times.") if silent else None,
+        (Level.WARN, f"Measurements stayed away {often}.") if silences else None,
     ]
     levels, sentences = zip(*[part for part in parts if part is not None], strict=True)
     return Summary(max(levels), sentences)
