@@ -54,7 +54,7 @@ from std_srvs.srv import Trigger
 from tsobs_ros.errors import printable
 from tsobs_ros.nodes.parameters import ParameterBinding
 from tsobs_ros.nodes.runtime import EXPECTED
-from tsobs_ros.nodes.ticker import Ticking
+from tsobs_ros.nodes.ticker import Ticker
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.settings import setting
 
@@ -96,7 +96,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         ParameterError: A parameter has a wrong type or value.
     """
 
-    ticker: Ticking | None = None
+    ticker: Ticker | None = None
 
     def __init__(self, name: str, schema: type[P], **node_kwargs: Any) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **node_kwargs)

@@ -6,7 +6,7 @@
 tears everything down in order. Nodes are ordinary rclpy nodes with three optional members:
 
 * ``finished`` (bool property): the loop ends once any node is;
-* ``ticker`` (Ticking or None): its ticks are made here, without the executor;
+* ``ticker`` (Ticker or None): its ticks are made here, without the executor;
 * ``close()``: called before any node is destroyed, which is the one step that may hang (see
   `limit_time_left`). Bags and whatever must not be lost are closed here.
 
@@ -39,7 +39,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tsobs_ros.errors import TsobsError, printable
-from tsobs_ros.nodes.ticker import Ticking
+from tsobs_ros.nodes.ticker import Ticker
 from tsobs_ros.stop import StopFlag
 
 EXPECTED = (TsobsError, OSError, NameValidationException)
@@ -150,7 +150,7 @@ def _run_what_is_ready(executor: SingleThreadedExecutor, stop: Callable[[], bool
         pass  # all have run
 
 
-def _tick_for_a_while(tickers: Sequence[Ticking], stop: Callable[[], bool]) -> None:
+def _tick_for_a_while(tickers: Sequence[Ticker], stop: Callable[[], bool]) -> None:
     """Tick and sleep until the executor's turn comes."""
     until = time.monotonic() + _SERVE_PERIOD
     for ticker in tickers:

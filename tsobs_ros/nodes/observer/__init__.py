@@ -32,7 +32,9 @@ services:
   ~/enable                     std_srvs/srv/SetBool: whether anything is published
 """
 
-from tsobs_ros.nodes.observer.node import Observer, create
+from tsobs_ros.nodes.observer.node import Observer
 from tsobs_ros.nodes.observer.parameters import ObserverParameters as Parameters
+
+create = Observer
 
 __all__ = ["Observer", "Parameters", "create"]

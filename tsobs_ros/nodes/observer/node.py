@@ -364,8 +364,3 @@ class Observer(ManagedNode[ObserverParameters]):
         for text in dict.fromkeys(warning(each.design, method) for each in by_path.values()):
             if text:
                 self.get_logger().warning(text)
-
-
-def create(**node_kwargs: Any) -> Observer:
-    """Return the node, for the runtime or any executor."""
-    return Observer(**node_kwargs)

@@ -19,7 +19,9 @@ services:
   ~/reset                          std_srvs/srv/Trigger: start again at t = 0
 """
 
-from tsobs_ros.nodes.plant_simulator.node import PlantSimulatorNode, create
+from tsobs_ros.nodes.plant_simulator.node import PlantSimulatorNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters as Parameters
+
+create = PlantSimulatorNode
 
 __all__ = ["Parameters", "PlantSimulatorNode", "create"]

@@ -21,6 +21,7 @@ from tsobs_ros.model.arm import SIDES
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.plant_simulator.topics import SamplePublisher, TorqueCommands
+from tsobs_ros.nodes.ticker import Ticker
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Plant, PlantScenario
 from tsobs_ros.simulation.signals import Signal
@@ -76,7 +77,14 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             self.at_cleanup(jumps.unregister)
         self._new_plant()
         self._latest = 0
-        self._timer: Any = None
+        # A timer on the node's clock wakes up with each /clock message; only then does it serve,
+        # since a system clock that is set back would stop it.
+        self.ticker = self._ticker = Ticker(
+            self,
+            1.0 / parameters.sample_rate,
+            self._tick,
+            executor_clock=None if self._follows_clock else self._steady,
+        )
 
     def activate(self) -> None:
         """Start sampling, or go on, as soon as there are a time and the wanted subscribers."""
@@ -87,9 +95,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
     def deactivate(self) -> None:
         """Stop sampling."""
         self.destroy_timer(self._start_timer)
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-            self._timer = None
+        self._ticker.stop()
 
     def cleanup(self) -> None:
         """Let the last truth reach its subscribers."""
@@ -147,10 +153,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         what = "going on" if self._index else "started"
         subscribers = self._publish_sample.subscribers
         self.get_logger().info(f"{what}: {subscribers} subscriptions of joint_measurements")
-        # A timer on the node's clock wakes up with each /clock message; only then does it serve,
-        # since a system clock that is set back would stop it.
-        clock = self.get_clock() if self._follows_clock else self._steady
-        self._timer = self.create_timer(1.0 / self._settings.sample_rate, self._tick, clock=clock)
+        self._ticker.start()
         self._tick()
 
     def _is_subscribed(self, waited: int) -> bool:
@@ -164,11 +167,11 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             )
         return there >= wanted or is_over
 
-    def _tick(self, _jump: Any = None) -> None:
-        """Publish every sample that is due and sleep until the next one is."""
+    def _tick(self, _jump: Any = None) -> int | None:
+        """Publish every sample that is due; return the time until the next one is [ns]."""
         now = self._now_ns()
-        if self._timer is None or now == 0:
-            return
+        if not self._ticker.running or now == 0:
+            return None
         back = self._latest - now
         if back > (0 if self._follows_clock else _SLEW_MARGIN):
             self.get_logger().warning(
@@ -186,17 +189,10 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             ]
             self._publish_sample(self._schedule.take(), samples)
         if self._is_over:
-            self._timer.cancel()
-        else:
-            self._sleep()
-
-    def _sleep(self) -> None:
-        """Wake up again when the next sample is due."""
+            self._ticker.stop()
         wait = self._schedule.due - self._now_ns()
-        if self._driven is not None:
-            wait = math.ceil(wait / self._settings.real_time_factor)
-        self._timer.timer_period_ns = max(wait, 1)
-        self._timer.reset()
+        pace = 1.0 if self._driven is None else self._settings.real_time_factor
+        return math.ceil(wait / pace)
 
     def _limit_lag(self, now: int) -> int:
         """Give up catching up after too long a stop; return the time to publish up to."""
@@ -232,9 +228,9 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         """Restart the plant at the next sample; the stamps go on."""
         was_over = self._is_over
         self._new_plant()
-        if was_over and self._timer is not None:
+        if was_over and self.active:
             self._schedule.start(self._now_ns())
-            self._sleep()
+            self._ticker.start()
         message = f"restarted with seed {self._settings.seed}"
         self.get_logger().info(message)
         return True, message
@@ -276,8 +272,3 @@ def exchange(plant: Plant, old: PlantScenario, new: PlantScenario) -> Iterator[s
 def _kinds_of(components: tuple[Signal, ...]) -> str:
     """Return the kinds of components as a parameter has them."""
     return "+".join(each.kind for each in components) or "none"
-
-
-def create(**node_kwargs: Any) -> PlantSimulatorNode:
-    """Return the node, for the runtime or any executor."""
-    return PlantSimulatorNode(**node_kwargs)

@@ -15,7 +15,9 @@ services, std_srvs/srv/Trigger:
   ~/play_next         publish one message in a pause
 """
 
-from tsobs_ros.nodes.player.node import Player, create
+from tsobs_ros.nodes.player.node import Player
 from tsobs_ros.nodes.player.parameters import PlayerParameters as Parameters
+
+create = Player
 
 __all__ = ["Parameters", "Player", "create"]

@@ -9,14 +9,13 @@ means: services to pause and to step, named as those of rosbag2's player, and th
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 
@@ -28,6 +27,7 @@ from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import DiagnosticsPublisher, set_stamp
 from tsobs_ros.nodes.player.parameters import CLOCK, PlayerParameters
 from tsobs_ros.nodes.player.topics import PlayedTopics
+from tsobs_ros.nodes.ticker import Ticker
 
 _READ_AHEAD = 8 * 2**20
 _DIAGNOSTICS_PERIOD = 1.0
@@ -39,8 +39,8 @@ _MAX_BURST = 5_000_000
 _WAIT_POLL = 10_000_000
 _ACKNOWLEDGE_TIMEOUT = 5_000_000_000
 _WARN_EVERY = 5.0
-# Longest wait, after which a change of the position or the rate is noticed [ns].
-_MAX_WAIT = 20_000_000
+# Longest wait, after which a change of the position or the rate is noticed [s].
+_MAX_WAIT = 0.02
 # A best-effort subscriber receives nothing before it has matched the publisher too, and others may
 # be discovered at the same time [ns].
 _SETTLING = 200_000_000
@@ -114,7 +114,7 @@ class Player(ManagedNode[PlayerParameters]):
                 "play_next": self.step,
             }
         )
-        self.ticker = self._pacer = Pacer(self, self._play)
+        self.ticker = self._ticker = Ticker(self, _MAX_WAIT, self._play, executor_clock=steady)
         self.get_logger().info(
             f"opened {printable(str(reader.path))}: {sum(t.count for t in selected)} messages of "
             f"{len(selected)} topics, {self._length * 1e-9:.3f} s"
@@ -133,11 +133,11 @@ class Player(ManagedNode[PlayerParameters]):
         self._is_awaited = True
         self._activated = self._since = time.monotonic_ns()
         self._there = 0
-        self._pacer.start()
+        self._ticker.start()
 
     def deactivate(self) -> None:
         """Stand still."""
-        self._pacer.stop()
+        self._ticker.stop()
         self._playback.pause(time.monotonic_ns())
 
     def cleanup(self) -> None:
@@ -312,72 +312,3 @@ class Player(ManagedNode[PlayerParameters]):
     def _warn(self, text: str) -> None:
         """Log a warning, whatever names from the bag are in it."""
         self.get_logger().warning(printable(text, newline=" "))
-
-
-def create(**node_kwargs: Any) -> Player:
-    """Return a player, ready to be spun; the arguments are those of `Player`."""
-    return Player(**node_kwargs)
-
-
-class Pacer:
-    """Calls back when the callback asked for it, from `start` until `stop`.
-
-    `runtime.run` takes these ticks over as it does a `Ticker`'s: it sleeps until the next one,
-    which is some 60 µs late, while an rclpy timer costs 200 µs of executor each.
-
-    Args:
-        node: The node it belongs to; its clock does not matter, time is steady.
-        callback: What to do; returns how long to wait before it is called again [ns].
-    """
-
-    def __init__(self, node: Node, callback: Callable[[], int]) -> None:
-        self._callback = callback
-        self._running = False
-        self._taken_over = False
-        self._timer = node.create_timer(
-            _MAX_WAIT * 1e-9,
-            self._tick,
-            clock=Clock(clock_type=ClockType.STEADY_TIME),
-            autostart=False,
-        )
-        self._timer.cancel()
-
-    @property
-    def may_be_taken_over(self) -> bool:
-        """Whether there are ticks."""
-        return self._running
-
-    def start(self) -> None:
-        """Start to tick, at once."""
-        self._running = True
-        self._schedule(0)
-
-    def stop(self) -> None:
-        """Stop ticking, until the next `start`."""
-        self._running = self._taken_over = False
-        self._timer.cancel()
-
-    def take_over(self) -> None:
-        """Stop the timer; from now on `run_if_due` ticks."""
-        if not self._taken_over:
-            self._taken_over = True
-            self._timer.cancel()
-
-    def give_back(self) -> None:
-        """Let the timer tick again."""
-        if self._taken_over:
-            self._taken_over = False
-            self._schedule(0)
-
-    def run_if_due(self) -> int:
-        """Do what is due, and return the time until more is [ns]."""
-        return self._callback()
-
-    def _tick(self) -> None:
-        wait = self._callback()
-        if self._running and not self._taken_over:
-            self._schedule(wait)
-
-    def _schedule(self, wait: int) -> None:
-        self._timer.timer_period_ns = min(max(wait, 1), _MAX_WAIT)
-        self._timer.reset()

@@ -15,7 +15,9 @@ services, std_srvs/srv/Trigger:
   ~/snapshot          write the last seconds; with `snapshot_mode`
 """
 
-from tsobs_ros.nodes.recorder.node import Recorder, create
+from tsobs_ros.nodes.recorder.node import Recorder
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters as Parameters
+
+create = Recorder
 
 __all__ = ["Parameters", "Recorder", "create"]

@@ -249,11 +249,6 @@ class Recorder(ManagedNode[RecorderParameters]):
         self.get_logger().warning(printable(text, newline=" "))
 
 
-def create(**node_kwargs: Any) -> Recorder:
-    """Return a recorder that records already; the arguments are those of `Recorder`."""
-    return Recorder(**node_kwargs)
-
-
 def _bag_folder(output: str) -> Path:
     """Return the bag's folder as an absolute path, a dated one in the current folder if unnamed."""
     if output:

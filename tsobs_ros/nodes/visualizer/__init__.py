@@ -16,7 +16,9 @@ topics, sensor_msgs/msg/JointState without another type:
   /diagnostics (in)                  diagnostic_msgs/msg/DiagnosticArray: the sensors' faults
 """
 
-from tsobs_ros.nodes.visualizer.node import Visualizer, create
+from tsobs_ros.nodes.visualizer.node import Visualizer
 from tsobs_ros.nodes.visualizer.parameters import VisualizerParameters as Parameters
+
+create = Visualizer
 
 __all__ = ["Parameters", "Visualizer", "create"]

@@ -117,8 +117,3 @@ def _words(fault: Status) -> str:
         if key.startswith("magnitude")
     ]
     return fault.message + "".join(sizes)
-
-
-def create(**node_kwargs: Any) -> Visualizer:
-    """Return the node, for the runtime or any executor."""
-    return Visualizer(**node_kwargs)
