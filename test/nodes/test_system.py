@@ -106,9 +106,9 @@ def recording(ros: Any, tmp_path: Path) -> Recording:
 
     def all_there() -> bool:
         listen()
-        counts = recording.statistics.topics
+        counts = recording.statistics.counts
         return len(received[MEASUREMENTS]) == SAMPLES and all(
-            counts[topic].messages == len(received[topic]) for topic in TOPICS
+            counts[topic] == len(received[topic]) for topic in TOPICS
         )
 
     ros.spin_until(all_there, TIMEOUT, "everything in the bag")
@@ -199,7 +199,7 @@ def play_again(ros: Any, bag: Path, output: Path) -> None:
         assert publisher.wait_for_all_acked(Duration(seconds=10))
 
     def all_there() -> bool:
-        return recording.statistics.topics[INNOVATION].messages == SAMPLES
+        return recording.statistics.counts[INNOVATION] == SAMPLES
 
     ros.spin_until(all_there, TIMEOUT, "everything in the bag")
     recording.close()

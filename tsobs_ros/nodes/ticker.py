@@ -39,7 +39,7 @@ class Ticker:
         self.running = False
         self._clock = node.get_clock()
         self._callback = callback
-        self._period_ns = round(period * 1e9)
+        self._period_ns = self._scheduled = round(period * 1e9)
         self._due: int | None = None
         self._timer = node.create_timer(period, self._tick, clock=executor_clock, autostart=False)
 
@@ -94,9 +94,9 @@ class Ticker:
 
     def _tick(self) -> None:
         wait = self._callback()
-        if self.running and (wait is not None or self._timer.timer_period_ns != self._period_ns):
+        if self.running and (wait is not None or self._scheduled != self._period_ns):
             self._schedule(self._period_ns if wait is None else min(wait, self._period_ns))
 
     def _schedule(self, wait: int) -> None:
-        self._timer.timer_period_ns = max(wait, 1)
+        self._timer.timer_period_ns = self._scheduled = max(wait, 1)
         self._timer.reset()

@@ -92,8 +92,8 @@ class Scene:
         """Return the finished bag."""
 
         def all_there() -> bool:
-            there = self._recorder.statistics.topics
-            return all(there[topic].messages == count for topic, count in self.sent.items())
+            there = self._recorder.statistics.counts
+            return all(there[topic] == count for topic, count in self.sent.items())
 
         self.stage.wait_until(all_there, "everything in the bag")
         self._recorder.close()

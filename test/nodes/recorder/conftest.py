@@ -55,8 +55,7 @@ class Recording:
     @staticmethod
     def count(recorder: Recorder, topic: str) -> int:
         """Return how many messages of a topic are recorded."""
-        statistics = recorder.statistics.topics.get(topic)
-        return statistics.messages if statistics else 0
+        return recorder.statistics.counts.get(topic, 0)
 
     @staticmethod
     def joint_states(count: int) -> list[JointState]:

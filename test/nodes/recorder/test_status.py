@@ -13,13 +13,11 @@ from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.recorder.status import (
     LossCounter,
     RecorderStatistics,
-    TopicStatistics,
     statuses,
 )
 
-SINCE = 1_700_000_000_123_456_789
-GOOD = TopicStatistics(100, 0, True, SINCE, 480)
-LOSSY = TopicStatistics(90, 3, True, SINCE)
+LOSSY = LossCounter()
+LOSSY.lost = 3
 
 
 def buffer(refused: int = 0) -> SnapshotBuffer:
@@ -33,7 +31,8 @@ def buffer(refused: int = 0) -> SnapshotBuffer:
 
 def counted_so(**changes: Any) -> RecorderStatistics:
     values: dict[str, Any] = {
-        "topics": {"/a": GOOD},
+        "topics": {"/a": LossCounter()},
+        "counts": {"/a": 100},
         "free_disk": 10_000.0,
         "minimum_free_disk": 256,
         "sync_age": 1.0,

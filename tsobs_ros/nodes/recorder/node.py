@@ -20,7 +20,7 @@ from tsobs_ros.errors import BagWriteError, NodeError, printable
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import DiagnosticsPublisher
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
-from tsobs_ros.nodes.recorder.status import RecorderStatistics, TopicStatistics, statuses
+from tsobs_ros.nodes.recorder.status import RecorderStatistics, statuses
 from tsobs_ros.nodes.recorder.topics import TopicFinder
 from tsobs_ros.nodes.ticker import Ticker
 
@@ -117,16 +117,8 @@ class Recorder(ManagedNode[RecorderParameters]):
         """What has been recorded and lost so far, and what decides how well it goes."""
         recording, clock = self._recording, self.get_clock()
         return RecorderStatistics(
-            topics={
-                name: TopicStatistics(
-                    recording.counts[name],
-                    topic.losses.lost,
-                    topic.losses.is_exact,
-                    topic.since_ns,
-                    topic.losses.earlier,
-                )
-                for name, topic in self._finder.recorded.items()
-            },
+            topics={name: each.losses for name, each in self._finder.recorded.items()},
+            counts=recording.counts,
             discarded=recording.discarded,
             bytes=recording.bytes,
             files=recording.file_count,

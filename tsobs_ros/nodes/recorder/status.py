@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import NamedTuple
 
 from tsobs_ros.bag.recording import SnapshotBuffer
 from tsobs_ros.estimation.health import Level, Status
@@ -36,9 +35,11 @@ class LossCounter:
         lost: The number of messages known to be lost since then.
         is_exact: False once these may be too small: the topic has had several publishers at a
             time, or the middleware does not number messages.
+        since_ns: Time of the first arrival, ns since the epoch; None before it.
     """
 
     def __init__(self) -> None:
+        self.since_ns: int | None = None
         self.earlier = 0
         self.lost = 0
         self.is_exact = True
@@ -91,36 +92,16 @@ class LossCounter:
             self._publishers = frozenset() if unclear else publishers
         self._next = number + 1
 
-
-class TopicStatistics(NamedTuple):
-    """Counts of one topic.
-
-    Attributes:
-        messages: Messages recorded.
-        lost: Messages known to be lost, from gaps in the publisher's numbering.
-        loss_known: Whether that is all: false once the topic has had several publishers at a
-            time, or if the middleware does not number messages.
-        since_ns: Time of the first arrival, from which on losses are counted, ns since the epoch;
-            None before it.
-        earlier: Messages that publishers sent before the first that arrived of each.
-    """
-
-    messages: int
-    lost: int
-    loss_known: bool
-    since_ns: int | None = None
-    earlier: int = 0
-
-    def __str__(self) -> str:
-        """Return the counts as text."""
+    def text(self, messages: int) -> str:
+        """Return the counts of a topic in words, with the number of its messages recorded."""
         if self.since_ns is None:
             return "0 messages, nothing has arrived"
-        if not self.loss_known:
+        if not self.is_exact:
             lost = f"at least {self.lost} lost" if self.lost else "losses unknown"
-            return f"{self.messages} messages, {lost}"
+            return f"{messages} messages, {lost}"
         since = datetime.fromtimestamp(self.since_ns // 10**6 / 1e3, UTC)
         return (
-            f"{self.messages} messages, {self.lost} lost since "
+            f"{messages} messages, {self.lost} lost since "
             f"{since.isoformat(timespec='milliseconds')}, {self.earlier} published before"
         )
 
@@ -130,7 +111,8 @@ class RecorderStatistics:
     """All that decides a recorder's statuses.
 
     Attributes:
-        topics: Counts of each topic by its full name.
+        topics: What is missing of each topic, by its full name.
+        counts: Messages recorded of each.
         discarded: Messages discarded in pauses.
         bytes: Bytes of the messages recorded.
         files: Files of the bag.
@@ -144,7 +126,8 @@ class RecorderStatistics:
         snapshot: The last seconds, in snapshot mode.
     """
 
-    topics: Mapping[str, TopicStatistics]
+    topics: Mapping[str, LossCounter]
+    counts: Mapping[str, int]
     discarded: int = 0
     bytes: int = 0
     files: int = 1
@@ -160,7 +143,7 @@ class RecorderStatistics:
     @property
     def messages(self) -> int:
         """The messages recorded."""
-        return sum(topic.messages for topic in self.topics.values())
+        return sum(self.counts.values())
 
     @property
     def lost(self) -> int:
@@ -175,7 +158,7 @@ class RecorderStatistics:
     @property
     def loss_unknown(self) -> list[str]:
         """The topics whose losses are not all known."""
-        return sorted(name for name, topic in self.topics.items() if not topic.loss_known)
+        return sorted(name for name, topic in self.topics.items() if not topic.is_exact)
 
     @property
     def disk_is_filling(self) -> bool:
@@ -209,7 +192,7 @@ def statuses(counts: RecorderStatistics, rate: float) -> list[Status]:
         duration, size = buffer.duration_ns * 1e-9, buffer.size / _MIB
         values["snapshot buffer"] = f"{len(buffer)} messages, {duration:.1f} s, {size:.1f} MiB"
         values["too large for the snapshot buffer"] = str(buffer.refused)
-    topics = {name: str(topic) for name, topic in sorted(counts.topics.items())}
+    topics = {name: one.text(counts.counts[name]) for name, one in sorted(counts.topics.items())}
     level, message = Level.OK, "nothing lost since the first of each"
     if lossy := sorted(name for name, topic in counts.topics.items() if topic.lost):
         level, message = Level.WARN, f"messages lost of {', '.join(lossy)}"

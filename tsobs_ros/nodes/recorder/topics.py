@@ -4,6 +4,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from enum import Enum
 from typing import Any, NamedTuple
 
 from rclpy.duration import Duration
@@ -20,6 +21,7 @@ from tsobs_ros.nodes.messages import message_class
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 from tsobs_ros.nodes.recorder.status import LossCounter
 
+_LATCHED, _RELIABLE = DurabilityPolicy.TRANSIENT_LOCAL, ReliabilityPolicy.RELIABLE
 # The number of a topic's publishers shows that one came, but not that one took another's place.
 _POLLS_PER_FULL_LOOK = 10
 # Messages of a topic remembered at least, to recognise those that arrive by two subscriptions.
@@ -31,23 +33,6 @@ class QosKind(NamedTuple):
 
     latched: bool
     reliable: bool
-
-    @classmethod
-    def of(cls, profile: QoSProfile) -> "QosKind":
-        """Return the kind that a publisher offers."""
-        return cls(
-            latched=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
-            reliable=profile.reliability == ReliabilityPolicy.RELIABLE,
-        )
-
-    def request(self, depth: int) -> QoSProfile:
-        """Return the profile of a subscription that asks for as much as is offered."""
-        reliability, durability = ReliabilityPolicy, DurabilityPolicy
-        return QoSProfile(
-            depth=depth,
-            reliability=reliability.RELIABLE if self.reliable else reliability.BEST_EFFORT,
-            durability=durability.TRANSIENT_LOCAL if self.latched else durability.VOLATILE,
-        )
 
 
 # Publication time, number and length: of two messages of a topic, one is never the same.
@@ -66,7 +51,6 @@ class RecordedTopic:
         definition: Its type.
         offers: What its publishers offered when it was found.
         losses: What is missing of it.
-        since_ns: Time of the first arrival, ns since the epoch; None before it.
     """
 
     def __init__(
@@ -81,7 +65,6 @@ class RecordedTopic:
         self.definition = definition
         self.offers = tuple(to_bag_qos(info.qos_profile) for info in publishers)
         self.losses = LossCounter()
-        self.since_ns: int | None = None
         self._subscribe = subscribe
         self._find_publishers = find_publishers
         self._subscriptions: dict[QosKind, DrainedSubscription] = {}
@@ -98,7 +81,10 @@ class RecordedTopic:
     def subscribe(self, publishers: Sequence[TopicEndpointInfo]) -> None:
         """Subscribe to all the publishers there are, as far as that is not done yet."""
         for info in publishers:
-            kind = QosKind.of(info.qos_profile)
+            kind = QosKind(
+                info.qos_profile.durability == _LATCHED,
+                info.qos_profile.reliability == _RELIABLE,
+            )
             if kind.latched:
                 self._latched_publishers.add(bytes(info.endpoint_gid))
             if kind not in self._subscriptions:
@@ -132,8 +118,8 @@ class RecordedTopic:
                 received.append((message, latch))
                 numbers.append(number)
         if received:
-            if self.since_ns is None:
-                self.since_ns = min(message.log_time_ns for message, _ in received)
+            if self.losses.since_ns is None:
+                self.losses.since_ns = min(message.log_time_ns for message, _ in received)
             self.losses.add(numbers, lambda: _gids(self._find_publishers()))
         if len(self._recent) > _REMEMBERED:
             self._recent, self._older = set(), self._recent
@@ -223,7 +209,12 @@ class TopicFinder:
         )
 
     def _subscription(self, name: str, msg_type: Any, kind: QosKind) -> DrainedSubscription:
-        qos = kind.request(self._selection.queue_depth)
+        # As much as is offered.
+        qos = QoSProfile(
+            depth=self._selection.queue_depth,
+            reliability=_RELIABLE if kind.reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=_LATCHED if kind.latched else DurabilityPolicy.VOLATILE,
+        )
         try:
             return DrainedSubscription(
                 self._node, msg_type, self._given.get(name, name), qos, raw=True
@@ -254,21 +245,14 @@ class TopicFinder:
 
 def to_bag_qos(profile: QoSProfile) -> QosProfile:
     """Return a profile that a publisher offers in the form a bag has it."""
-    return QosProfile(
-        history=profile.history.name.lower(),
-        depth=profile.depth,
-        reliability=profile.reliability.name.lower(),
-        durability=profile.durability.name.lower(),
-        deadline=_to_bag_time(profile.deadline),
-        lifespan=_to_bag_time(profile.lifespan),
-        liveliness=profile.liveliness.name.lower(),
-        liveliness_lease_duration=_to_bag_time(profile.liveliness_lease_duration),
-        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
-    )
+    names = QosProfile.__struct_fields__
+    return QosProfile(**{name: _to_bag(getattr(profile, name)) for name in names})
 
 
-def _to_bag_time(duration: Duration) -> QosTime:
-    return QosTime(*divmod(duration.nanoseconds, 10**9))
+def _to_bag(value: Any) -> Any:
+    if isinstance(value, Duration):
+        return QosTime(*divmod(value.nanoseconds, 10**9))
+    return value.name.lower() if isinstance(value, Enum) else value
 
 
 def _gids(publishers: Sequence[TopicEndpointInfo]) -> frozenset[bytes]:
