@@ -158,7 +158,7 @@ def hear(node: Any) -> dict[str, Any]:
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
 
-    from tsobs_ros.nodes.draining import DrainedSubscription
+    from tsobs_ros.nodes.wire import DrainedSubscription
 
     qos = QoSProfile(depth=_DEPTH)
     return {
@@ -198,7 +198,7 @@ def _listener() -> None:
     from rclpy.qos import QoSProfile
 
     from tsobs_ros.bag.joint_states import JointStateDecoder
-    from tsobs_ros.nodes.draining import DrainedSubscription
+    from tsobs_ros.nodes.wire import DrainedSubscription
 
     node = join_ros().create_node("listener")
     taken, decode = hear(node), JointStateDecoder()

@@ -71,7 +71,7 @@ def _receive(count: int) -> dict[str, list[int]]:
     from sensor_msgs.msg import JointState
 
     from tsobs_ros.bag.joint_states import JointStateDecoder
-    from tsobs_ros.nodes.draining import DrainedSubscription
+    from tsobs_ros.nodes.wire import DrainedSubscription
 
     node, decode = rclpy.create_node("receiver"), JointStateDecoder()
     subscription = DrainedSubscription(node, JointState, _TOPIC, QoSProfile(depth=_DEPTH), raw=True)

@@ -25,7 +25,7 @@ from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes import observer, plant_simulator, player, recorder
-from tsobs_ros.nodes.draining import DrainedSubscription
+from tsobs_ros.nodes.wire import DrainedSubscription
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
 from tsobs_ros.replay.source import BagSource
 

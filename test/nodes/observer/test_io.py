@@ -26,9 +26,15 @@ from tsobs_ros.design.request import (
 )
 from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation.records import Basis, Estimate
-from tsobs_ros.nodes.draining import DrainedSubscription
-from tsobs_ros.nodes.observer.input import MISSING, NOT_NAMED, WRONG, Batch, MeasurementReader
-from tsobs_ros.nodes.observer.output import EstimatePublisher
+from tsobs_ros.nodes.observer.messages import (
+    MISSING,
+    NOT_NAMED,
+    WRONG,
+    Batch,
+    EstimatePublisher,
+    MeasurementReader,
+)
+from tsobs_ros.nodes.wire import DrainedSubscription
 from tsobs_ros.resources import config_path
 
 JOINTS = {joint: signals(ArmRequest(), joint, alone=False) for joint in ("hip", "knee")}

@@ -12,8 +12,8 @@ from staging.stage import BEGIN, MS, PERIOD
 
 from tsobs_ros.estimation.health import Level, Status, judged
 from tsobs_ros.estimation.records import Basis, Hypothesis
-from tsobs_ros.nodes.observer.input import WRONG
 from tsobs_ros.nodes.observer.joints import ObservedJoint, TorqueWatch, observed_joints
+from tsobs_ros.nodes.observer.messages import WRONG
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, of_node
 from tsobs_ros.resources import FIXED_DESIGN, config_path

@@ -29,8 +29,8 @@ from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.design.signals import Place
 from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.observer import Observer, create
+from tsobs_ros.nodes.wire import DrainedSubscription
 from tsobs_ros.series import NANOSECONDS
 
 BEGIN = 100 * NANOSECONDS

@@ -41,11 +41,11 @@ from tsobs_ros.estimation.history import (
 from tsobs_ros.estimation.records import Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
-from tsobs_ros.nodes.observer.input import NOT_NAMED, Stamps
+from tsobs_ros.nodes.observer.messages import NOT_NAMED
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import naming
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.series import NANOSECONDS, Stamps
 
 NAMES = tuple(reason.value if reason else "" for reason in REASONS)
 """Names of the reasons of rejection by their codes."""

@@ -23,15 +23,14 @@ from tsobs_ros.estimation.health import Level, Status, meaning
 from tsobs_ros.estimation.history import REASONS
 from tsobs_ros.estimation.records import Estimate
 from tsobs_ros.methods import warning
-from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import LATCHED, DiagnosticsPublisher
 from tsobs_ros.nodes.observer import statuses
-from tsobs_ros.nodes.observer.input import MeasurementReader
 from tsobs_ros.nodes.observer.joints import OF_INPUT, ObservedJoint, observed_joints
-from tsobs_ros.nodes.observer.output import EstimatePublisher, TickLog
+from tsobs_ros.nodes.observer.messages import EstimatePublisher, MeasurementReader, TickLog
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.ticker import Ticker
+from tsobs_ros.nodes.wire import DrainedSubscription
 
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""

@@ -9,19 +9,17 @@ from typing import Any
 
 import numpy as np
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from tsobs_ros.bag.estimate_topics import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, sides
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.signals import Place, positions, signals
-from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import set_stamp
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
+from tsobs_ros.nodes.wire import QUIET, DrainedSubscription, JointStatePublisher
 from tsobs_ros.simulation.plant import Sample
 
 _ACKNOWLEDGE_TIMEOUT = 1.0
@@ -86,72 +84,53 @@ class TorqueCommands:
             self._end = sample + max(1, round(given.command_timeout * given.sample_rate))
 
 
-class Filled:
-    """A JointState that is made once and whose numbers are overwritten.
-
-    Args:
-        places: Where each of the numbers is; several may be in the same place.
-    """
-
-    def __init__(self, places: Sequence[Place]) -> None:
-        names = list(dict.fromkeys(place.name for place in places))
-        used = {place.field for place in places}
-        lists = {field: [math.nan] * len(names) for field in used}
-        self.message = JointState(name=names, **lists)
-        self._cells = [
-            (getattr(self.message, place.field), names.index(place.name)) for place in places
-        ]
-
-    def fill(self, stamp: int, numbers: Sequence[float]) -> JointState:
-        """Overwrite the stamp [ns] and all numbers, one per place, and return the message."""
-        set_stamp(self.message.header.stamp, stamp)
-        for (field, row), value in zip(self._cells, numbers, strict=True):
-            field[row] = value
-        return self.message
-
-
 class SamplePublisher:
     """Publishes samples as messages, each of all joints."""
 
     def __init__(self, node: Node, parameters: PlantSimulatorParameters) -> None:
         requests = parameters.requests
-        self._joints = [
+        joints = [
             signals(request, joint, alone=len(requests) == 1) for joint, request in requests.items()
         ]
-        arms = [joint for joint, each in requests.items() if isinstance(each, ArmRequest)]
-        # One for each set of joints that have a measurement.
-        self._measurements: dict[tuple[int, ...], Filled] = {}
-        self._to_measurements = node.create_publisher(
-            JointState, "joint_measurements", qos_profile_sensor_data
+        # Outputs last: of an output that is an input too, a lost value shall be NaN. A reliable
+        # publisher suits all usual subscribers; only this one is asked about mismatches.
+        self._measurements = JointStatePublisher(
+            node,
+            "joint_measurements",
+            [(*each.inputs, *each.outputs) for each in joints],
+            qos_profile_sensor_data,
+            events=None,
         )
-        # Executors look at every event of every publisher at every wake-up. A reliable publisher
-        # suits all usual subscribers, so only the best-effort one is asked about mismatches.
-        silent = PublisherEventCallbacks(use_default_callbacks=False)
-        options = {"qos_profile": QoSProfile(depth=10), "event_callbacks": silent}
-        disturbances = positions(name for each in self._joints for name in each.disturbances)
-        truths: dict[str, tuple[str, Sequence[Place]]] = {
-            TRUE_STATES: ("physical", [place for each in self._joints for place in each.states]),
-            TRUE_DISTURBANCE: ("disturbance", disturbances),
-            # The motor's first, as in the truth of a sample.
-            TRUE_TORQUE: (
-                "torque_disturbance",
-                [Place(name, "effort") for joint in arms for name in reversed(sides(joint))],
-            ),
+        # The motor's torque first, as in the truth of a sample.
+        torques = [
+            [
+                Place(name, "effort")
+                for name in reversed(sides(joint))
+                if isinstance(each, ArmRequest)
+            ]
+            for joint, each in requests.items()
+        ]
+        truths: dict[str, tuple[str, Sequence[Sequence[Place]]]] = {
+            TRUE_STATES: ("physical", [each.states for each in joints]),
+            TRUE_DISTURBANCE: ("disturbance", [positions(each.disturbances) for each in joints]),
+            TRUE_TORQUE: ("torque_disturbance", torques),
         }
         self._truths = [
-            (attrgetter(of), Filled(places), node.create_publisher(JointState, topic, **options))
-            for topic, (of, places) in truths.items()
-            if places
+            (attrgetter(of), JointStatePublisher(node, topic, parts))
+            for topic, (of, parts) in truths.items()
+            if any(parts)
         ]
         self._clock = ClockMessage()
         self._to_clock: Any = None
         if parameters.publish_clock:
-            self._to_clock = node.create_publisher(ClockMessage, "/clock", **options)
+            self._to_clock = node.create_publisher(
+                ClockMessage, "/clock", 10, event_callbacks=QUIET
+            )
 
     @property
     def subscribers(self) -> int:
         """Number of matched subscriptions of the measurements."""
-        return int(self._to_measurements.get_subscription_count())
+        return int(self._measurements.publisher.get_subscription_count())
 
     def __call__(self, stamp: int, samples: Sequence[Sample]) -> None:
         """Publish the time, the truth and, unless they were lost, the measurements.
@@ -163,27 +142,16 @@ class SamplePublisher:
         if self._to_clock is not None:
             set_stamp(self._clock.clock, stamp)
             self._to_clock.publish(self._clock)
-        for truth, filled, publisher in self._truths:
-            numbers = [number for each in samples for number in truth(each).tolist()]
-            publisher.publish(filled.fill(stamp, numbers))
-        lost = [np.isnan(each.measurement).all() for each in samples]
-        measured = tuple(place for place, is_lost in enumerate(lost) if not is_lost)
-        if not measured:
-            return
-        if measured not in self._measurements:
-            joints = [self._joints[place] for place in measured]
-            self._measurements[measured] = Filled(
-                [place for each in joints for place in (*each.inputs, *each.outputs)]
-            )
-        # Outputs last: of an output that is an input too, a lost value shall be NaN.
-        numbers = [
-            number
-            for each in (samples[place] for place in measured)
-            for number in (*each.torque.tolist(), *each.measurement.tolist())
-        ]
-        self._to_measurements.publish(self._measurements[measured].fill(stamp, numbers))
+        for truth, publisher in self._truths:
+            publisher.publish(stamp, {k: truth(each).tolist() for k, each in enumerate(samples)})
+        measured = {
+            place: [*each.torque.tolist(), *each.measurement.tolist()]
+            for place, each in enumerate(samples)
+            if not np.isnan(each.measurement).all()
+        }
+        self._measurements.publish(stamp, measured)
 
     def wait_for_acknowledgement(self) -> None:
         """Wait at most a second until subscribers have the truth that was published."""
-        for *_, publisher in self._truths:
-            publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
+        for _, truth in self._truths:
+            truth.publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))

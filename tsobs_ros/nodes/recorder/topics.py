@@ -16,10 +16,10 @@ from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.metadata import QosProfile, QosTime
 from tsobs_ros.bag.recording import BufferedMessage, Latch
 from tsobs_ros.errors import BagWriteError, NodeError
-from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import message_class
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 from tsobs_ros.nodes.recorder.status import LossCounter
+from tsobs_ros.nodes.wire import DrainedSubscription
 
 _LATCHED, _RELIABLE = DurabilityPolicy.TRANSIENT_LOCAL, ReliabilityPolicy.RELIABLE
 # The number of a topic's publishers shows that one came, but not that one took another's place.

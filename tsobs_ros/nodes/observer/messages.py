@@ -1,36 +1,39 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of joints in JointState messages, read from the bytes on the wire.
+"""JointStates of the observer: samples in, read from the bytes on the wire; estimates out.
 
-Building rclpy's message objects would cost more than the whole estimation.
+Building rclpy's message objects would cost more than the whole estimation. The topics of estimates
+are those of a replay.
 """
 
 import math
-import operator
 import reprlib
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Int64MultiArray
 
+from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_states import JointStateDecoder
+from tsobs_ros.bag.tick_log import encode_tick
 from tsobs_ros.checks import Array
-from tsobs_ros.design.signals import Place, Signals
+from tsobs_ros.design.signals import Place, Signals, positions
 from tsobs_ros.errors import MessageError
 from tsobs_ros.estimation.history import REASONS, USED
-from tsobs_ros.estimation.records import RejectReason
-
-Stamps: TypeAlias = NDArray[np.int64]
-Numbers: TypeAlias = Sequence[float]
-Pick: TypeAlias = Callable[[Numbers], Numbers]
+from tsobs_ros.estimation.records import Estimate, RejectReason
+from tsobs_ros.nodes.wire import MAX_LAYOUTS, QUIET, JointStatePublisher, Numbers, Pick, picker
+from tsobs_ros.replay.places import ESTIMATES, places_of
+from tsobs_ros.series import Stamps
 
 NOT_NAMED = -1
 """Code of a joint that a message does not name."""
 WRONG = REASONS.index(RejectReason.WRONG_JOINT)
 MISSING = REASONS.index(RejectReason.MISSING_INPUT)
 
-_MAX_LAYOUTS = 256
+_RESTARTS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # What follows a message's numbers, so that each number of a row has a place, and its places.
 _CONSTANTS = (math.nan, 0.0)
 _NOTHING, _ZERO = -2, -1
@@ -150,7 +153,7 @@ class MeasurementReader:
         self, names: tuple[str, ...], positions: int, velocities: int, efforts: int
     ) -> _Layout:
         """Return the layout of messages with these names and numbers of values."""
-        if len(self._layouts) >= _MAX_LAYOUTS:
+        if len(self._layouts) >= MAX_LAYOUTS:
             self._layouts.clear()
         # Of a name that comes twice, the first.
         found = {name: place for place, name in reversed(list(enumerate(names)))}
@@ -190,8 +193,145 @@ class MeasurementReader:
         return layout
 
 
-def picker(places: Sequence[int]) -> Pick:
-    """Return what takes the numbers at some places out of others."""
-    if len(places) > 1:
-        return operator.itemgetter(*places)
-    return lambda numbers: [numbers[place] for place in places]
+class EstimatePublisher:
+    """Publishes estimates and innovations under the node's private names.
+
+    There are topics of torque disturbances and of learnt parameters only if there are any.
+
+    Args:
+        node: The node.
+        joints: Places of each joint's signals, by the joint's name.
+        learnt: Names of the learnt parameters of each joint.
+    """
+
+    def __init__(
+        self, node: Node, joints: Mapping[str, Signals], learnt: Sequence[tuple[str, ...]]
+    ) -> None:
+        alone = len(joints) == 1
+        each = [
+            places_of(joint, own, alone=alone, learnt=names)
+            for (joint, own), names in zip(joints.items(), learnt, strict=True)
+        ]
+        self._outputs = {
+            topic: JointStatePublisher(node, f"~/{topic}", [one[topic] for one in each])
+            for topic in ESTIMATES
+            if any(one[topic] for one in each)
+        }
+        outputs = [[place] for one in each for place in one[topics.INNOVATION]]
+        self._innovation = JointStatePublisher(node, f"~/{topics.INNOVATION}", outputs)
+        self._restarts = JointStatePublisher(
+            node, f"~/{topics.RESTARTS}", [positions([joint]) for joint in joints], _RESTARTS
+        )
+        self._count = len(joints)
+        self._slow_since = dict.fromkeys((topics.PARAMETERS, topics.HEALTH), -topics.SLOW_PERIOD)
+
+    def publish(self, stamp: int, estimates: Sequence[Estimate | None]) -> bool:
+        """Publish the joints' estimates; what they lack is left out.
+
+        Args:
+            stamp: Of the messages [ns].
+            estimates: One entry a joint; None if it has no estimate.
+
+        Returns:
+            Whether there was an estimate.
+        """
+        known = {joint: each for joint, each in enumerate(estimates) if each is not None}
+        valid = {joint: each for joint, each in known.items() if each.parameters_valid}
+        is_due = bool(valid) and self._is_due(topics.PARAMETERS, stamp)
+        for topic, output in self._outputs.items():
+            if topic in topics.PARAMETER_TOPICS:
+                if is_due:
+                    output.publish(stamp, _rows(topic, valid))
+            elif topic != topics.HEALTH and output.publisher.get_subscription_count():
+                output.publish(stamp, _rows(topic, known))
+        return bool(known)
+
+    def publish_health(self, stamp: int, estimates: Sequence[Estimate | None]) -> bool:
+        """Publish what the joints' estimates are worth, if that is due; return whether it is.
+
+        Args:
+            stamp: Of the estimates [ns].
+            estimates: One entry a joint; None if it has none.
+        """
+        known = {joint: each for joint, each in enumerate(estimates) if each is not None}
+        if not known or not self._is_due(topics.HEALTH, stamp):
+            return False
+        self._outputs[topics.HEALTH].publish(
+            stamp, {joint: each.health for joint, each in known.items()}
+        )
+        return True
+
+    def publish_innovations(self, stamps: Stamps, innovations: Array) -> None:
+        """Publish y − ŷ of messages, stamped as they are.
+
+        Args:
+            stamps: Of the messages [ns], shape (N,).
+            innovations: Of the outputs of all joints, one after the other, NaN of those that are
+                not used, shape (N, outputs).
+        """
+        if self._innovation.publisher.get_subscription_count():
+            for stamp, values in zip(stamps.tolist(), innovations.tolist(), strict=True):
+                rows = {place: (each,) for place, each in enumerate(values) if each == each}
+                self._innovation.publish(stamp, rows)
+
+    def publish_restart(self, stamp: int, number: int) -> None:
+        """Publish that the joints have no past from now on, for those who come later too.
+
+        Args:
+            stamp: Time on the node's clock [ns].
+            number: Number of restarts up to this one, 0 at the start.
+        """
+        self._restarts.publish(stamp, dict.fromkeys(range(self._count), (float(number),)))
+
+    def _is_due(self, topic: str, stamp: int) -> bool:
+        """Return whether what changes slowly is published at a stamp, which may have gone back."""
+        is_due = not 0 <= stamp - self._slow_since[topic] < topics.SLOW_PERIOD
+        if is_due:
+            self._slow_since[topic] = stamp
+        return is_due
+
+
+def _rows(topic: str, estimates: Mapping[int, Estimate]) -> dict[int, list[float]]:
+    """Return a topic's numbers of those joints that have any."""
+    rows = {}
+    for joint, each in estimates.items():
+        row = [number for field in ESTIMATES[topic] for number in getattr(each, field).tolist()]
+        if row:
+            rows[joint] = row
+    return rows
+
+
+class TickLog:
+    """Publishes a message for each tick with measurements or estimates; see `bag.tick_log`.
+
+    It is reliable, as a lost message would leave it open what the estimates include.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._publisher = node.create_publisher(
+            Int64MultiArray, f"~/{topics.TICKS}", 100, event_callbacks=QUIET
+        )
+        self.restart()
+
+    def restart(self) -> None:
+        """Count ticks from 1 again: the estimates have no past."""
+        self._number = 0
+        self._taken: list[bytes] = []
+
+    def take(self, messages: Iterable[bytes]) -> None:
+        """Note the measurement messages that the next tick includes."""
+        self._taken += messages
+
+    def publish(self, stamp: int, *, estimated: bool) -> None:
+        """Publish a tick, before its estimates, unless nothing happened.
+
+        Args:
+            stamp: Time on the node's clock [ns].
+            estimated: Whether there are estimates.
+        """
+        if not (self._taken or estimated):
+            return
+        self._number += 1
+        if self._publisher.get_subscription_count():
+            self._publisher.publish(encode_tick(stamp, self._number, estimated, self._taken))
+        self._taken.clear()

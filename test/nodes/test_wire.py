@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
-from tsobs_ros.nodes.draining import DrainedSubscription
+from tsobs_ros.nodes.wire import DrainedSubscription
 
 COUNT = 200
 
