@@ -195,7 +195,7 @@ class Run:
         if encode:
             made += self._restart_messages(window.live.get(topics.RESTARTS), at)
             made += self._tick_messages()
-            of_tick = np.searchsorted(ticks.known, np.arange(window.samples.count), side="right")
+            of_tick = np.searchsorted(ticks.known, np.arange(len(window.samples)), side="right")
             of_use = Times3(window.samples.stamps, at.log_times[of_tick], at.publish_times[of_tick])
             made += self._encoder.messages(topics.INNOVATION, of_use, self.table.innovations)
         if encode or self._comparison:
@@ -454,7 +454,7 @@ def run_all(
                 made = list(chain.from_iterable(each))
                 if write is not None:
                     write(made, window.horizon)
-                progress(window.samples.count * len(runs))
+                progress(len(window.samples) * len(runs))
                 after_window()
 
     if output is None:

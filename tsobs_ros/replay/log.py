@@ -2,10 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measurements from a log of one's own: a CSV file of time, outputs and inputs."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -34,7 +32,7 @@ from tsobs_ros.replay.columns import (
     unit_of,
 )
 from tsobs_ros.replay.places import Layout
-from tsobs_ros.replay.source import MEASUREMENTS, Part, Samples, Source
+from tsobs_ros.replay.source import MEASUREMENTS, Part, Records, Source, joined, sample_type
 from tsobs_ros.series import NANOSECONDS
 
 _BLOCK = 4096
@@ -54,29 +52,19 @@ _NAMES: Mapping[str, tuple[str, ...]] = {
 """Names of columns by quantity, without capitals; of a joint with `.JOINT` behind them."""
 
 
-class _Block(NamedTuple):
-    """Lines of a log.
-
-    Attributes:
-        stamps: [ns], shape (n,).
-        y: Outputs, NaN for an empty cell or if a joint has fewer, shape (n, J, p).
-        u: Inputs and scheduled signals, 0 if a joint has fewer, shape (n, J, m).
-    """
-
-    stamps: Times
-    y: Array
-    u: Array
-
-
 class _Cell(NamedTuple):
-    """A column of numbers: its unit and that one's size, and its place in the arrays of a block."""
+    """A column of numbers: its unit and that one's size, and its place in the samples."""
 
     column: LogColumn
     unit: str
     factor: float
-    in_inputs: bool
+    field: str
     joint: int
     place: int
+
+    def of(self, samples: Records) -> Array:
+        """Return its numbers in samples, to read and to write, shape (n,)."""
+        return np.asarray(samples[self.field])[:, self.joint, self.place]
 
 
 class LogSource(Source):
@@ -200,7 +188,7 @@ class LogSource(Source):
             if plain:
                 names += [output, *(_NAMES[kind] if of_side else ())]
             column = self._find(output if len(outputs) > 1 else kind, keys, names, name)
-            self._add(column, kind, (False, joint, place))
+            self._add(column, kind, ("y", joint, place))
         names = [f"{one}.{name}" for one in _NAMES["torque"]] + list(_NAMES["torque"]) * plain
         motor = [f"{one}.{name}_motor" for one in _NAMES["torque"]]
         torques = (
@@ -214,13 +202,13 @@ class LogSource(Source):
                 f"for 0: --param assume_zero_torque=true; {self._file.described}"
             )
         for column in found:
-            self._add(column, "torque", (True, joint, 0))
+            self._add(column, "torque", ("u", joint, 0))
 
     def _choose_of_system(self, joint: int, request: TSRequest) -> None:
         system = self.joints[joint]
-        for is_input, names, units in (
-            (False, request.output_names, request.output_units),
-            (True, request.input_names, request.input_units),
+        for field, names, units in (
+            ("y", request.output_names, request.output_units),
+            ("u", request.input_names, request.input_units),
         ):
             for place, (name, unit) in enumerate(zip(names, units, strict=True)):
                 own = (f"{system}/{name}", f"position.{system}/{name}", name, f"position.{name}")
@@ -233,7 +221,7 @@ class LogSource(Source):
                         f"column {column.title!r}: its unit is {given!r}, but {name} of the design "
                         f"is in {unit!r}"
                     )
-                self._cells.append(_Cell(column, unit, 1.0, is_input, joint, place))
+                self._cells.append(_Cell(column, unit, 1.0, field, joint, place))
 
     def _find(
         self, what: str, keys: Sequence[str], names: Sequence[str], joint: str = ""
@@ -280,7 +268,7 @@ class LogSource(Source):
             )
         return unit_of(quantity, stated or given) or next(iter(UNITS[quantity]))
 
-    def _add(self, column: LogColumn, quantity: str, where: tuple[bool, int, int]) -> None:
+    def _add(self, column: LogColumn, quantity: str, where: tuple[str, int, int]) -> None:
         unit = self._unit(quantity, column)
         self._cells.append(_Cell(column, unit, UNITS[quantity][unit], *where))
 
@@ -288,14 +276,13 @@ class LogSource(Source):
         """Read the whole log for what must be known before the first line is used."""
         clock = _LogClock()
         first, equal, self.count = LATEST, 0, 0
-        for block in self._lines():
-            there = block.stamps[block.stamps != NO_TIME]
+        for samples in self._lines(clock, _BLOCK):
+            there = samples.stamps[samples.stamps != NO_TIME]
             if not self.count:
                 self._check_period(there)
-            self.count += len(block.stamps)
+            self.count += len(samples)
             first = int(there.min(initial=first))
             equal += int((np.diff(there) == 0).sum())
-            clock.times(block.stamps)
         if not self.count:
             raise LogError("no lines below the header")
         if first == LATEST:
@@ -329,30 +316,25 @@ class LogSource(Source):
                     "seconds, --units time=s"
                 )
 
-    @cached_property
-    def samples(self) -> Samples:
-        """All measurements."""
-        return next(self.parts()).samples
-
-    def _lines(self) -> Iterator[_Block]:
-        """Yield the log block by block, as it is."""
+    def _lines(self, clock: "_LogClock", size: int) -> Iterator[Records]:
+        """Yield the log block by block, its times as they are."""
         rows = self._file.rows(self._places)
-        joints = len(self.joints)
         p = max(len(one.outputs) for one in self.signals)
-        # Inputs without a column are 0.
-        inputs = np.zeros((1, joints, max(len(one.inputs) for one in self.signals)))
-        for cell in self._cells:
-            if cell.in_inputs:
-                inputs[0, cell.joint, cell.place] = np.nan
-        while block := list(islice(rows, _BLOCK)):
-            stamps = np.array([self._stamp(line, cells[0]) for line, cells in block], np.int64)
-            y, u = np.full((len(block), joints, p), np.nan), inputs.repeat(len(block), axis=0)
+        m = max(len(one.inputs) for one in self.signals)
+        while block := list(islice(rows, size)):
+            samples: Records = np.recarray(len(block), sample_type(len(self.joints), p, m))
+            samples.stamps = [self._stamp(line, cells[0]) for line, cells in block]
+            samples.log_times = clock.times(samples.stamps)
+            # Inputs without a column are 0.
+            samples.y, samples.u, samples.complete, samples.refused = np.nan, 0.0, True, 0
+            for cell in self._cells:
+                cell.of(samples)[:] = np.nan
             for number, cell in enumerate(self._cells, 1):
                 values = np.array(self._numbers(block, number, cell)) * cell.factor
-                own = (u if cell.in_inputs else y)[:, cell.joint, cell.place]
                 # A second column has what the first one lacks.
+                own = cell.of(samples)
                 own[:] = np.where(np.isnan(own), values, own)
-            yield _Block(stamps, y, u)
+            yield samples
 
     def _stamp(self, line: int, cell: str) -> int:
         try:
@@ -371,23 +353,15 @@ class LogSource(Source):
                 raise misread("number", line, cell.column, cell.unit, cells[place]) from error
         return found
 
-    def _part(self, block: _Block, clock: "_LogClock") -> Samples:
-        there = block.stamps != NO_TIME
-        times = clock.times(block.stamps) + self.moved_by
-        stamps = np.where(there, block.stamps + np.where(there, self.moved_by, 0), 0)
-        named = np.ones(block.y.shape[:2], np.bool_)
-        checksums = [crc32(row) for row in self._encoded(stamps, block.y, block.u)]
-        return Samples(stamps, times, block.y, block.u, named, named, np.array(checksums, np.int64))
-
-    def _encoded(self, stamps: Times, y: Array, u: Array) -> NDArray[np.uint8]:
+    def _encoded(self, samples: Records) -> NDArray[np.uint8]:
         """Return the messages of measurements, shape (n, size)."""
         places = [place for own in self.signals for place in (*own.outputs, *own.inputs)]
         values = [
             part[:, joint, : len(names)]
             for joint, own in enumerate(self.signals)
-            for part, names in ((y, own.outputs), (u, own.inputs))
+            for part, names in ((samples.y, own.outputs), (samples.u, own.inputs))
         ]
-        return Layout(places).encode(stamps, np.hstack(values))
+        return Layout(places).encode(samples.stamps, np.hstack(values))
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:  # type: ignore[override]
@@ -398,18 +372,26 @@ class LogSource(Source):
         )
 
     def parts(self, size: int | None = None, with_live: bool = False) -> Iterator[Part]:
-        clock = _LogClock()
-        blocks = (self._part(block, clock) for block in self._lines())
-        together = None if size is None else max(1, size // _BLOCK)
-        following = list(islice(blocks, together))
-        while part := following:
-            following = list(islice(blocks, together))
-            samples = part[0].followed_by(*part[1:])
-            yield Part(samples, {}, float(samples.log_times[-1]) if following else math.inf)
+        blocks = map(self._moved, self._lines(_LogClock(), size or _BLOCK))
+        if size is None:
+            blocks = map(joined, [list(blocks)])
+        samples = next(blocks)
+        for following in blocks:
+            yield Part(samples, {}, float(samples.log_times[-1]))
+            samples = following
+        yield Part(samples, {})
+
+    def _moved(self, samples: Records) -> Records:
+        """Return samples with the stamps of messages, and their checksums."""
+        there = samples.stamps != NO_TIME
+        samples.stamps = np.where(there, samples.stamps + there * self.moved_by, 0)
+        samples.log_times += self.moved_by
+        samples.checksums = [crc32(row) for row in self._encoded(samples)]
+        return samples
 
     def messages(self) -> Iterator[BagMessage]:
         for samples, _, _ in self.parts(_BLOCK):
-            times, data = samples.log_times, self._encoded(samples.stamps, samples.y, samples.u)
+            times, data = samples.log_times, self._encoded(samples)
             series = MessageSeries(f"/{MEASUREMENTS}", JOINT_STATE, times, times, data)
             yield from map(BagMessage._make, series.messages())
 

@@ -164,25 +164,22 @@ class Loop:
         else:
             results = [self._run_joint(window, joint) for joint in joints]
         samples = window.samples
-        # What names nobody is refused for all.
-        unread = int((samples.named & ~samples.complete).sum())
-        unread += len(joints) * int((~samples.named.any(axis=1)).sum())
-        if unread:
-            self.rejected[RejectReason.WRONG_JOINT] += unread
+        if refused := int(samples.refused.sum()):
+            self.rejected[RejectReason.WRONG_JOINT] += refused
         done = self._done(window, results)
         innovations, rows = [], []
         for joint, one in enumerate(results):
             rows.append(self._trackers[joint].estimator.as_rows(one.rows))
             one.rows[~(done & one.there)] = np.nan
-            spread = np.full((samples.count, one.innovations.shape[1]), np.nan)
-            spread[samples.named[:, joint] & samples.complete[:, joint]] = one.innovations
+            spread = np.full((len(samples), one.innovations.shape[1]), np.nan)
+            spread[samples.complete[:, joint]] = one.innovations
             innovations.append(spread)
             self._count(joint, one)
         return Table(rows, done, innovations)
 
     def _run_joint(self, window: Window, joint: int) -> JointResults:
         samples, ticks, tracker = window.samples, window.ticks, self._trackers[joint]
-        own, shape = samples.named[:, joint] & samples.complete[:, joint], tracker.estimator.shape
+        own, shape = samples.complete[:, joint], tracker.estimator.shape
         apart: Array = np.asarray(np.diff(np.sort(samples.stamps[own])) / NANOSECONDS)
         self._periods[joint].add(apart[apart > 0.0])
         known = np.append(0, np.cumsum(own))[ticks.known]
@@ -210,7 +207,7 @@ class Loop:
         done: Flags = np.any([one.there for one in results], axis=0) & ticks.estimated
         if window.at_samples:
             done &= np.any([one.newest == ticks.stamps for one in results], axis=0)
-        for part in np.split(np.arange(ticks.count), np.flatnonzero(ticks.resets)):
+        for part in np.split(np.arange(len(ticks)), np.flatnonzero(ticks.resets)):
             if len(part) and ticks.resets[part[0]]:
                 self._last = 0
             stamps = np.where(done[part], ticks.stamps[part], 0)

@@ -5,14 +5,12 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 from zlib import crc32
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.copying import ChunkCopy
@@ -29,7 +27,7 @@ from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
 from tsobs_ros.bag.tick_log import TICK_LOG
-from tsobs_ros.checks import Array, Flags
+from tsobs_ros.checks import Flags
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError, MessageError, ModelError
@@ -50,49 +48,41 @@ _FIRST_MESSAGES = 1000
 _SURVEYED = 2**15
 
 
-@dataclass(frozen=True)
-class Samples:
-    """Messages with measurements of J joints, n of them.
+Records: TypeAlias = Any
+"""Record arrays, one row per message or tick."""
 
-    Attributes:
-        stamps: Sampling times of the angles [ns], shape (n,).
-        log_times: Recording times of the messages, ns since the epoch, shape (n,).
-        y: Outputs, NaN of one that is missing or that a joint does not have, shape (n, J, p).
-        u: Inputs and scheduled signals, 0 of one that a joint does not have, shape (n, J, m).
-        named: Whether the message has an entry of the joint, shape (n, J).
-        complete: Whether it has an output and all inputs of it, shape (n, J).
-        checksums: CRC-32 of the messages, shape (n,).
+
+def sample_type(joints: int, outputs: int, inputs: int) -> np.dtype[np.void]:
+    """Return the type of a record of a message with measurements of some joints.
+
+    `y` and `u` have NaN for an output that is missing or that a joint does not have, and 0 for an
+    input that it does not have. Stamps and log times are in ns, those of the epoch.
     """
+    return np.dtype(
+        [
+            ("stamps", np.int64),
+            ("log_times", np.int64),
+            ("y", np.float64, (joints, outputs)),
+            ("u", np.float64, (joints, inputs)),
+            # Whether it has an output and all inputs of the joint.
+            ("complete", np.bool_, (joints,)),
+            # Number of joints that it is refused for: that it names, or all if it names none.
+            ("refused", np.int64),
+            # CRC-32 of the message.
+            ("checksums", np.int64),
+        ]
+    )
 
-    stamps: Times
-    log_times: Times
-    y: Array
-    u: Array
-    named: Flags
-    complete: Flags
-    checksums: NDArray[np.int64]
 
-    @property
-    def count(self) -> int:
-        """The number of messages."""
-        return len(self.stamps)
-
-    def take(self, places: NDArray[np.intp] | Flags | slice) -> "Samples":
-        """Return some of the messages, or all of them in another order."""
-        return Samples(*(getattr(self, field.name)[places] for field in fields(Samples)))
-
-    def followed_by(self, *others: "Samples") -> "Samples":
-        """Return these messages and others behind them."""
-        names = [field.name for field in fields(Samples)]
-        return Samples(
-            *(np.concatenate([getattr(one, name) for one in (self, *others)]) for name in names)
-        )
+def joined(parts: Sequence[Records]) -> Records:
+    """Return the records of several arrays, one behind the other."""
+    return np.concatenate(parts).view(np.recarray)
 
 
 def samples_of(
     series: JointSeries, raw: RawMessages, joints: Sequence[Signals], assume_zero_torque: bool
-) -> Samples:
-    """Return the measurements in a topic's messages.
+) -> Records:
+    """Return the measurements in a topic's messages, as `sample_type` has them.
 
     Args:
         series: With the places of each joint's outputs, then of each one's inputs, then of those
@@ -104,8 +94,7 @@ def samples_of(
     count = len(joints)
     p = max(len(one.outputs) for one in joints)
     m = max(len(one.inputs) for one in joints)
-    y = series.values[:, :count, :p]
-    outputs = series.given[:, :count].any(axis=2)
+    samples: Records = np.recarray(series.count, sample_type(count, p, m))
     own, other = slice(count, 2 * count), slice(2 * count, None)
     there: Flags = series.given[:, own, :m] | series.given[:, other, :m]
     u = series.values[:, own, :m]
@@ -115,19 +104,15 @@ def samples_of(
         silent = ~there[:, joint] & np.array([*torques, *[True] * (m - len(torques))])
         there[:, joint] |= silent
         u[:, joint][silent] = 0.0
-    named: Flags = np.asarray(series.named.reshape(len(u), 3, count).any(axis=1))
-    checksums = np.zeros(len(u), np.int64)
+    samples.stamps, samples.log_times = series.stamps, series.log_times
+    samples.y, samples.u = series.values[:, :count, :p], u
+    samples.complete = series.given[:, :count].any(axis=2) & there.all(axis=2)
+    named: Flags = np.asarray(series.named.reshape(-1, 3, count).any(axis=1))
+    samples.refused = (named & ~samples.complete).sum(axis=1)
+    samples.refused[~named.any(axis=1)] = count
     for places, data in raw.groups:
-        checksums[places] = [crc32(row) for row in data]
-    return Samples(
-        series.stamps,
-        series.log_times,
-        np.ascontiguousarray(y),
-        u,
-        named,
-        np.asarray(outputs & there.all(axis=2)),
-        checksums,
-    )
+        samples.checksums[places] = [crc32(row) for row in data]
+    return samples
 
 
 def restarts(stamps: Sequence[int] | Times, highest: int = 0) -> list[int]:
@@ -175,13 +160,13 @@ class Part(NamedTuple):
     """A part of a recording.
 
     Attributes:
-        samples: Measurements in the order of recording.
+        samples: Measurements in the order of recording, of `sample_type`.
         live: Output of the observer that ran during the recording, by the names in
             `estimate_topics`; empty without a tick log.
         horizon: Log time from which on messages of the next part may be [ns]; infinite in the last.
     """
 
-    samples: Samples
+    samples: Records
     live: dict[str, RawMessages]
     horizon: float = math.inf
 

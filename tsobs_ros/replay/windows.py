@@ -9,8 +9,9 @@ in the order of recording, or at a fixed rate.
 import math
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,8 @@ from numpy.typing import NDArray
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_series import RawMessages, Times
 from tsobs_ros.bag.tick_log import decode_ticks
-from tsobs_ros.checks import Flags
 from tsobs_ros.errors import MessageError
-from tsobs_ros.replay.source import Part, Samples, Source, restarts
+from tsobs_ros.replay.source import Part, Records, Source, joined, restarts
 from tsobs_ros.series import NANOSECONDS
 
 WINDOW = 2**15
@@ -32,39 +32,23 @@ _GRACE = NANOSECONDS
 # Messages at the end of a part that are looked at again with the next one.
 _HELD = 64
 
-Bytes = NDArray[np.uint8]
 
-
-@dataclass(frozen=True)
-class Ticks:
-    """Ticks of an observer, m of them.
-
-    Attributes:
-        stamps: Of the estimates [ns], shape (m,).
-        now: Times on the observer's clock, to recognise stamps from the future [ns], shape (m,).
-        known: Numbers of samples taken by the end of each, shape (m,).
-        resets: 1 if the observer forgets everything before it, else 0, shape (m,).
-        estimated: Whether there are estimates, shape (m,).
-        log_times: Of the estimates, ns since the epoch, shape (m,).
-        publish_times: Of the same, shape (m,).
-    """
-
-    stamps: Times
-    now: Times
-    known: Times
-    resets: Times
-    estimated: Flags
-    log_times: Times
-    publish_times: Times
-
-    @property
-    def count(self) -> int:
-        """The number of ticks."""
-        return len(self.stamps)
-
-    def take(self, places: NDArray[np.intp] | slice) -> "Ticks":
-        """Return some of the ticks."""
-        return Ticks(*(getattr(self, item.name)[places] for item in fields(Ticks)))
+_TICK = np.dtype(
+    [
+        ("stamps", np.int64),
+        # Times on the observer's clock, to recognise stamps from the future.
+        ("now", np.int64),
+        # Number of samples taken by the end of the tick.
+        ("known", np.int64),
+        # 1 if the observer forgets everything before it, else 0.
+        ("resets", np.int64),
+        # Whether there are estimates.
+        ("estimated", np.bool_),
+        ("log_times", np.int64),
+        ("publish_times", np.int64),
+    ]
+)
+"""A record of a tick of an observer; all times are in ns."""
 
 
 @dataclass
@@ -89,16 +73,16 @@ class Window:
     """A part of a recording.
 
     Attributes:
-        samples: Measurements in the order of use.
-        ticks: Which samples are taken when; of all that are used.
+        samples: Measurements in the order of use, records of `sample_type`.
+        ticks: Which samples are taken when, of all that are used; records of `_TICK`.
         live: The recorded observer's messages by topic, in groups of the same size.
         horizon: Smallest log time of what follows [ns]; infinite in the last window.
         at_samples: Whether there are only estimates at measurements that are in use.
         is_whole: Whether the live messages of all ticks until now have come.
     """
 
-    samples: Samples
-    ticks: Ticks
+    samples: Records
+    ticks: Records
     live: dict[str, RawMessages] = field(default_factory=dict)
     horizon: float = math.inf
     at_samples: bool = False
@@ -106,16 +90,14 @@ class Window:
 
     def pieces(self) -> Iterator["Window"]:
         """Yield the window in parts with few ticks each; the first has the live messages."""
-        ticks, live = self.ticks, self.live
-        for begin in range(0, max(1, ticks.count), _MAX_TICKS):
-            own = ticks.take(slice(begin, begin + _MAX_TICKS))
-            following = ticks.log_times[begin + _MAX_TICKS :]
-            first = int(ticks.known[begin - 1]) if begin else 0
-            last = int(own.known[-1]) if own.count else 0
-            own = replace(own, known=own.known - first)
-            samples = self.samples.take(slice(first, last))
-            horizon = min(self.horizon, following.min(initial=2**62))
-            yield Window(samples, own, live, horizon, self.at_samples, not len(following))
+        ticks, live, taken = self.ticks, self.live, 0
+        for begin in range(0, max(1, len(ticks)), _MAX_TICKS):
+            own, following = ticks[begin : begin + _MAX_TICKS].copy(), ticks[begin + _MAX_TICKS :]
+            begins, taken = taken, int(own.known[-1]) if len(own) else 0
+            own.known -= begins
+            horizon = min(self.horizon, following.log_times.min(initial=2**62))
+            samples, is_last = self.samples[begins:taken], not len(following)
+            yield Window(samples, own, live, horizon, self.at_samples, is_last)
             live = {}
 
 
@@ -151,14 +133,14 @@ class Windows:
 
     def _of_samples(self, parts: Iterator[Part]) -> Iterator[Window]:
         """Yield windows whose ticks are at samples, or at a rate, in the order of recording."""
-        waiting: Samples | None = None
+        waiting: Records = None
         highest = latest = 0
         clock = _RateClock(self._rate) if self._rate else None
         for samples, _, horizon in parts:
-            waiting = samples if waiting is None else waiting.followed_by(samples)
+            waiting = samples if waiting is None else joined([waiting, samples])
             stamps, is_last = waiting.stamps, horizon == math.inf
             # Whether time restarts at a message shows in the next ones.
-            count = waiting.count if is_last else max(0, waiting.count - _HELD)
+            count = len(waiting) if is_last else max(0, len(waiting) - _HELD)
             begins = [begin for begin in restarts(stamps, highest) if begin < count]
             arrivals = np.empty(count, np.int64)
             times = waiting.log_times if self._source.same_clock else stamps
@@ -168,9 +150,8 @@ class Windows:
                 arrivals[begin:end] = np.maximum.accumulate(np.append(latest, times[begin:end]))[1:]
                 highest = int(stamps[begin:end].max(initial=highest))
                 latest = int(arrivals[begin:end].max(initial=latest))
-            taken = waiting.take(slice(count))
-            waiting = waiting.take(slice(count, None))
-            following = float(waiting.log_times.min()) if waiting.count else math.inf
+            taken, waiting = waiting[:count], waiting[count:]
+            following = float(waiting.log_times.min()) if len(waiting) else math.inf
             if clock is None:
                 yield Window(taken, _at_samples(taken, arrivals, begins), {}, following, True)
             else:
@@ -179,52 +160,50 @@ class Windows:
     def _of_tick_log(self, parts: Iterator[Part]) -> Iterator[Window]:
         """Yield windows with the ticks of the recorded observer."""
         log = _TickLog(self.counts)
-        pool: Samples | None = None
+        pool: Records = None
         for samples, live, horizon in parts:
-            pool = samples if pool is None else pool.followed_by(samples)
+            pool = samples if pool is None else joined([pool, samples])
             log.add(live.pop(topics.TICKS))
             ticks, checksums = log.take(horizon - _GRACE)
             places = _match(checksums, pool.checksums)
             there = places >= 0
             self.counts.not_recorded += int((~there).sum())
             ticks.known[:] = np.append(0, np.cumsum(there))[ticks.known]
-            used = pool.take(places[there])
+            used = pool[places[there]]
             yield Window(_in_order(used, ticks.known), ticks, live, horizon - _GRACE)
-            left = np.ones(pool.count, np.bool_)
+            left = np.ones(len(pool), np.bool_)
             left[places[there]] = False
             keep = left & (pool.log_times >= horizon - 2 * _GRACE)
             self.counts.not_received += int((left & ~keep).sum())
-            pool = pool.take(keep)
+            pool = pool[keep]
 
 
 def _together(windows: list[Window]) -> Window:
     """Return one window of all that there is."""
-    if len(windows) == 1:
-        return windows[0]
-    samples = windows[0].samples.followed_by(*(one.samples for one in windows[1:]))
-    begins = np.cumsum([0, *(one.samples.count for one in windows)])
-    columns = {
-        item.name: np.concatenate([getattr(one.ticks, item.name) for one in windows])
-        for item in fields(Ticks)
-    }
-    counts = [one.ticks.count for one in windows]
-    columns["known"] += np.repeat(begins[:-1], counts)
-    return Window(samples, Ticks(**columns))
+    if len(windows) > 1:
+        begins = np.cumsum([0, *(len(one.samples) for one in windows)])
+        for one, begin in zip(windows, begins.tolist(), strict=False):
+            one.ticks.known += begin
+        samples, ticks = ([getattr(one, name) for one in windows] for name in ("samples", "ticks"))
+        return Window(joined(samples), joined(ticks))
+    return windows[0]
 
 
-def _at_samples(samples: Samples, arrivals: Times, begins: list[int]) -> Ticks:
+def _at_samples(samples: Records, arrivals: Times, begins: list[int]) -> Records:
     """Return a tick for each message; messages in a row with the same stamp share one."""
-    last = np.append(samples.stamps[1:] != samples.stamps[:-1], samples.count > 0)
+    last = np.append(samples.stamps[1:] != samples.stamps[:-1], len(samples) > 0)
     for begin in begins:
         last[begin - 1 : begin] = True
     messages = np.flatnonzero(last)
     resets = np.zeros(len(messages), np.int64)
     resets[np.searchsorted(messages, begins)] = 1
-    times = samples.log_times[messages]
-    return Ticks(
-        samples.stamps[messages], arrivals[messages], messages + 1, resets,
-        np.ones(len(messages), np.bool_), times, times.copy(),
-    )  # fmt: skip
+    stamps, times = samples.stamps[messages], samples.log_times[messages]
+    return _ticks(stamps, arrivals[messages], messages + 1, resets, True, times, times)
+
+
+def _ticks(*columns: Any) -> Records:
+    """Return records of ticks made of their columns; one number holds for all of them."""
+    return np.rec.fromarrays(np.broadcast_arrays(*columns), _TICK)
 
 
 class _RateClock:
@@ -238,26 +217,26 @@ class _RateClock:
         self._period = NANOSECONDS / rate
         self._begin: int | None = None
         self._made = self._reset = self._latest = self._delay = 0
-        self._rest: tuple[Samples, Times] | None = None
+        self._rest: tuple[Records, Times] | None = None
 
     def windows(
-        self, samples: Samples, arrivals: Times, begins: list[int], size: int | None, *,
+        self, samples: Records, arrivals: Times, begins: list[int], size: int | None, *,
         is_last: bool,
     ) -> Iterator[Window]:  # fmt: skip
         """Yield windows up to the last arrival, or restart; what no tick takes comes later."""
-        for number, (begin, end) in enumerate(pairwise([0, *begins, samples.count])):
+        for number, (begin, end) in enumerate(pairwise([0, *begins, len(samples)])):
             if number:
                 self._begin, self._made, self._reset = None, 0, 1
             ends = is_last or number < len(begins)
-            part = samples.take(slice(begin, end))
-            yield from self._of_pass(part, arrivals[begin:end], size or 2**62, ends=ends)
+            own = slice(begin, end)
+            yield from self._of_pass(samples[own], arrivals[own], size or 2**62, ends=ends)
 
     def _of_pass(
-        self, samples: Samples, arrivals: Times, limit: int, *, ends: bool
+        self, samples: Records, arrivals: Times, limit: int, *, ends: bool
     ) -> Iterator[Window]:
         if self._rest is not None:
             rest, arrived = self._rest
-            samples, arrivals = rest.followed_by(samples), np.append(arrived, arrivals)
+            samples, arrivals = joined([rest, samples]), np.append(arrived, arrivals)
             self._rest = None
         if not len(arrivals):
             return
@@ -272,38 +251,35 @@ class _RateClock:
             stamps = self._begin + np.round(places * self._period).astype(np.int64)
             known = np.searchsorted(arrivals, stamps, side="right")
             times = stamps + delays[known]
-            yield self._window(samples.take(slice(taken, None)), stamps, known - taken, times)
+            yield self._window(samples[taken:], stamps, known - taken, times)
             self._made, taken = self._made + len(stamps), int(known[-1])
         self._delay = int(delays[taken])
-        rest = samples.take(slice(taken, None))
-        if ends and rest.count:
+        rest = samples[taken:]
+        if ends and len(rest):
             # What no tick takes is used all the same.
-            stamps, known = arrivals[-1:], np.array([rest.count])
+            stamps, known = arrivals[-1:], np.array([len(rest)])
             yield self._window(rest, stamps, known, rest.log_times[-1:], estimated=False)
-        elif rest.count:
+        elif len(rest):
             self._rest = rest, arrivals[taken:]
 
     def _window(
-        self, samples: Samples, stamps: Times, known: NDArray[np.int64], times: Times, *,
+        self, samples: Records, stamps: Times, known: NDArray[np.int64], times: Times, *,
         estimated: bool = True,
     ) -> Window:  # fmt: skip
         resets = np.zeros(len(stamps), np.int64)
         resets[0], self._reset = self._reset, 0
         times = np.maximum.accumulate(np.append(self._latest, times))[1:]
         self._latest = int(times[-1])
-        flags = np.full(len(stamps), estimated)
-        ticks = Ticks(stamps, stamps, known, resets, flags, times, times)
-        return Window(
-            _in_order(samples.take(slice(int(known[-1]))), known), ticks, {}, self._latest
-        )
+        ticks = _ticks(stamps, stamps, known, resets, estimated, times, times)
+        return Window(_in_order(samples[: int(known[-1])], known), ticks, {}, self._latest)
 
 
-def _in_order(samples: Samples, known: NDArray[np.int64]) -> Samples:
+def _in_order(samples: Records, known: NDArray[np.int64]) -> Records:
     """Return samples in the order of their stamps within each tick."""
     if (np.diff(samples.stamps) >= 0).all():
         return samples
-    of_tick = np.searchsorted(known, np.arange(samples.count), side="right")
-    return samples.take(np.lexsort((samples.stamps, of_tick)))
+    of_tick = np.searchsorted(known, np.arange(len(samples)), side="right")
+    return samples[np.lexsort((samples.stamps, of_tick))]
 
 
 class _TickLog:
@@ -330,7 +306,7 @@ class _TickLog:
         # In the order of sending.
         self._rows.sort(key=lambda row: row[1])
 
-    def take(self, until: float) -> tuple[Ticks, NDArray[np.int64]]:
+    def take(self, until: float) -> tuple[Records, NDArray[np.int64]]:
         """Return the ticks that were recorded before a log time, and their checksums."""
         due = next((k for k, row in enumerate(self._rows) if row[0] >= until), len(self._rows))
         rows, self._rows = self._rows[:due], self._rows[due:]
@@ -348,8 +324,7 @@ class _TickLog:
         known = np.cumsum([len(one) - 3 for _, _, one in rows]).astype(np.int64)
         checksums = np.array([each for _, _, one in rows for each in one[3:]], np.int64)
         stamps = values[:, 0]
-        ticks = Ticks(stamps, stamps, known, resets, values[:, 2] == 1, times[:, 0], times[:, 1])
-        return ticks, checksums
+        return _ticks(stamps, stamps, known, resets, values[:, 2] == 1, *times.T), checksums
 
 
 def _match(wanted: NDArray[np.int64], there: NDArray[np.int64]) -> NDArray[np.intp]:
@@ -362,7 +337,3 @@ def _match(wanted: NDArray[np.int64], there: NDArray[np.int64]) -> NDArray[np.in
         places[int(there[place])].append(place)
     found = [places[one].pop() if places.get(one) else -1 for one in wanted.tolist()]
     return np.array(found, np.intp)
-
-
-def _first(flags: Flags) -> int:
-    return int(flags.argmax()) if flags.any() else len(flags)
