@@ -356,7 +356,9 @@ def estimate_bag(
     agreement = run.agreement()
     return BagEstimates(
         joints={name: _joint(source, run, place) for place, name in enumerate(source.joints)},
-        reproduced=agreement and agreement.reproduced / agreement.recorded,
+        reproduced=agreement.reproduced / agreement.recorded
+        if agreement is not None and agreement.recorded
+        else None,
         remarks=(*source.remarks, *([str(source.damage)] if source.damage else [])),
     )
 

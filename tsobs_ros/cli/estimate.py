@@ -5,6 +5,7 @@
 import argparse
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -318,7 +319,7 @@ def _result(
             }
             for run in runs
         ],
-        "live": None if agreement is None else agreement._asdict(),
+        "live": None if agreement is None else asdict(agreement),
         "errors": [one.as_mapping() for one in errors],
         "remarks": list(remarks),
         "damage": None if source.damage is None else str(source.damage),

@@ -8,9 +8,11 @@ tenth of what they cost one by one.
 
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -42,7 +44,7 @@ from tsobs_ros.replay.live import COMPARED, Agreement, LiveComparison
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.loop import Loop, Table
 from tsobs_ros.replay.output import EstimateBag
-from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, Times3, places_of
+from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.replay.windows import Window, Windows
 
@@ -189,19 +191,19 @@ class Run:
         self.window, self.table = window, self.loop.run(window)
         ticks, done = window.ticks, self.table.done
         self.estimates += int(done.sum())
-        at = Times3(ticks.stamps, ticks.log_times, ticks.publish_times)
         joints = range(len(self.observer.designs))
         made: list[MessageSeries] = []
         if encode:
-            made += self._restart_messages(window.live.get(topics.RESTARTS), at)
+            made += self._restart_messages(window.live.get(topics.RESTARTS))
             made += self._tick_messages()
             of_tick = np.searchsorted(ticks.known, np.arange(len(window.samples)), side="right")
-            of_use = Times3(window.samples.stamps, at.log_times[of_tick], at.publish_times[of_tick])
+            of_use = ticks[of_tick]
+            of_use.stamps = window.samples.stamps
             made += self._encoder.messages(topics.INNOVATION, of_use, self.table.innovations)
         if encode or self._comparison:
             for topic in COMPARED:
                 values = [self.table.values(joint, *ESTIMATES[topic]) for joint in joints]
-                messages = self._encoder.messages(topic, at, values)
+                messages = self._encoder.messages(topic, ticks, values)
                 made += messages
                 if self._comparison:
                     self._comparison.add_made(topic, messages)
@@ -211,10 +213,10 @@ class Run:
                     self._comparison.add_recorded(topic, window.live[topic])
             if window.is_whole:
                 self._comparison.settle(window.horizon)
-        made += self._slow_messages(at, encode=encode)
+        made += self._slow_messages(encode=encode)
         return made if encode else []
 
-    def _restart_messages(self, recorded: RawMessages | None, at: Times3) -> list[MessageSeries]:
+    def _restart_messages(self, recorded: RawMessages | None) -> list[MessageSeries]:
         """Return the messages of the start and of the restarts, those recorded if there are any."""
         name = self._prefix + topics.RESTARTS
         if recorded is not None:
@@ -223,13 +225,13 @@ class Run:
                 MessageSeries(name, JOINT_STATE, logs[places], sent[places], data)
                 for places, data in recorded.groups
             ]
-        resets = self.window.ticks.resets.astype(np.bool_)
-        starts = resets.copy()
+        ticks = self.window.ticks
+        starts = ticks.resets == 1
         starts[: int(self._is_first)] = True
-        self._is_first = self._is_first and not len(resets)
-        numbers = (self._restarts + np.cumsum(resets))[starts].astype(np.float64)[:, np.newaxis]
-        each = [numbers] * len(self.observer.designs)
-        return self._encoder.messages(topics.RESTARTS, at.take(starts), each)
+        self._is_first = self._is_first and not len(ticks)
+        numbers = (self._restarts + np.cumsum(ticks.resets))[starts].astype(np.float64)
+        each = [numbers[:, np.newaxis]] * len(self.observer.designs)
+        return self._encoder.messages(topics.RESTARTS, ticks[starts], each)
 
     def _tick_messages(self) -> list[MessageSeries]:
         """Return the messages of the tick log."""
@@ -253,31 +255,31 @@ class Run:
             found.append(MessageSeries(self._prefix + topics.TICKS, TICK_LOG, *times, data))
         return found
 
-    def _slow_messages(self, at: Times3, *, encode: bool) -> list[MessageSeries]:
+    def _slow_messages(self, *, encode: bool) -> list[MessageSeries]:
         """Note what the estimates are worth; return the messages that come now and then."""
         ticks, table, made = self.window.ticks, self.table, list[MessageSeries]()
         joints = range(len(self.observer.designs))
         valid: Flags = np.array([table.rows[joint]["parameters_valid"] == 1.0 for joint in joints])
-        due = self._parameters_due.among(at.stamps, np.asarray(valid.any(axis=0)))
+        due = self._parameters_due.among(ticks.stamps, np.asarray(valid.any(axis=0)))
         if encode and len(due):
             for topic in topics.PARAMETER_TOPICS:
                 values = [table.values(joint, *ESTIMATES[topic])[due] for joint in joints]
                 known = [
                     np.where(valid[joint, due, None], values[joint], np.nan) for joint in joints
                 ]
-                made += self._encoder.messages(topic, at.take(due), known)
+                made += self._encoder.messages(topic, ticks[due], known)
         conditions = [table.values(joint, *HEALTH) for joint in joints]
         for health, own in zip(self._health.values(), conditions, strict=True):
             health.add(own)
-        due = self._health_due.among(at.stamps, table.done)
+        due = self._health_due.among(ticks.stamps, table.done)
         restarts = self._restarts + np.cumsum(ticks.resets)
         if len(due):
             chosen = [own[due] for own in conditions]
             if encode:
-                made += self._encoder.messages(topics.HEALTH, at.take(due), chosen)
+                made += self._encoder.messages(topics.HEALTH, ticks[due], chosen)
             restarted = np.diff(restarts[due], prepend=self._restarts_before) > 0
             together = np.stack(chosen, axis=1)
-            self._events.add(at.stamps[due], at.log_times[due], together, restarted)
+            self._events.add(ticks.stamps[due], ticks.log_times[due], together, restarted)
             self._restarts_before = int(restarts[due[-1]])
         self._restarts = int(restarts[-1]) if len(restarts) else self._restarts
         return made
@@ -442,39 +444,40 @@ def run_all(
             bag cannot be written.
     """
 
-    def windows(write: Callable[[list[MessageSeries], float], None] | None) -> None:
+    with ExitStack() as stack:
         # The core runs for several observers at once.
-        with ThreadPoolExecutor(min(len(runs), os.cpu_count() or 1)) as pool:
-            for window in runs[0].windows:
+        pool = stack.enter_context(ThreadPoolExecutor(min(len(runs), os.cpu_count() or 1)))
+        bag = (
+            None
+            if output is None
+            else stack.enter_context(_new_bag(source, runs, output, estimates_only))
+        )
+        for window in runs[0].windows:
+            work = partial(Run.run, window=window, encode=bag is not None)
+            each = pool.map(work, runs) if len(runs) > 1 else map(work, runs)
+            made = list(chain.from_iterable(each))
+            if bag is not None:
+                bag.write(made, window.horizon)
+            progress(len(window.samples) * len(runs))
+            after_window()
+        if bag is not None and window.horizon < math.inf:
+            bag.write([], math.inf)
 
-                def run(one: Run, window: Window = window) -> list[MessageSeries]:
-                    return one.run(window, encode=write is not None)
 
-                each = pool.map(run, runs) if len(runs) > 1 else map(run, runs)
-                made = list(chain.from_iterable(each))
-                if write is not None:
-                    write(made, window.horizon)
-                progress(len(window.samples) * len(runs))
-                after_window()
-
-    if output is None:
-        windows(None)
-        return
+@contextmanager
+def _new_bag(
+    source: Source, runs: Sequence[Run], output: Path, estimates_only: bool
+) -> Iterator[EstimateBag]:
+    """Open the new bag, with all its topics and what is run in it."""
     own = (topic.definition for topic in source.topics if topic.type == JOINT_STATE)
     definition = next(own, None) or find_definition(JOINT_STATE)
     with whole_bag(output, custom_data={"estimated from": str(source.path)}) as writer:
         bag = EstimateBag(source, writer, estimates_only=estimates_only)
-        for name in chain.from_iterable(run.topics for run in runs):
-            writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)
+        for run in runs:
+            for name in run.topics:
+                writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)
         for name, type_, qos, known in chain.from_iterable(run.own_topics() for run in runs):
             writer.add_topic(name, type_, [qos], definition=known)
         # First of all, so that they come first among the messages of their time.
         writer.write_all([message for run in runs for message in run.record()])
-
-        def write(made: list[MessageSeries], horizon: float) -> None:
-            bag.add(made)
-            bag.write(horizon)
-
-        windows(write)
-        if runs[0].window.horizon < math.inf:
-            bag.write(math.inf)
+        yield bag

@@ -3,17 +3,16 @@
 """Comparison of estimates with those of a live run, message by message."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.joint_series import RawMessages, Times
+from tsobs_ros.bag.joint_series import RawMessages
 from tsobs_ros.bag.message_series import MessageSeries
-from tsobs_ros.checks import Flags
-from tsobs_ros.replay.windows import LiveCounts
 from tsobs_ros.series import NANOSECONDS
 
 COMPARED = (
@@ -23,12 +22,13 @@ COMPARED = (
     topics.DISTURBANCE_BOUND,
     *topics.TORQUE_TOPICS,
 )
-"""Topics of estimates, one message a tick."""
+"""Topics of estimates, one message per tick."""
 
-_STAMP_END = 12
+_STAMP = slice(4, 12)
 
 
-class Agreement(NamedTuple):
+@dataclass
+class Agreement:
     """Comparison of the estimates with those of the live run.
 
     Attributes:
@@ -41,13 +41,13 @@ class Agreement(NamedTuple):
         ran_before: Whether it had run before the recording of it began.
     """
 
-    recorded: int
-    reproduced: int
-    first_difference: int | None
-    not_recorded: int
-    not_received: int
-    lost_ticks: int
-    ran_before: bool
+    recorded: int = 0
+    reproduced: int = 0
+    first_difference: int | None = None
+    not_recorded: int = 0
+    not_received: int = 0
+    lost_ticks: int = 0
+    ran_before: bool = False
 
     @property
     def complete(self) -> bool:
@@ -75,31 +75,36 @@ class Agreement(NamedTuple):
         return f"{line}; {' and '.join(reasons)}"
 
 
+_Message: TypeAlias = tuple[int, int, bytes]
+"""Stamp and log time [ns] of a message, and its bytes."""
+
+
 class LiveComparison:
     """Compares the messages of a run with the recorded ones, window by window.
 
     Args:
-        counts: What the tick log tells.
+        counts: What the tick log has: counts that grow with the windows.
     """
 
-    def __init__(self, counts: LiveCounts) -> None:
-        self._tick_log = counts
-        self._recorded: dict[str, list[_Group]] = {topic: [] for topic in COMPARED}
-        self._made: dict[str, list[_Group]] = {topic: [] for topic in COMPARED}
-        self._count, self._same = 0, 0
-        self._first: int | None = None
+    def __init__(self, counts: Agreement) -> None:
+        self._tick_log, self._found = counts, Agreement()
+        self._recorded: dict[str, list[_Message]] = {topic: [] for topic in COMPARED}
+        self._made: dict[str, set[bytes]] = {topic: set() for topic in COMPARED}
+        self._made_at: set[int] = set()
 
     def add_recorded(self, topic: str, messages: RawMessages) -> None:
         """Take in recorded messages."""
-        self._recorded[topic] += [
-            _Group(_stamps(data), messages.log_times[places], data)
-            for places, data in messages.groups
-            if data.shape[1] >= _STAMP_END
-        ]
+        for places, data in messages.groups:
+            if data.shape[1] >= _STAMP.stop:
+                times = messages.log_times[places].tolist()
+                self._recorded[topic] += zip(_stamps(data), times, _rows(data), strict=True)
 
     def add_made(self, topic: str, messages: Iterable[MessageSeries]) -> None:
         """Take in messages of the run."""
-        self._made[topic] += [_Group(_stamps(m.data), m.log_times, m.data) for m in messages]
+        for one in messages:
+            self._made[topic].update(_rows(one.data))
+            if topic == topics.STATES:
+                self._made_at.update(_stamps(one.data))
 
     def settle(self, horizon: float) -> None:
         """Compare what there is; recorded messages that nothing is like may wait for more.
@@ -107,79 +112,52 @@ class LiveComparison:
         Args:
             horizon: Log time of the ticks to come [ns].
         """
-        made_at = _joined([group.stamps for group in self._made[topics.STATES]])
-        differing = []
-        for topic in COMPARED[1:]:
-            for one, same in self._settled(topic, made_at, horizon):
-                differing.append(one.stamps[~same])
-        others = _joined(differing)
-        for one, same in self._settled(topics.STATES, made_at, horizon):
-            same &= ~np.isin(one.stamps, others)
-            self._count += len(same)
-            self._same += int(same.sum())
-            if not same.all():
-                first = int(one.stamps[~same].min())
-                self._first = first if self._first is None else min(first, self._first)
-        self._made = {topic: [] for topic in COMPARED}
-
-    def _settled(
-        self, topic: str, made_at: Times, horizon: float
-    ) -> "Iterator[tuple[_Group, Flags]]":
-        """Yield the recorded messages that need not wait, and whether they are the same."""
-        waiting = []
-        for one in self._recorded[topic]:
-            same = np.zeros(len(one.stamps), np.bool_)
-            for made in self._made[topic]:
-                same |= _is_in(one, made)
-            due = same | np.isin(one.stamps, made_at) | (one.log_times < horizon - NANOSECONDS)
-            yield one.take(due), same[due]
-            if not due.all():
-                waiting.append(one.take(~due))
-        self._recorded[topic] = waiting
+        found, differing = self._found, set[int]()
+        # An estimate counts by its states, and is the same if all messages of its stamp are.
+        for topic in (*COMPARED[1:], topics.STATES):
+            waiting, made = [], self._made[topic]
+            for one in self._recorded[topic]:
+                stamp, log_time, data = one
+                same = data in made
+                if not (same or stamp in self._made_at or log_time < horizon - NANOSECONDS):
+                    waiting.append(one)
+                    continue
+                if not same:
+                    differing.add(stamp)
+                if topic == topics.STATES:
+                    found.recorded += 1
+                    found.reproduced += stamp not in differing
+                    if stamp in differing:
+                        first = found.first_difference
+                        found.first_difference = stamp if first is None else min(first, stamp)
+            self._recorded[topic] = waiting
+            made.clear()
+        self._made_at.clear()
 
     def result(self) -> Agreement:
         """Return what was counted."""
         self.settle(math.inf)
-        known = self._tick_log
-        return Agreement(
-            self._count, self._same, self._first,
-            known.not_recorded, known.not_received, known.lost_ticks, known.ran_before,
-        )  # fmt: skip
+        found = self._found
+        return replace(
+            self._tick_log,
+            recorded=found.recorded,
+            reproduced=found.reproduced,
+            first_difference=found.first_difference,
+        )
 
 
-class _Group(NamedTuple):
-    """Messages of one size: stamps and log times [ns], and bytes."""
-
-    stamps: Times
-    log_times: Times
-    data: NDArray[np.uint8]
-
-    def take(self, chosen: Flags) -> "_Group":
-        return _Group(self.stamps[chosen], self.log_times[chosen], self.data[chosen])
+def _rows(data: NDArray[np.uint8]) -> list[bytes]:
+    """Return messages of one size one by one."""
+    rows: list[bytes] = np.ascontiguousarray(data).view(f"V{data.shape[1]}")[:, 0].tolist()
+    return rows
 
 
-def _is_in(wanted: _Group, there: _Group) -> Flags:
-    """Return which messages are among others, to the last bit."""
-    if wanted.data.shape[1] != there.data.shape[1] or not len(there.stamps):
-        return np.zeros(len(wanted.stamps), np.bool_)
-    order = np.argsort(there.stamps, kind="stable")
-    ascending, found = there.stamps[order], np.zeros(len(wanted.stamps), np.bool_)
-    # If the clock went back, a stamp may be there twice.
-    for side, shift in (("left", 0), ("right", -1)):
-        at = np.searchsorted(ascending, wanted.stamps, side=side) + shift  # type: ignore[call-overload]
-        found |= (there.data[order[at.clip(0, len(order) - 1)]] == wanted.data).all(axis=1)
-    return found
-
-
-def _joined(stamps: Sequence[Times]) -> Times:
-    return np.concatenate([np.zeros(0, np.int64), *stamps])
-
-
-def _stamps(data: NDArray[np.uint8]) -> Times:
-    """Return the stamps in the headers of little-endian messages [ns], shape (n,)."""
-    parts = np.ascontiguousarray(data[:, 4:_STAMP_END])
+def _stamps(data: NDArray[np.uint8]) -> list[int]:
+    """Return the stamps in the headers of little-endian messages [ns]."""
+    parts = np.ascontiguousarray(data[:, _STAMP])
     seconds, rest = parts.view("<i4")[:, 0], parts.view("<u4")[:, 1]
-    return np.asarray(seconds.astype(np.int64) * NANOSECONDS + rest)
+    stamps: list[int] = (seconds.astype(np.int64) * NANOSECONDS + rest).tolist()
+    return stamps
 
 
 def _count(number: int, what: str) -> str:

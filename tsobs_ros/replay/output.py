@@ -48,25 +48,23 @@ class EstimateBag:
                 one.name, one.type, one.qos_profiles, definition=one.definition, ids=ids
             )
 
-    def add(self, made: Iterable[MessageSeries]) -> None:
-        """Take new messages, for `write` to write."""
-        self._waiting += made
-
-    def write(self, horizon: float) -> None:
+    def write(self, made: Iterable[MessageSeries], horizon: float) -> None:
         """Write all messages before a log time, of a chunk those behind it too.
 
         Args:
+            made: New messages; those from then on are written later.
             horizon: The log time [ns]; no new message will come before it.
 
         Raises:
             BagWriteError: The bag cannot be written.
         """
-        due = [one.take(one.log_times < horizon) for one in self._waiting]
-        rest = (one.take(one.log_times >= horizon) for one in self._waiting)
+        known = [*self._waiting, *made]
+        due = [one.take(one.log_times < horizon) for one in known]
+        rest = (one.take(one.log_times >= horizon) for one in known)
         self._waiting = [one for one in rest if len(one.log_times)]
         if recorded := self._messages(horizon):
-            made = (message for one in due for message in one.messages())
-            self._writer.write_all(sorted([*recorded, *made], key=_log_time))
+            new = (message for one in due for message in one.messages())
+            self._writer.write_all(sorted([*recorded, *new], key=_log_time))
             return
         if self._chunks is not None:
             try:

@@ -3,7 +3,7 @@
 """The places of joints' numbers in the topics of an observer and of a simulator."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,18 +114,6 @@ class Layout:
         return self._encoders[chosen].encode_rows(stamps, *numbers)
 
 
-class Times3(NamedTuple):
-    """Header stamps, log times and publish times of m messages [ns], shape (m,) each."""
-
-    stamps: Stamps
-    log_times: Stamps
-    publish_times: Stamps
-
-    def take(self, places: NDArray[np.intp] | NDArray[np.bool_] | slice) -> "Times3":
-        """Return some of them."""
-        return Times3(*(array[places] for array in self))
-
-
 class EstimateEncoder:
     """Makes the messages of one observer from arrays, byte for byte those of the node.
 
@@ -147,12 +135,12 @@ class EstimateEncoder:
         """Full names of the topics."""
         return tuple(self._prefix + name for name in self._layouts)
 
-    def messages(self, topic: str, at: Times3, values: Sequence[Array]) -> list[MessageSeries]:
+    def messages(self, topic: str, at: Any, values: Sequence[Array]) -> list[MessageSeries]:
         """Return messages of what there is.
 
         Args:
             topic: One of `bag.estimate_topics`.
-            at: Stamps of the messages.
+            at: Records with `stamps`, `log_times` and `publish_times` of m messages [ns].
             values: Of each joint in the order of `places_of`, NaN for none, shape (m, width);
                 a joint without any may have fewer.
         """
@@ -171,9 +159,9 @@ class EstimateEncoder:
             columns.append(is_there)
         numbers = np.hstack(padded)
         for entries, rows in _alike(layout.entries_of(np.hstack(columns))):
-            chosen = at.take(rows)
-            data = layout.encode(chosen.stamps, numbers[rows], entries)
-            found.append(MessageSeries(self._prefix + topic, JOINT_STATE, *chosen[1:], data))
+            data = layout.encode(at.stamps[rows], numbers[rows], entries)
+            times = at.log_times[rows], at.publish_times[rows]
+            found.append(MessageSeries(self._prefix + topic, JOINT_STATE, *times, data))
         return found
 
 

@@ -20,6 +20,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_series import RawMessages, Times
 from tsobs_ros.bag.tick_log import decode_ticks
 from tsobs_ros.errors import MessageError
+from tsobs_ros.replay.live import Agreement
 from tsobs_ros.replay.source import Part, Records, Source, joined, restarts
 from tsobs_ros.series import NANOSECONDS
 
@@ -49,23 +50,6 @@ _TICK = np.dtype(
     ]
 )
 """A record of a tick of an observer; all times are in ns."""
-
-
-@dataclass
-class LiveCounts:
-    """What the tick log tells of the recorded observer.
-
-    Attributes:
-        not_recorded: Number of measurements that it took, but the bag lacks.
-        not_received: Number of those in the bag that it did not take.
-        lost_ticks: Number of ticks that the log lacks.
-        ran_before: Whether it had estimated before the log begins.
-    """
-
-    not_recorded: int = 0
-    not_received: int = 0
-    lost_ticks: int = 0
-    ran_before: bool = False
 
 
 @dataclass(frozen=True)
@@ -112,7 +96,7 @@ class Windows:
 
     Attributes:
         as_live: Whether the ticks are those of the tick log.
-        counts: What the tick log has told until now.
+        counts: What the tick log has of it until now.
     """
 
     def __init__(
@@ -120,7 +104,7 @@ class Windows:
     ) -> None:
         self._source, self._rate, self._size = source, rate, size
         self.as_live = as_live and source.has_ticks
-        self.counts = LiveCounts()
+        self.counts = Agreement()
 
     def __iter__(self) -> Iterator[Window]:
         parts = self._source.parts(self._size, with_live=self.as_live)
@@ -285,7 +269,7 @@ def _in_order(samples: Records, known: NDArray[np.int64]) -> Records:
 class _TickLog:
     """The ticks of a tick log that are not due yet."""
 
-    def __init__(self, counts: LiveCounts) -> None:
+    def __init__(self, counts: Agreement) -> None:
         self._counts = counts
         self._rows: list[tuple[int, int, list[int]]] = []
         self._number = 0
