@@ -53,7 +53,7 @@ def _parts(campaign: Campaign) -> dict[str, float]:
         observed = observe(design, runs, campaign.settings, campaign.estimator)
         marks.append(time.thread_time_ns())
         for run in range(repeats):
-            measure(recorded(runs, observed, run))
+            measure(recorded(runs, run, observed.of(run)))
         marks.append(time.thread_time_ns())
         samples = repeats * scenario.sample_count
         for _ in range(samples // 256):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tsobs_ros.campaign.batches import observe, recorded, unobserved
+from tsobs_ros.campaign.batches import observe, recorded
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import THETA_STD
@@ -158,7 +158,7 @@ def _compare(
 def _measured(job: _Job, runs: Trajectories, settings: ObserverSettings) -> Cell:
     observed = observe(job.design, runs, settings)
     places = range(len(runs.physical))
-    return Cell.of([measure(recorded(runs, observed, run), job.options) for run in places])
+    return Cell.of([measure(recorded(runs, run, observed.of(run)), job.options) for run in places])
 
 
 def _tuned(job: _Job, settings: ObserverSettings, runs: Trajectories) -> ObserverSettings:
@@ -229,12 +229,11 @@ def _bounds(job: _Job, scenario: Scenario, runs: Trajectories) -> dict[str, Cell
             theta_std=THETA_STD,
         )
         # As errors of one run, so that they are averaged over the same samples.
-        least = replace(
-            unobserved(runs, 0),
-            states=runs.physical[0] + std[:, :4],
-            disturbance=runs.disturbances[0] + std[:, 4:5],
-        )
-        found[name] = Cell.of([measure(least, job.options)])
+        least = {
+            "state": runs.physical[0] + std[:, :4],
+            "disturbance": runs.disturbances[0] + std[:, 4:5],
+        }
+        found[name] = Cell.of([measure(recorded(runs, 0, least), job.options)])
     return found
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tsobs_ros.campaign.batches import CLAIMS, Observed, claimed, observe, recorded
+from tsobs_ros.campaign.batches import CLAIMS, claimed, observe, recorded
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
@@ -37,7 +37,7 @@ def test_errors_are_a_reports_and_by_claim() -> None:
     fields = (("state", 4), ("disturbance", 1), ("state_bound", 4), ("disturbance_bound", 1))
     row_type = [*((name, float, (n,)) for name, n in fields), ("basis", float), ("claimed", float)]
     rows = np.concatenate([truth + error, bounds, worth], axis=2).view(row_type)[..., 0]
-    run = recorded(runs, Observed(rows, ({},) * 2), 1)
+    run = recorded(runs, 1, {name: rows[name][1] for name, _ in fields})
     metrics = measure(run, MetricsOptions(start_settle_time=3.0, jump_settle_time=1.0))
     # The second jump and its chatter are one; what follows the last measurement does not count.
     last = runs.times[np.isfinite(runs.measurements[1, :, 0])].max()

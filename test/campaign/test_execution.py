@@ -21,7 +21,7 @@ from tsobs_ros.campaign.runs import PART, compute
 from tsobs_ros.campaign.summary import summarise
 from tsobs_ros.cli.main import main
 from tsobs_ros.report.metrics import MetricsOptions, measure
-from tsobs_ros.report.run import find_observer
+from tsobs_ros.report.run import FoundObserver
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN
 
 
@@ -181,7 +181,7 @@ def test_a_run_is_made_again_as_a_bag_with_the_same_errors(
     asked = load_campaign(write(design=design, runs=3, duration=8.0, scenarios=scenarios))
     row = compute(asked, 2, 3)
     bag = rerun(asked, 2, tmp_path / "again")
-    found = find_observer(bag)
+    found = FoundObserver(bag)
     run = found.run(found.choose(None), asked.file.design.request)
     settled = MetricsOptions(start_settle_time=0.3, jump_settle_time=0.3)
     measured = measure(run, settled)

@@ -46,10 +46,10 @@ def blank_run(measurements: Series, stamps: Any, **truth: Any) -> RecordedRun:
         joint="elastic_joint",
         measurements=measurements,
         stamps=stamps,
-        states=np.full((m, 4), np.nan),
-        state_bounds=np.full((m, 4), np.nan),
+        state=np.full((m, 4), np.nan),
+        state_bound=np.full((m, 4), np.nan),
         disturbance=np.full((m, 1), np.nan),
-        disturbance_bounds=np.full((m, 1), np.nan),
+        disturbance_bound=np.full((m, 1), np.nan),
         **truth,
     )
 
@@ -72,11 +72,11 @@ def observed(run: RecordedRun, tracker: Tracker) -> RecordedRun:
     table, used = np.array(rows), np.array([stamp for stamp, _ in innovations])
     return replace(
         run,
-        states=table[:, :4],
-        state_bounds=table[:, 4:8],
+        state=table[:, :4],
+        state_bound=table[:, 4:8],
         disturbance=table[:, 8:9],
-        disturbance_bounds=table[:, 9:10],
-        innovations=Series(used, np.array([[value] for _, value in innovations])),
+        disturbance_bound=table[:, 9:10],
+        innovation=Series(used, np.array([[value] for _, value in innovations])),
     )
 
 
@@ -89,7 +89,7 @@ def unobserved() -> RecordedRun:
     return blank_run(
         Series(stamps, np.column_stack([runs.measurements[0, :, 0], runs.torques[0, :, 0]])),
         stamps[:-1] + TICK_LAG,
-        truth=Series(stamps, scenario.arm.to_physical(runs.states[0])),
+        true_state=Series(stamps, scenario.arm.to_physical(runs.states[0])),
         true_disturbance=Series(stamps, runs.disturbances[0]),
     )
 
@@ -138,16 +138,16 @@ def topics_of(run: RecordedRun, namespace: str = "") -> dict[str, list[Row]]:
     ]
     topics = {
         "joint_measurements": measured,
-        "observer/joint_states": motion(run.stamps, run.states),
-        "observer/error_bound": motion(run.stamps, run.state_bounds),
+        "observer/joint_states": motion(run.stamps, run.state),
+        "observer/error_bound": motion(run.stamps, run.state_bound),
         "observer/disturbance": scalar(run.stamps, run.disturbance[:, 0]),
-        "observer/disturbance_bound": scalar(run.stamps, run.disturbance_bounds[:, 0]),
+        "observer/disturbance_bound": scalar(run.stamps, run.disturbance_bound[:, 0]),
     }
-    if run.innovations is not None:
-        stamps, values, _ = run.innovations
+    if run.innovation is not None:
+        stamps, values, _ = run.innovation
         topics["observer/innovation"] = scalar(stamps, values[:, 0])
-    if run.truth is not None:
-        topics["ground_truth/joint_states"] = motion(*run.truth[:2])
+    if run.true_state is not None:
+        topics["ground_truth/joint_states"] = motion(*run.true_state[:2])
     if run.true_disturbance is not None:
         stamps, values, _ = run.true_disturbance
         topics["ground_truth/disturbance"] = scalar(stamps, values[:, 0])
@@ -162,9 +162,9 @@ def topics_of(run: RecordedRun, namespace: str = "") -> dict[str, list[Row]]:
 @pytest.fixture
 def short(simulated: RecordedRun) -> RecordedRun:
     """The first second of the simulated run, for bags that are quick to write."""
-    series = ("measurements", "innovations", "truth", "true_disturbance")
+    series = ("measurements", "innovation", "true_state", "true_disturbance")
     cut: dict[str, Any] = {name: getattr(simulated, name).take(slice(200)) for name in series}
-    names = ("stamps", "states", "state_bounds", "disturbance", "disturbance_bounds")
+    names = ("stamps", "state", "state_bound", "disturbance", "disturbance_bound")
     return replace(simulated, **cut, **{name: getattr(simulated, name)[:200] for name in names})
 
 

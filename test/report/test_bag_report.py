@@ -68,7 +68,7 @@ def test_a_report_lists_what_happened_to_the_estimates(
 
 
 def test_a_report_of_a_robot_without_truth(short, messages_of, write_bag, tmp_path) -> None:
-    bag = write_bag(messages_of(replace(short, truth=None, true_disturbance=None)))
+    bag = write_bag(messages_of(replace(short, true_state=None, true_disturbance=None)))
     (tmp_path / "report.json").write_text("old")
 
     report = make_bag_report(bag, tmp_path, ekf=False, html=False, force=True)

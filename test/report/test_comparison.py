@@ -19,7 +19,7 @@ from tsobs_ros.report.comparison import (
     render_comparison,
 )
 from tsobs_ros.report.metrics import measure
-from tsobs_ros.report.run import find_observer
+from tsobs_ros.report.run import FoundObserver
 
 
 def test_each_is_measured_as_if_it_had_been_recorded(
@@ -36,7 +36,7 @@ def test_each_is_measured_as_if_it_had_been_recorded(
 
     options = metrics_options(design)
     for one in errors[:2]:
-        found = find_observer(tmp_path / "new", observer=one.observer)
+        found = FoundObserver(tmp_path / "new", observer=one.observer)
         recorded = found.run(one.joint, design.request)
         assert one.metrics == measure(recorded, options)
     assert errors[2].metrics["link_angle"].rmse > errors[0].metrics["link_angle"].rmse

@@ -25,7 +25,7 @@ def curve(plot, name):
 @pytest.fixture
 def robot(simulated):
     """The same run as a real robot would give it."""
-    return replace(simulated, truth=None, true_disturbance=None)
+    return replace(simulated, true_state=None, true_disturbance=None)
 
 
 @pytest.mark.parametrize(("draw", "name"), [(draw_run, "run.png"), (write_html, "run.html")])
@@ -43,15 +43,15 @@ def test_the_same_run_gives_the_same_file_and_no_global_change(short, tmp_path, 
     assert ("matplotlib.pyplot" in sys.modules) == pyplot
 
 
-SERIES = ("measurements", "truth", "true_disturbance", "innovations", "health", "parameters",
-          "parameter_bounds")  # fmt: skip
+SERIES = ("measurements", "true_state", "true_disturbance", "innovation", "health", "parameters",
+          "parameter_bound")  # fmt: skip
 
 
 @pytest.mark.parametrize("gap", ["stamps", "nan", "all"])
 def test_a_figure_has_gaps_where_its_series_have_them(troubled, tmp_path, gap: str) -> None:
     """Of five seconds, or of all: without stamps there, or with numbers that are none."""
     learnt = Series(troubled.stamps[::10], 0.01 * np.ones((len(troubled.stamps[::10]), 2)))
-    whole = replace(troubled, parameters=learnt, parameter_bounds=learnt)
+    whole = replace(troubled, parameters=learnt, parameter_bound=learnt)
     begin, end = (0.0, 99.0) if gap == "all" else (6.0, 11.0)
     begin, end = (whole.stamps[0] + int(1e9 * time) for time in (begin, end))
 
@@ -73,14 +73,14 @@ def test_a_figure_has_gaps_where_its_series_have_them(troubled, tmp_path, gap: s
 
 
 def test_a_figure_survives_what_a_bag_may_lack(robot, tmp_path) -> None:
-    nothing = np.full(robot.states.shape, np.nan)
+    nothing = np.full(robot.state.shape, np.nan)
     run = replace(
         robot,
-        innovations=None,
+        innovation=None,
         measurements=Series(robot.stamps[:0], nothing[:0, :2]),
-        state_bounds=nothing,
+        state_bound=nothing,
         disturbance=nothing[:, :1],
-        disturbance_bounds=nothing[:, :1],
+        disturbance_bound=nothing[:, :1],
     )
 
     shown = picture(run, measure(run))
@@ -120,7 +120,7 @@ def test_plots_hold_the_run_in_its_units(simulated, troubled) -> None:
     measured = simulated.measurements.values
     for plot, name, values in (
         (plots[0], "measured", measured[:, 0]),
-        (plots[2], "true", simulated.truth.values[:, 2]),
+        (plots[2], "true", simulated.true_state.values[:, 2]),
         (plots[4], "estimated", simulated.disturbance[:, 0]),
         (plots[5], "applied", measured[:, 1]),
     ):
@@ -138,10 +138,10 @@ def test_plots_hold_the_run_in_its_units(simulated, troubled) -> None:
 
 
 def test_wild_first_guesses_do_not_flatten_the_rest(simulated) -> None:
-    states = simulated.states.copy()
+    states = simulated.state.copy()
     states[:20] = 1e3
 
-    shown = picture(replace(simulated, states=states), measure(simulated))
+    shown = picture(replace(simulated, state=states), measure(simulated))
 
     assert shown.plots[0].limits[1] < 1.5
 
@@ -159,7 +159,7 @@ def test_a_wrong_stamp_does_not_stretch_the_time_axis(simulated) -> None:
 def test_gaps_are_drawn_as_gaps_and_counted(simulated) -> None:
     seconds = simulated.times
     there = (seconds < 10.0) | (seconds >= 12.0)
-    own = ("stamps", "states", "state_bounds", "disturbance", "disturbance_bounds")
+    own = ("stamps", "state", "state_bound", "disturbance", "disturbance_bound")
     cut = {name: getattr(simulated, name)[there] for name in own}
     measurements = simulated.measurements.take(np.append(there, True))
     run = replace(simulated, measurements=measurements, **cut)

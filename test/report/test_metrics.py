@@ -32,23 +32,23 @@ def exact(new_run):
     run = new_run(
         Series(stamps, np.zeros((8001, 2))),
         stamps,
-        truth=Series(stamps, np.zeros((8001, 4))),
+        true_state=Series(stamps, np.zeros((8001, 4))),
         true_disturbance=Series(stamps, bias[:, np.newaxis]),
     )
     return replace(
         run,
-        states=np.zeros((8001, 4)),
-        state_bounds=np.full((8001, 4), BOUND),
+        state=np.zeros((8001, 4)),
+        state_bound=np.full((8001, 4), BOUND),
         disturbance=bias[:, np.newaxis],
-        disturbance_bounds=np.full((8001, 1), BOUND),
+        disturbance_bound=np.full((8001, 1), BOUND),
     )
 
 
 def with_error(run, begin: float, end: float, size: float, column: int = 0):
     """Return the run with an error of one state in part of it."""
-    states = run.states.copy()
+    states = run.state.copy()
     states[(run.times >= begin) & (run.times < end), column] += size
-    return replace(run, states=states)
+    return replace(run, state=states)
 
 
 def test_errors_count_where_the_run_is_settled(exact) -> None:
@@ -77,7 +77,7 @@ def test_inside_counts_three_sigma_of_the_bound(exact, size, inside) -> None:
 
 def test_the_normalised_error_weighs_the_states_by_their_scale(exact) -> None:
     scale = (0.226, 0.60, 0.355, 0.464)
-    run = replace(exact, states=exact.states + 0.01 * np.array(scale))
+    run = replace(exact, state=exact.state + 0.01 * np.array(scale))
 
     assert measure(run).normalised_rmse == pytest.approx(0.01)
     assert measure(run, MetricsOptions(scale=(0.113, 0.3, 0.1775, 0.232))).normalised_rmse == (
@@ -91,8 +91,8 @@ def test_settling_is_timed_from_the_start_and_from_each_jump(exact) -> None:
     run = with_error(run, 20.0, 22.25, -0.4, column=1)
 
     # A bound that is wide at the start does not make the start settled.
-    bounds = np.where(exact.times[:, np.newaxis] < 1.0, 5.0, exact.state_bounds)
-    start, jump = measure(replace(run, state_bounds=bounds)).events
+    bounds = np.where(exact.times[:, np.newaxis] < 1.0, 5.0, exact.state_bound)
+    start, jump = measure(replace(run, state_bound=bounds)).events
 
     assert (start.what, start.time, start.size) == ("start", 0.0, 0.0)
     assert start.settled_after == pytest.approx(2.0)
@@ -116,7 +116,7 @@ def test_small_steps_of_the_disturbance_are_no_jumps(exact) -> None:
 
 
 def test_without_truth_there_are_bounds_but_no_errors(exact) -> None:
-    metrics = measure(replace(exact, truth=None, true_disturbance=None))
+    metrics = measure(replace(exact, true_state=None, true_disturbance=None))
 
     assert metrics.windows == ((5.0, 40.0),)
     assert metrics["link_angle"].bound == pytest.approx(BOUND)
@@ -127,11 +127,11 @@ def test_without_truth_there_are_bounds_but_no_errors(exact) -> None:
 
 
 def test_lost_truth_and_bounds_are_left_out(exact) -> None:
-    bounds = exact.state_bounds.copy()
+    bounds = exact.state_bound.copy()
     bounds[2000:2400] = np.nan
     keep = (exact.times < 12.0) | (exact.times > 13.0)
-    truth = Series(exact.truth.stamps[keep], exact.truth.values[keep])
-    run = with_error(replace(exact, state_bounds=bounds, truth=truth), 12.0, 13.0, 9.0)
+    truth = Series(exact.true_state.stamps[keep], exact.true_state.values[keep])
+    run = with_error(replace(exact, state_bound=bounds, true_state=truth), 12.0, 13.0, 9.0)
 
     metrics = measure(run)
 
@@ -143,7 +143,7 @@ def test_lost_truth_and_bounds_are_left_out(exact) -> None:
 def test_the_innovation_is_measured_against_the_expected_one(exact) -> None:
     values = np.full((8001, 1), 0.03)
     values[exact.times < 5.0] = 9.0
-    run = replace(exact, innovations=Series(exact.stamps, values))
+    run = replace(exact, innovation=Series(exact.stamps, values))
 
     assert measure(run, MetricsOptions(innovation_std=0.02)).nis == pytest.approx(2.25)
     assert measure(run).nis is None
@@ -153,7 +153,7 @@ def test_the_innovation_is_measured_against_the_expected_one(exact) -> None:
 @pytest.mark.parametrize("size", [2e83, 1e200])
 def test_a_diverged_observer_is_called_so_and_stays_plain_data(exact, size) -> None:
     innovations = Series(exact.stamps, np.full((8001, 1), size))
-    run = replace(with_error(exact, 5.0, 40.0, size), innovations=innovations)
+    run = replace(with_error(exact, 5.0, 40.0, size), innovation=innovations)
     metrics = measure(run, MetricsOptions(innovation_std=0.02))
     rows = [ObserverErrors("high_gain", "elbow", (size,), metrics)]
 
@@ -176,7 +176,7 @@ def test_senseless_options_are_refused(name, value) -> None:
 
 def test_the_table_says_what_the_metrics_say(simulated) -> None:
     metrics = measure(simulated)
-    worse = replace(simulated, states=1.5 * simulated.states)
+    worse = replace(simulated, state=1.5 * simulated.state)
     comparison = EkfComparison(metrics, measure(worse), "ekf_augmented", 2)
 
     lines = render_metrics(metrics, comparison).splitlines()

@@ -47,7 +47,7 @@ def page(simulated, troubled, diagnosed, tmp_path):
     slow = troubled.health.stamps
     learnt = Series(slow, np.tile([0.1, -0.05], (len(slow), 1)))
     run = replace(
-        troubled, name=HOSTILE, parameters=learnt, parameter_bounds=learnt._replace(
+        troubled, name=HOSTILE, parameters=learnt, parameter_bound=learnt._replace(
             values=np.full((len(slow), 2), 0.02)
         ),
     )  # fmt: skip
@@ -185,7 +185,7 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
     ended = summarise(metrics, found, diagnose([], 0, 20.0), timing, events, until=0)
     assert ended == summarise(metrics, found, diagnose([], 0, 20.0), timing)
 
-    wrong = replace(simulated, state_bounds=0.1 * simulated.state_bounds)
+    wrong = replace(simulated, state_bound=0.1 * simulated.state_bound)
     bad = summarise(measure(wrong), None, diagnosed, timing)
     assert bad.level is Level.ERROR
     assert bad.text.startswith("Only ")

@@ -11,7 +11,7 @@ import pytest
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
-from tsobs_ros.report.run import RecordedRun, find_observer, hold, interpolate
+from tsobs_ros.report.run import FoundObserver, RecordedRun, hold, interpolate
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.series import Series
 
@@ -19,7 +19,7 @@ SECOND = 1_000_000_000
 
 
 def read_run(bag: Path, namespace: str | None = None) -> RecordedRun:
-    found = find_observer(bag, namespace=namespace)
+    found = FoundObserver(bag, namespace=namespace)
     return found.run(found.choose(None), load_design(config_path(SHIPPED_DESIGN)).request)
 
 
@@ -27,9 +27,9 @@ def read_run(bag: Path, namespace: str | None = None) -> RecordedRun:
 def test_a_run_comes_back_from_its_bag(short, messages_of, write_bag, namespace) -> None:
     run = read_run(write_bag(messages_of(short, namespace)))
 
-    for name in ("stamps", "states", "state_bounds", "disturbance", "disturbance_bounds"):
+    for name in ("stamps", "state", "state_bound", "disturbance", "disturbance_bound"):
         np.testing.assert_array_equal(getattr(run, name), getattr(short, name), err_msg=name)
-    for name in ("measurements", "innovations", "truth", "true_disturbance"):
+    for name in ("measurements", "innovation", "true_state", "true_disturbance"):
         for read, written in zip(getattr(run, name)[:2], getattr(short, name)[:2], strict=True):
             np.testing.assert_array_equal(read, written, err_msg=name)
     assert run.joint == "elastic_joint"
@@ -94,13 +94,13 @@ def test_missing_topics_are_named_with_the_bag(short, messages_of, write_bag) ->
 
 
 def test_of_two_arms_one_must_be_chosen(short, messages_of, write_bag) -> None:
-    other = replace(short, states=short.states + 1.0)
+    other = replace(short, state=short.state + 1.0)
     bag = write_bag({**messages_of(short, "/left"), **messages_of(other, "/right")})
 
     with pytest.raises(BagReadError, match=r"several topics end in joint_measurements: /left/"):
         read_run(bag)
-    np.testing.assert_array_equal(read_run(bag, namespace="/right").states, other.states)
-    np.testing.assert_array_equal(read_run(bag, namespace="left/").states, short.states)
+    np.testing.assert_array_equal(read_run(bag, namespace="/right").state, other.state)
+    np.testing.assert_array_equal(read_run(bag, namespace="left/").state, short.state)
 
 
 def test_the_joint_may_be_one_of_several_and_lack_an_effort(short, messages_of, write_bag) -> None:
@@ -124,9 +124,9 @@ def test_lost_messages_leave_gaps_and_not_shifts(short, messages_of, write_bag) 
 
     run = read_run(write_bag(topics))
 
-    assert np.flatnonzero(np.isnan(run.state_bounds[:, 0])).tolist() == [10]
+    assert np.flatnonzero(np.isnan(run.state_bound[:, 0])).tolist() == [10]
     assert np.flatnonzero(np.isnan(run.disturbance[:, 0])).tolist() == [20]
-    np.testing.assert_array_equal(run.state_bounds[11:], short.state_bounds[11:])
+    np.testing.assert_array_equal(run.state_bound[11:], short.state_bound[11:])
 
 
 def test_of_a_looped_bag_the_longest_pass_is_read(short, messages_of, write_bag) -> None:
@@ -143,8 +143,8 @@ def test_of_a_looped_bag_the_longest_pass_is_read(short, messages_of, write_bag)
 
     assert run.passes == 3
     assert len(run.stamps) == 200
-    np.testing.assert_array_equal(run.states, short.states)
-    np.testing.assert_array_equal(run.truth.values, short.truth.values)
+    np.testing.assert_array_equal(run.state, short.state)
+    np.testing.assert_array_equal(run.true_state.values, short.true_state.values)
 
 
 def test_interpolated_motion_keeps_the_documented_error() -> None:

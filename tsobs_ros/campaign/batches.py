@@ -4,7 +4,6 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.report.quantities import QUANTITIES, Quantity
-from tsobs_ros.report.run import RecordedRun
+from tsobs_ros.report.run import ESTIMATED, RecordedRun
 from tsobs_ros.series import NANOSECONDS, Series
 from tsobs_ros.simulation.plant import Trajectories
 
@@ -53,6 +52,10 @@ class Observed(NamedTuple):
 
     rows: Rows
     events: tuple[dict[str, int], ...]
+
+    def of(self, run: int) -> dict[str, Array]:
+        """Return the estimates of a run, by the names in `ESTIMATED`."""
+        return {name: np.asarray(self.rows[name][run]) for name in ESTIMATED}
 
     def field(self, name: str) -> Array:
         """Return a field of `Estimate`, shape (runs, samples) or (runs, samples, numbers)."""
@@ -98,17 +101,19 @@ def stamps_of(times: Array) -> NDArray[np.int64]:
     return NANOSECONDS + np.round(times * NANOSECONDS).astype(np.int64)
 
 
-def unobserved(
+def recorded(
     runs: Trajectories,
     run: int,
+    estimates: Mapping[str, Array],
     quantities: tuple[Quantity, ...] = QUANTITIES,
     sides: tuple[str, ...] = (),
 ) -> RecordedRun:
-    """Return one run of a batch as if it had been recorded, with estimates of NaN.
+    """Return one run of a batch as if it had been recorded.
 
     Args:
         runs: What is true.
         run: The run.
+        estimates: Of it at each sample, by the names in `ESTIMATED`; those without are NaN.
         quantities: What is estimated.
         sides: Of the design's torque disturbances, of "motor" and "link".
     """
@@ -116,45 +121,22 @@ def unobserved(
     there = np.flatnonzero(np.isfinite(runs.measurements[run]).any(axis=1))
     measured = np.hstack([runs.measurements[run], runs.torques[run]])
     torques = runs.torque_disturbances[run][:, [SIDES.index(side) for side in sides]]
-    states, outputs, unknown = (np.full((len(stamps), n), np.nan) for n in (4, p, len(sides)))
+    known: dict[str, Any] = {}
+    for name, width in zip(ESTIMATED, (4, 4, p, p, len(sides), len(sides)), strict=True):
+        # A method without bounds has no numbers there.
+        given = estimates.get(name, np.zeros((0, 0)))
+        known[name] = given if given.shape[1] else np.full((len(stamps), width), np.nan)
     return RecordedRun(
         name="run",
         joint="run",
         measurements=Series(stamps[there], measured[there]),
         stamps=stamps,
-        states=states,
-        state_bounds=states,
-        disturbance=outputs,
-        disturbance_bounds=outputs,
-        torque=unknown,
-        torque_bounds=unknown,
         quantities=quantities,
-        truth=Series(stamps, runs.physical[run]),
+        true_state=Series(stamps, runs.physical[run]),
         true_disturbance=Series(stamps, runs.disturbances[run]),
-        true_torque=Series(stamps, torques) if sides else None,
+        true_torque_disturbance=Series(stamps, torques) if sides else None,
+        **known,
     )
-
-
-def recorded(
-    runs: Trajectories,
-    observed: Observed,
-    run: int,
-    quantities: tuple[Quantity, ...] = QUANTITIES,
-    sides: tuple[str, ...] = (),
-) -> RecordedRun:
-    """Return one run of a batch as if it had been recorded; see `unobserved`."""
-    fields: dict[str, Any] = {
-        "states": "state",
-        "state_bounds": "state_bound",
-        "disturbance": "disturbance",
-        "disturbance_bounds": "disturbance_bound",
-    }
-    if sides:
-        fields |= {"torque": "torque_disturbance", "torque_bounds": "torque_disturbance_bound"}
-    estimates: dict[str, Any] = {key: observed.rows[name][run] for key, name in fields.items()}
-    # A method without bounds has no numbers there.
-    known = {key: numbers for key, numbers in estimates.items() if numbers.shape[1]}
-    return replace(unobserved(runs, run, quantities, sides), **known)
 
 
 def claimed(run: RecordedRun, rows: Rows) -> dict[str, int | float]:

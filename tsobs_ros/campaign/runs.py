@@ -74,7 +74,7 @@ def compute(campaign: Campaign, begin: int, end: int) -> Columns:
         truth = Plant(scenario, [one.seed for one in group]).run(scenario.sample_count)
         observed = observe(design, truth, campaign.settings, campaign.estimator)
         for place, drawn in enumerate(group):
-            run = recorded(truth, observed, place, quantities, request.torque_sides)
+            run = recorded(truth, place, observed.of(place), quantities, request.torque_sides)
             estimates, events = observed.rows[place], observed.events[place]
             reach = float(np.abs(truth.physical[place, :, 0]).max())
             rows.append(

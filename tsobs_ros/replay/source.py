@@ -32,7 +32,6 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError, MessageError, ModelError
 from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
-from tsobs_ros.replay.places import places_of
 from tsobs_ros.series import NANOSECONDS
 
 MEASUREMENTS = "joint_measurements"
@@ -140,20 +139,6 @@ def restarts(stamps: Sequence[int] | Times, highest: int = 0) -> list[int]:
 def passes(stamps: Sequence[int] | Times, highest: int = 0) -> list[tuple[int, int]]:
     """Return the begin and end of each pass of time; a second one follows a restart."""
     return list(pairwise([0, *restarts(stamps, highest), len(stamps)]))
-
-
-class Truth(NamedTuple):
-    """The recorded truth of a simulation; None where there is none.
-
-    Attributes:
-        states: Of every joint.
-        disturbance: Of every joint's outputs.
-        torque: Torque disturbances of every joint.
-    """
-
-    states: JointSeries | None
-    disturbance: JointSeries | None
-    torque: JointSeries | None
 
 
 class Part(NamedTuple):
@@ -279,10 +264,6 @@ class Source(ABC):
         """Return what copies the messages of `topics` chunk by chunk; None if nothing can."""
         return None
 
-    def truth(self, size: int | None = None) -> Iterator[Truth]:
-        """Yield the recorded truth in parts of some messages; in one part if None."""
-        return iter(())
-
 
 class BagSource(Source):
     """A bag as a source of measurements.
@@ -295,6 +276,10 @@ class BagSource(Source):
             the first messages have, else those of the first messages.
         observer: Name of the live observer, whose topics are read too.
         assume_zero_torque: Take messages without effort as torque 0; None: as the live observer.
+
+    Attributes:
+        reader: The bag.
+        truth: Full names of the simulator's topics that there are, by those of `TRUTH`.
 
     Raises:
         BagReadError: There is no bag, no such topic, or several topics fit.
@@ -310,12 +295,12 @@ class BagSource(Source):
         assume_zero_torque: bool | None = None,
     ) -> None:
         self.path = path
-        self._reader = BagReader(path)
+        self.reader = BagReader(path)
         of_topic = self._recorded_observers(observer)
         self.topic = self._find_measurements(list(of_topic)) if topic is None else topic
-        require_joint_states(self._reader, self.topic)
+        require_joint_states(self.reader, self.topic)
         self.namespace = of_topic.get(self.topic, self.topic.rpartition("/")[0])
-        self.ran = recorded_observer(self._reader, f"{self.namespace}/{observer}")
+        self.ran = recorded_observer(self.reader, f"{self.namespace}/{observer}")
         first = self._first_names()
         self.joints, self.guessed = tuple(joints), not joints
         if not joints:
@@ -331,14 +316,15 @@ class BagSource(Source):
         known = (*topics.TOPICS, *topics.TORQUE_TOPICS, *topics.PARAMETER_TOPICS)
         self._live = self._there({name: f"{observer}/{name}" for name in known})
         states = self._live.get(topics.STATES)
-        self.was_observed = states is not None and self._reader.topics[states].count > 0
+        self.was_observed = states is not None and self.reader.topics[states].count > 0
         ticks = f"{self.namespace}/{observer}/{topics.TICKS}"
-        info = self._reader.topics.get(ticks)
+        info = self.reader.topics.get(ticks)
         self.has_ticks = info is not None and info.type == TICK_LOG and info.count > 0
         if self.has_ticks:
             self._live[topics.TICKS] = ticks
-        shown = self.topic, *self._there({n: n for n in topics.TRUTH}).values()
-        self.topics = tuple(self._reader.topics[name] for name in shown)
+        self.truth = self._there({name: name for name in topics.TRUTH})
+        shown = self.topic, *self.truth.values()
+        self.topics = tuple(self.reader.topics[name] for name in shown)
 
     @property
     def alone(self) -> bool:
@@ -357,14 +343,14 @@ class BagSource(Source):
                 f"note: the bag has no tick log (topic {topics.TICKS} of the observer): estimates "
                 "are made at the measurements' stamps, and not compared with the live ones",
             )
-        if self._reader.unchecked:
+        if self.reader.unchecked:
             self.remarks += (f"note: {UNCHECKED}",)
 
     def parts(self, size: int | None = None, with_live: bool = False) -> Iterator[Part]:
         wanted = {self.topic: self._wanted()}
         live = self._live if with_live else {}
         raw = [self.topic, *live.values()]
-        for block in read_blocks(self._reader, wanted, size, raw=raw, on_damage=self._damaged):
+        for block in read_blocks(self.reader, wanted, size, raw=raw, on_damage=self.damaged):
             samples = samples_of(
                 block.series[self.topic],
                 block.raw[self.topic],
@@ -375,22 +361,15 @@ class BagSource(Source):
 
     def messages(self) -> Iterator[BagMessage]:
         names = [topic.name for topic in self.topics]
-        return until_damage(self._reader.messages(names), self._damaged)
+        return until_damage(self.reader.messages(names), self.damaged)
 
     def chunks(self) -> ChunkCopy | None:
         # Of a damaged bag the messages before the damage are wanted, and no others.
-        found = ChunkCopy(self._reader, [topic.name for topic in self.topics])
+        found = ChunkCopy(self.reader, [topic.name for topic in self.topics])
         return found if self.damage is None and found.is_sound(self.topic) else None
 
-    def truth(self, size: int | None = None) -> Iterator[Truth]:
-        there = self._there({name: name for name in topics.TRUTH})
-        each = zip(self.joints, self.signals, strict=True)
-        places = [places_of(joint, own, alone=self.alone) for joint, own in each]
-        wanted = {full: [own[name] for own in places] for name, full in there.items()}
-        for block in read_blocks(self._reader, wanted, size, on_damage=self._damaged):
-            yield Truth(*(block.series.get(there.get(name, "")) for name in topics.TRUTH))
-
-    def _damaged(self, error: BagReadError) -> None:
+    def damaged(self, error: BagReadError) -> None:
+        """Note damage that has ended reading."""
         self.damage = error
 
     def _wanted(self) -> Wanted:
@@ -403,27 +382,27 @@ class BagSource(Source):
     def _there(self, names: dict[str, str]) -> dict[str, str]:
         """Return the full names of those topics in the namespace that the bag has."""
         full = {key: f"{self.namespace}/{name}" for key, name in names.items()}
-        there = {name for name, topic in self._reader.topics.items() if topic.type == JOINT_STATE}
+        there = {name for name, topic in self.reader.topics.items() if topic.type == JOINT_STATE}
         return {key: name for key, name in full.items() if name in there}
 
     def _recorded_observers(self, observer: str) -> dict[str, str]:
         """Return the namespaces of recorded observers of a name by their measurements' topics."""
         end = f"/{observer}/{topics.DESIGN}"
         found = {}
-        for name in self._reader.topics:
+        for name in self.reader.topics:
             if name.endswith(end):
                 namespace = name.removesuffix(end)
-                ran = recorded_observer(self._reader, f"{namespace}/{observer}")
-                if ran.measurements in self._reader.topics:
+                ran = recorded_observer(self.reader, f"{namespace}/{observer}")
+                if ran.measurements in self.reader.topics:
                     found[ran.measurements] = namespace
         return found
 
     def _find_measurements(self, observed: list[str]) -> str:
-        names = [name for name in self._reader.topics if f"/{name}".endswith(f"/{MEASUREMENTS}")]
+        names = [name for name in self.reader.topics if f"/{name}".endswith(f"/{MEASUREMENTS}")]
         names = names or observed
         if len(names) == 1:
             return names[0]
-        has = ", ".join(names or self._reader.topics) or "none"
+        has = ", ".join(names or self.reader.topics) or "none"
         what = "several topics end" if names else "no topic ends"
         raise BagReadError(f"{self.path}: {what} in {MEASUREMENTS}, choose one of: {has}")
 
@@ -435,7 +414,7 @@ class BagSource(Source):
         return any(name in (joint, motor) or name.startswith(f"{joint}/") for name in names)
 
     def _first_names(self) -> tuple[str, ...]:
-        messages = until_damage(self._reader.messages([self.topic]), self._damaged)
+        messages = until_damage(self.reader.messages([self.topic]), self.damaged)
         first = islice(messages, _FIRST_MESSAGES)
         try:
             return joint_names(message.data for message in first)
@@ -451,7 +430,7 @@ class BagSource(Source):
         others, times = dict[str, None](), []
         joints = slice(len(self.joints))
         wanted = {self.topic: self._wanted()}
-        for block in read_blocks(self._reader, wanted, _SURVEYED, on_damage=self._damaged):
+        for block in read_blocks(self.reader, wanted, _SURVEYED, on_damage=self.damaged):
             measured = block.series[self.topic]
             if measured.count:
                 times += [int(measured.log_times.min()), int(measured.log_times.max())]

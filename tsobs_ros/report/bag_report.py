@@ -36,7 +36,7 @@ from tsobs_ros.report.diagnosed import Diagnosed, diagnose
 from tsobs_ros.report.metrics import RunMetrics, measure
 from tsobs_ros.report.panels import TimingSummary, picture
 from tsobs_ros.report.quantities import inputs_of, outputs_of
-from tsobs_ros.report.run import find_observer
+from tsobs_ros.report.run import FoundObserver
 from tsobs_ros.report.summary import About, Summary, Table, summarise
 from tsobs_ros.series import NANOSECONDS
 
@@ -153,7 +153,7 @@ def make_bag_report(
     names = ["report.png", *(["report.html"] if page else []), "report.json"]
     written = tuple(output / name for name in names)
     require_new(written, force=force)
-    found = find_observer(bag, namespace=namespace)
+    found = FoundObserver(bag, namespace=namespace)
     joint, ran = found.choose(joint), found.ran
     given = [] if design is None else [design]
     joints = tuple(one for one in found.joints if one in ran.designs) or (joint,)
@@ -174,9 +174,9 @@ def make_bag_report(
     diagnosed = diagnose(found.statuses(joint), run.origin, metrics.last)
     comparison, rival = None, None
     remarks = [*ran.doubt(given), *ran.remarks]
-    if ekf and run.truth is not None:
+    if ekf and run.true_state is not None:
         comparison, rival = compare_with_ekf(run, metrics, bag, files, ran.settings(), options)
-    if run.truth is None:
+    if run.true_state is None:
         remarks.append("note: the bag has no ground truth, so there are bounds but no errors")
     if run.passes > 1:
         often = "once" if run.passes == 2 else f"{run.passes - 1} times"

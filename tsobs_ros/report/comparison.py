@@ -23,11 +23,12 @@ from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.methods import EKFS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
+from tsobs_ros.replay.places import places_of
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.replay.windows import WINDOW
 from tsobs_ros.report.metrics import SIGMAS, MetricsOptions, RunMetrics, measure, root_mean
 from tsobs_ros.report.quantities import QUANTITIES, outputs_of
-from tsobs_ros.report.run import RecordedRun, Rows, run_of
+from tsobs_ros.report.run import ESTIMATED, TRUE, Asked, RecordedRun, Rows, read_rows, run_of
 
 DIVERGED = 1e6
 """No joint's error is so large [rad, rad/s]; the number is not worth a column of digits."""
@@ -274,11 +275,11 @@ class RunScores:
             name, method = self._source.joints[joint], one.observer.name
             design = one.observer.designs[joint]
             found = {key: rows.passes() for key, rows in (kept | truth[joint]).items()}
-            run = run_of(found, method, name, design.request) if found["states"] else None
+            run = run_of(found, method, name, design.request) if found["state"] else None
             errors = ObserverErrors(
                 method,
                 name,
-                tuple(map(root_mean, kept["innovations"].read()["values"].T)),
+                tuple(map(root_mean, kept["innovation"].read()["values"].T)),
                 None if run is None else measure(run, metrics_options(design, self._options)),
                 tuple(outputs_of(design.request)),
             )
@@ -286,38 +287,26 @@ class RunScores:
 
     def _truth(self) -> list[dict[str, Rows]]:
         """Return the recorded truth of each joint."""
-        signals = self._kept[0][0].signals
-        widths = [
-            {"truth": own.states, "true_disturbance": own.disturbances, "true_torque": own.torques}
-            for own in signals
-        ]
-        kept = [{key: Rows(len(places)) for key, places in own.items()} for own in widths]
-        for part in self._source.truth(WINDOW):
-            for joint, own in enumerate(kept):
-                for (key, rows), series in zip(own.items(), part, strict=True):
-                    if series is not None:
-                        there = series.named[:, joint]
-                        values = series.values[there, joint, : len(widths[joint][key])]
-                        rows.add(series.stamps[there], series.log_times[there], values)
-        return kept
-
-
-_FIELDS = {
-    "states": "state",
-    "state_bounds": "state_bound",
-    "disturbance": "disturbance",
-    "disturbance_bounds": "disturbance_bound",
-    "torque": "torque_disturbance",
-    "torque_bounds": "torque_disturbance_bound",
-}
-"""Fields of an estimate by the parts of a run."""
+        source, found = self._source, [dict[str, Rows]() for _ in self._source.joints]
+        if isinstance(source, BagSource):
+            each = zip(source.joints, source.signals, strict=True)
+            places = [places_of(name, own, alone=source.alone) for name, own in each]
+            asked = {
+                (joint, key): Asked(source.truth[topic], [own[topic]])
+                for joint, own in enumerate(places)
+                for key, topic in TRUE.items()
+                if topic in source.truth
+            }
+            for (joint, key), rows in read_rows(source.reader, asked, source.damaged).items():
+                found[joint][key] = rows
+        return found
 
 
 def _widths(own: Signals) -> dict[str, int]:
     """Return how many numbers each part of a run has."""
     p, m, plant, t = map(len, (own.outputs, own.inputs, own.states, own.torques))
-    estimated = zip(_FIELDS, (plant, plant, p, p, t, t), strict=True)
-    return {"measurements": p + m, "innovations": p, **dict(estimated)}
+    estimated = zip(ESTIMATED, (plant, plant, p, p, t, t), strict=True)
+    return {"measurements": p + m, "innovation": p, **dict(estimated)}
 
 
 def _keep(run: Run, joint: int, kept: Mapping[str, Rows]) -> None:
@@ -325,17 +314,17 @@ def _keep(run: Run, joint: int, kept: Mapping[str, Rows]) -> None:
     samples, ticks, table = run.window.samples, run.window.ticks, run.table
     widths = _widths(run.signals[joint])
     there = np.flatnonzero(np.isfinite(table.values(joint, "state")[:, 0]))
-    for key, field in _FIELDS.items():
-        found = table.values(joint, field)[there]
+    for key in ESTIMATED:
+        found = table.values(joint, key)[there]
         if not found.shape[1]:
             found = np.full((len(there), widths[key]), np.nan)
         kept[key].add(ticks.stamps[there], ticks.log_times[there], found)
-    p = widths["innovations"]
+    p = widths["innovation"]
     m, innovations = widths["measurements"] - p, table.innovations[joint]
     measured = np.hstack([samples.y[:, joint, :p], samples.u[:, joint, :m]])
     for key, numbers, own in (
         ("measurements", measured, samples.complete[:, joint]),
-        ("innovations", innovations, np.isfinite(innovations).any(axis=1)),
+        ("innovation", innovations, np.isfinite(innovations).any(axis=1)),
     ):
         kept[key].add(samples.stamps[own], samples.log_times[own], numbers[own])
 

@@ -25,7 +25,7 @@ SIGMAS = 3.0
 
 # A fault that chatters is one event: jumps this close to the one before are no others [s].
 _SAME_JUMP = 0.1
-_JUMPS = {"disturbance": "jump", "torque": "step"}
+_JUMPS = {"disturbance": "jump", "torque_disturbance": "step"}
 
 
 @dataclass(frozen=True)
@@ -256,9 +256,9 @@ def _innovations(
     run: RecordedRun, windows: Windows, stds: Sequence[float]
 ) -> tuple[tuple[float | None, ...], list[int]]:
     """Return the mean square of each output's innovations over the expected, and their numbers."""
-    if run.innovations is None:
+    if run.innovation is None:
         return (), []
-    settled = run.innovations.take(inside_windows(run.innovations.seconds(run.origin), windows))
+    settled = run.innovation.take(inside_windows(run.innovation.seconds(run.origin), windows))
     columns = list(settled.values.T)
     stds = [*stds] * len(columns) if len(stds) == 1 else stds
     sizes = [root_mean(column) for column in columns]

@@ -268,7 +268,7 @@ def _headline(metrics: RunMetrics, run: RecordedRun) -> str:
         parts.append(f"normalised RMSE {metrics.normalised_rmse:.3g}")
     if metrics.nis is not None:
         parts.append(f"innovation² / expected {metrics.nis:.2f}")
-    if run.truth is None:
+    if run.true_state is None:
         parts.append("no ground truth recorded")
     return "  ·  ".join(parts)
 
@@ -461,11 +461,11 @@ def _innovations(
     outputs: Sequence[tuple[str, str]],
     period: float,
 ) -> Iterator[Plot]:
-    if run.innovations is None or not len(run.innovations.stamps):
+    if run.innovation is None or not len(run.innovation.stamps):
         return
-    times = run.innovations.seconds(run.origin)
+    times = run.innovation.seconds(run.origin)
     settled = inside_windows(times, metrics.windows)
-    columns = run.innovations.values.T
+    columns = run.innovation.values.T
     for place, ((name, unit), values) in enumerate(zip(outputs, columns, strict=True)):
         there = np.isfinite(values)
         if not there.any():
@@ -514,8 +514,8 @@ def _learnt(run: RecordedRun, names: Sequence[str]) -> Iterator[Plot]:
         return
     times, values = run.parameters.seconds(run.origin), run.parameters.values
     bounds = np.full(values.shape, np.nan)
-    if run.parameter_bounds is not None:
-        bounds = align(run.parameter_bounds, run.parameters.stamps)
+    if run.parameter_bound is not None:
+        bounds = align(run.parameter_bound, run.parameters.stamps)
     for name, value, bound in zip(names, values.T, bounds.T, strict=True):
         bands = _bands(times, value, bound, _SLOW_GAP)
         limits = _around([value, bands[0].lower, bands[0].upper])

@@ -9,7 +9,7 @@ import numpy as np
 
 from tsobs_ros.design.request import ArmRequest, TSRequest
 
-Kind: TypeAlias = Literal["state", "disturbance", "torque"]
+Kind: TypeAlias = Literal["state", "disturbance", "torque_disturbance"]
 
 
 class Quantity(NamedTuple):
@@ -75,7 +75,7 @@ def quantities_of(request: ArmRequest | TSRequest) -> tuple[Quantity, ...]:
     for place, side in enumerate(request.torque_sides):
         size = math.sqrt((map_ @ request.initial_covariance @ map_.T)[place, place])
         key, name = f"torque_disturbance_{side}", f"torque disturbance at {side}"
-        torques.append(Quantity(key, name, "N m", "torque", place, size))
+        torques.append(Quantity(key, name, "N m", "torque_disturbance", place, size))
     return (*_ARM, *disturbances, *torques)
 
 

@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """One recorded run of the observer as stamped series of numbers, read from a bag."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 from weakref import finalize
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.diagnostics import DIAGNOSTICS, RecordedStatus, read_statuses
-from tsobs_ros.bag.joint_series import Wanted, read_blocks
+from tsobs_ros.bag.joint_series import Place, Wanted, read_blocks
 from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array
@@ -25,7 +25,7 @@ from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
 from tsobs_ros.replay.health import as_of_now
-from tsobs_ros.replay.places import places_of
+from tsobs_ros.replay.places import ESTIMATES, places_of
 from tsobs_ros.replay.source import MEASUREMENTS, UNNAMED_SYSTEM, passes
 from tsobs_ros.report.quantities import QUANTITIES, Quantity, measured_states, quantities_of
 from tsobs_ros.series import NANOSECONDS, Series, Stamps
@@ -37,28 +37,31 @@ BLOCK = 2**17
 """Number of messages that are read at once, of all topics: some 80 s at 200 Hz."""
 
 _FIRST_MESSAGES = 1000
-_OWN = {
-    "states": topics.STATES,
-    "state_bounds": topics.STATE_BOUNDS,
-    "disturbance": topics.DISTURBANCE,
-    "disturbance_bounds": topics.DISTURBANCE_BOUND,
-    "torque": topics.TORQUE_DISTURBANCE,
-    "torque_bounds": topics.TORQUE_DISTURBANCE_BOUND,
-    "innovations": topics.INNOVATION,
-    "health": topics.HEALTH,
-    "parameters": topics.PARAMETERS,
-    "parameter_bounds": topics.PARAMETER_BOUNDS,
-}
-"""The observer's topics by the parts of a run."""
-_TRUTH = {
-    "truth": topics.TRUE_STATES,
+
+ESTIMATED = (
+    "state",
+    "state_bound",
+    "disturbance",
+    "disturbance_bound",
+    "torque_disturbance",
+    "torque_disturbance_bound",
+)
+"""Fields of an `Estimate`, and parts of a run, that have a row for each estimate."""
+
+TRUE = {
+    "true_state": topics.TRUE_STATES,
     "true_disturbance": topics.TRUE_DISTURBANCE,
-    "true_torque": topics.TRUE_TORQUE,
+    "true_torque_disturbance": topics.TRUE_TORQUE,
 }
-_REQUIRED = ("measurements", "states", "state_bounds", "disturbance", "disturbance_bounds")
-_ALIGNED = (*_REQUIRED[1:], "torque", "torque_bounds")
+"""The simulator's topics by the parts of a run."""
+
+_OWN = {fields[0]: topic for topic, fields in ESTIMATES.items() if topic != topics.HEALTH}
+_OWN |= {"health": topics.HEALTH, "innovation": topics.INNOVATION}
+_REQUIRED = ("measurements", *ESTIMATED[:4])
 # Numbers of a joint that is alone, and those of one among several, are in entries of other names.
-_TWICE = ("health", "parameters", "parameter_bounds")
+_TWICE = ("health", "parameters", "parameter_bound")
+
+Key = TypeVar("Key")
 
 
 class Rows:
@@ -126,22 +129,21 @@ class RecordedRun:
         measurements: In order of arrival: outputs and then inputs at the sampling stamps, of an arm
             [y (rad), u (N m)], values (n, p + m).
         stamps: Of the estimates [ns], ascending, shape (m,).
-        states: Estimated, of an arm [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (m, plant).
-        state_bounds: Published 1σ bound of each, NaN if lost, shape (m, plant).
+        state: Estimated, of an arm [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (m, plant).
+        state_bound: Published 1σ bound of each, NaN if lost, shape (m, plant).
         disturbance: Estimated disturbance of each output, NaN if lost, shape (m, p).
-        disturbance_bounds: Published 1σ bound of each, NaN if lost, shape (m, p).
-        torque: Estimated torque disturbances [N m], NaN if lost, shape (m, t).
-        torque_bounds: Published 1σ bound of each [N m], NaN if lost, shape (m, t).
-        innovations: y − ŷ at the measurements' stamps, NaN of outputs that were not used, values
+        disturbance_bound: Published 1σ bound of each, NaN if lost, shape (m, p).
+        torque_disturbance: Estimated torque disturbances [N m], NaN if lost, shape (m, t).
+        torque_disturbance_bound: Published 1σ bound of each [N m], NaN if lost, shape (m, t).
+        innovation: y − ŷ at the measurements' stamps, NaN of outputs that were not used, values
             (n', p); None if not recorded.
-        truth: True states at the sampling stamps, values (k, plant); None on a robot.
+        true_state: At the sampling stamps, values (k, plant); None on a robot.
         true_disturbance: Of the outputs at the sampling stamps, values (k', p); None on a robot.
-        true_torque: Torque disturbances at the sampling stamps [N m], values (k'', t); None on a
-            robot.
+        true_torque_disturbance: At the sampling stamps [N m], values (k'', t); None on a robot.
         health: Fields of `estimation.records.HEALTH` at their stamps, values (h, 7); None if
             not recorded.
         parameters: Learnt changes of the uncertain parameters, values (l, c); None if not recorded.
-        parameter_bounds: 1σ of each, values (l, c); None if not recorded.
+        parameter_bound: 1σ of each, values (l, c); None if not recorded.
         topic: Name of the measurements' topic.
         passes: Number of passes over the recorded time; this is the longest one.
         quantities: What the estimates are of.
@@ -152,19 +154,19 @@ class RecordedRun:
     joint: str
     measurements: Series
     stamps: Stamps
-    states: Array
-    state_bounds: Array
+    state: Array
+    state_bound: Array
     disturbance: Array
-    disturbance_bounds: Array
-    torque: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    torque_bounds: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    innovations: Series | None = None
-    truth: Series | None = None
+    disturbance_bound: Array
+    torque_disturbance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    torque_disturbance_bound: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    innovation: Series | None = None
+    true_state: Series | None = None
     true_disturbance: Series | None = None
-    true_torque: Series | None = None
+    true_torque_disturbance: Series | None = None
     health: Series | None = None
     parameters: Series | None = None
-    parameter_bounds: Series | None = None
+    parameter_bound: Series | None = None
     topic: str = "joint_measurements"
     passes: int = 1
     quantities: tuple[Quantity, ...] = QUANTITIES
@@ -188,87 +190,116 @@ class RecordedRun:
         return {
             kind: None if series is None else read(series, self.stamps)
             for kind, series, read in (
-                ("state", self.truth, partial(interpolate, rated=rated)),
+                ("state", self.true_state, partial(interpolate, rated=rated)),
                 ("disturbance", self.true_disturbance, hold),
-                ("torque", self.true_torque, hold),
+                ("torque_disturbance", self.true_torque_disturbance, hold),
             )
         }
 
     def of(self, quantity: Quantity) -> Estimated:
         """Return what is known of a quantity."""
-        values, bounds, series = {
-            "state": (self.states, self.state_bounds, self.truth),
-            "disturbance": (self.disturbance, self.disturbance_bounds, self.true_disturbance),
-            "torque": (self.torque, self.torque_bounds, self.true_torque),
-        }[quantity.kind]
-        truth, column = self._true_values[quantity.kind], quantity.column
+        kind, column = quantity.kind, quantity.column
+        truth: Series | None = getattr(self, f"true_{kind}")
+        values = self._true_values[kind]
         return Estimated(
-            values[:, column],
-            bounds[:, column],
-            None if series is None else series.column(column),
-            None if truth is None else truth[:, column],
+            getattr(self, kind)[:, column],
+            getattr(self, f"{kind}_bound")[:, column],
+            None if truth is None else truth.column(column),
+            None if values is None else values[:, column],
         )
 
 
-def find_observer(
-    bag: Path, *, namespace: str | None = None, observer: str = "observer"
-) -> "FoundObserver":
-    """Find a recorded observer in a bag, by how the names of its topics end.
+class Asked(NamedTuple):
+    """What to read of a topic of JointStates.
+
+    Attributes:
+        topic: Its full name.
+        groups: Places of numbers; a message counts if it has any entry of the first group.
+        either: Whether each message has one of two groups, instead of all side by side.
+    """
+
+    topic: str
+    groups: Wanted
+    either: bool = False
+
+
+def read_rows(
+    reader: BagReader,
+    asked: Mapping[Key, Asked],
+    on_damage: Callable[[BagReadError], None] | None = None,
+) -> dict[Key, Rows]:
+    """Read numbers of a bag, all in one pass.
+
+    Args:
+        reader: The bag.
+        asked: What to read.
+        on_damage: Told of damage to the bag, up to which everything is returned; else it is raised.
+
+    Raises:
+        BagReadError: The bag has no such topic, a topic is of another type, or it is damaged.
+    """
+    found = {
+        key: Rows(sum(map(len, one.groups[: 1 if one.either else None])))
+        for key, one in asked.items()
+    }
+    wanted: dict[str, list[Sequence[Place]]] = {}
+    first: dict[Key, int] = {}
+    for key, one in asked.items():
+        groups = wanted.setdefault(one.topic, [])
+        first[key] = len(groups)
+        groups += one.groups
+    for block in read_blocks(reader, wanted, BLOCK, on_damage=on_damage):
+        for key, one in asked.items():
+            series, place = block.series[one.topic], first[key]
+            parts = [series.values[:, k, : len(own)] for k, own in enumerate(one.groups, place)]
+            named = series.named[:, place : place + (2 if one.either else 1)]
+            if one.either:
+                parts = [np.where(named[:, 1:], parts[1], parts[0])]
+            there = named.any(axis=1)
+            values = np.hstack(parts)[there]
+            found[key].add(series.stamps[there], series.log_times[there], values)
+    return found
+
+
+class FoundObserver:
+    """A recorded observer, found in a bag by how the names of its topics end.
 
     Args:
         bag: Bag folder or MCAP file.
         namespace: Namespace of all topics, for a bag with several arms.
         observer: Name of the observer node.
 
+    Attributes:
+        ran: What it ran, as far as the bag has it.
+        joints: All that there are estimates of.
+
     Raises:
         BagReadError: The bag cannot be read, or has several topics that could be meant.
     """
-    reader = BagReader(bag)
-    own = {key: f"{observer}/{topic}" for key, topic in _OWN.items()}
-    ends = {"measurements": MEASUREMENTS, **own, **_TRUTH}
-    names = {key: _find(reader, end, namespace) for key, end in ends.items()}
-    ran, entries = RecordedObserver(), tuple[str, ...]()
-    if names["states"] is not None:
-        ran = recorded_observer(reader, names["states"].removesuffix(f"/{topics.STATES}"))
-        info = reader.topics.get(ran.measurements or "")
-        if names["measurements"] is None and info is not None and info.type == JOINT_STATE:
-            names["measurements"] = info.name
-        messages = islice(reader.messages([names["states"]]), _FIRST_MESSAGES)
-        entries = joint_names(message.data for message in messages)
-    return FoundObserver(reader, ends, names, ran, entries)
 
-
-@dataclass(frozen=True)
-class FoundObserver:
-    """A recorded observer.
-
-    Attributes:
-        reader: The bag.
-        ends: Ends of the names of its topics, by what they are of.
-        names: Their names; None for one that the bag does not have.
-        ran: What it ran, as far as the bag has it.
-        entries: Names in its first estimates.
-    """
-
-    reader: BagReader
-    ends: Mapping[str, str]
-    names: dict[str, str | None]
-    ran: RecordedObserver
-    entries: tuple[str, ...]
-
-    @property
-    def _named(self) -> set[str]:
-        return {one.partition("/")[0] for one in self.entries if "/" in one}
-
-    @cached_property
-    def joints(self) -> tuple[str, ...]:
-        """All that there are estimates of."""
-        links = [one.removesuffix("_link") for one in self.entries if one.endswith("_link")]
-        arms = [joint for joint in links if topics.sides(joint)[1] in self.entries]
-        alone = len(self.ran.designs) == 1 and bool(self.entries)
-        systems = [one for one in self.ran.designs if one in self._named or alone]
-        found = tuple(dict.fromkeys([*arms, *systems]))
-        return (UNNAMED_SYSTEM,) if self.entries and not found else found
+    def __init__(
+        self, bag: Path, *, namespace: str | None = None, observer: str = "observer"
+    ) -> None:
+        reader = self._reader = BagReader(bag)
+        own = {key: f"{observer}/{topic}" for key, topic in _OWN.items()}
+        self._ends = {"measurements": MEASUREMENTS, **own, **TRUE}
+        names = {key: _find(reader, end, namespace) for key, end in self._ends.items()}
+        self.ran, self._entries, self._names = RecordedObserver(), tuple[str, ...](), names
+        if (states := names["state"]) is not None:
+            self.ran = recorded_observer(reader, states.removesuffix(f"/{topics.STATES}"))
+            info = reader.topics.get(self.ran.measurements or "")
+            if names["measurements"] is None and info is not None and info.type == JOINT_STATE:
+                names["measurements"] = info.name
+            messages = islice(reader.messages([states]), _FIRST_MESSAGES)
+            self._entries = joint_names(message.data for message in messages)
+        entries, designs = self._entries, self.ran.designs
+        self._named = {one.partition("/")[0] for one in entries if "/" in one}
+        links = [one.removesuffix("_link") for one in entries if one.endswith("_link")]
+        arms = [joint for joint in links if topics.sides(joint)[1] in entries]
+        systems = [one for one in designs if one in self._named or (entries and len(designs) == 1)]
+        self.joints = tuple(dict.fromkeys([*arms, *systems]))
+        if entries and not self.joints:
+            self.joints = (UNNAMED_SYSTEM,)
 
     def choose(self, joint: str | None) -> str:
         """Return the joint of a name, the only one if it is None.
@@ -276,10 +307,10 @@ class FoundObserver:
         Raises:
             BagReadError: There are no estimates of such a joint, or of several.
         """
-        path = self.reader.path
-        self._require(["states"])
-        if not self.entries:
-            made = self.reader.topics.get(self.names["measurements"] or "")
+        path = self._reader.path
+        self._require(["state"])
+        if not self._entries:
+            made = self._reader.topics.get(self._names["measurements"] or "")
             of = "" if made is None else f" of {made.count} measurements on {made.name}"
             raise BagReadError(
                 f"{path}: the observer made no estimate{of}; its design may be of another arm or "
@@ -307,56 +338,51 @@ class FoundObserver:
         """
         self._require(_REQUIRED)
         own = signals(request, joint, joint not in self._named)
-        wanted = _wanted(joint, own, request.uncertainty_model.names)
-        found = {key: rows.passes() for key, rows in self._rows(wanted).items()}
-        if empty := [str(self.names[key]) for key in _REQUIRED if not found[key]]:
+        asked = self._asked(joint, own, request.uncertainty_model.names)
+        found = {key: rows.passes() for key, rows in read_rows(self._reader, asked).items()}
+        if empty := [str(self._names[key]) for key in _REQUIRED if not found[key]]:
             raise BagReadError(
-                f"{self.reader.path}: no message about joint '{joint}' on {', '.join(empty)}"
+                f"{self._reader.path}: no message about joint '{joint}' on {', '.join(empty)}"
             )
-        parts = [part for part in Path(self.reader.path).absolute().parts if part != "bag"]
+        parts = [part for part in Path(self._reader.path).absolute().parts if part != "bag"]
         name = f"{joint}, {parts[-1]}" if len(parts) > 1 else joint
-        return run_of(found, name, joint, request, str(self.names["measurements"]))
+        return run_of(found, name, joint, request, str(self._names["measurements"]))
 
-    def _rows(self, wanted: Mapping[str, Wanted]) -> dict[str, Rows]:
-        """Read what is there of a joint."""
-        there = {name: (key, wanted[key]) for key, name in self.names.items()
-                 if name is not None and any(wanted[key])}  # fmt: skip
-        found = {
-            key: Rows(sum(map(len, groups[: 1 if key in _TWICE else None])))
-            for key, groups in there.values()
+    def _asked(self, joint: str, own: Signals, learnt: tuple[str, ...]) -> dict[str, Asked]:
+        """Return for each part of a run that there is what to read."""
+        alone, named = (
+            places_of(joint, own, alone=alone, learnt=learnt, rated=False)
+            for alone in (True, False)
+        )
+        groups: dict[str, Wanted] = {
+            key: [alone[topic], named[topic]] if key in _TWICE else [alone[topic]]
+            for key, topic in (_OWN | TRUE).items()
         }
-        blocks = read_blocks(self.reader, {name: own for name, (_, own) in there.items()}, BLOCK)
-        for block in blocks:
-            for name, (key, groups) in there.items():
-                one = block.series[name]
-                parts = [one.values[:, place, : len(own)] for place, own in enumerate(groups)]
-                there_is = one.named[:, 0]
-                if key in _TWICE:
-                    several = one.named[:, 1]
-                    parts = [np.where(several[:, np.newaxis], parts[1], parts[0])]
-                    there_is = there_is | several
-                values = np.hstack(parts)[there_is]
-                found[key].add(one.stamps[there_is], one.log_times[there_is], values)
-        return found
+        groups["measurements"] = [own.outputs, own.inputs]
+        return {
+            key: Asked(name, groups[key], key in _TWICE)
+            for key, name in self._names.items()
+            if name is not None and any(groups[key])
+        }
 
     def statuses(self, joint: str) -> Iterator[RecordedStatus]:
         """Yield the recorded statuses of the observer that are of a joint, or of all joints."""
-        topic = self.reader.topics.get("/diagnostics")
-        node = str(self.names["states"]).removesuffix(f"/{topics.STATES}").strip("/")
+        topic = self._reader.topics.get("/diagnostics")
+        node = str(self._names["state"]).removesuffix(f"/{topics.STATES}").strip("/")
         if topic is None or topic.type != DIAGNOSTICS:
             return
         mark = f"{node}: ".encode()
-        for message in self.reader.messages([topic.name]):
+        for message in self._reader.messages([topic.name]):
             for status in read_statuses(message.data) if mark in message.data else ():
                 of_all = status.name[-1] == "timing" or len(self.joints) == 1
                 if status.name[0] == node and (of_all or status.hardware == joint):
                     yield status
 
     def _require(self, keys: Sequence[str]) -> None:
-        if missing := [self.ends[key] for key in keys if self.names[key] is None]:
-            has = ", ".join(self.reader.topics) or "none"
+        if missing := [self._ends[key] for key in keys if self._names[key] is None]:
+            has = ", ".join(self._reader.topics) or "none"
             raise BagReadError(
-                f"{self.reader.path}: no topic ends in {', '.join(missing)}; topics: {has}"
+                f"{self._reader.path}: no topic ends in {', '.join(missing)}; topics: {has}"
             )
 
 
@@ -376,18 +402,18 @@ def run_of(
         request: Of its design.
         topic: Name of the measurements' topic.
     """
-    longest = max(found["states"], key=lambda one: float(np.ptp(one["stamps"])))
+    longest = max(found["state"], key=lambda one: float(np.ptp(one["stamps"])))
     log_time = int(longest["log_times"][0])
     series: dict[str, Any] = {}
     for key, all_of_it in found.items():
         # Each topic restarts at its own moment, but all of them at about the same.
         for one in sorted(all_of_it, key=lambda one: abs(int(one["log_times"][0]) - log_time))[:1]:
             series[key] = Series(one["stamps"], one["values"])
-    stamps, states, _ = series.pop("states").ordered()
+    stamps, state, _ = series.pop("state").ordered()
     quantities, measurements = quantities_of(request), series.pop("measurements")
-    nothing = np.full((len(stamps), sum(one.kind == "torque" for one in quantities)), np.nan)
+    nothing = np.full((len(stamps), len(request.torque_sides)), np.nan)
     parts: dict[str, Any] = {
-        key: align(series.pop(key), stamps) if key in series else nothing for key in _ALIGNED[1:]
+        key: align(series.pop(key), stamps) if key in series else nothing for key in ESTIMATED[1:]
     }
     if "health" in series:
         series["health"] = series["health"]._replace(values=as_of_now(series["health"].values))
@@ -396,28 +422,14 @@ def run_of(
         joint=joint,
         measurements=measurements,
         stamps=stamps,
-        states=states,
+        state=state,
         topic=topic,
-        passes=len(found["states"]),
+        passes=len(found["state"]),
         quantities=quantities,
         measured=measured_states(request),
         **parts,
         **{key: one.ordered() for key, one in series.items()},
     )
-
-
-def _wanted(joint: str, own: Signals, learnt: tuple[str, ...]) -> dict[str, Wanted]:
-    """Return for each part of a run what to read of its topic."""
-    alone, named = (
-        places_of(joint, own, alone=alone, learnt=learnt, rated=False) for alone in (True, False)
-    )
-    return {
-        "measurements": [own.outputs, own.inputs],
-        **{
-            key: [alone[topic], named[topic]] if key in _TWICE else [alone[topic]]
-            for key, topic in (_OWN | _TRUTH).items()
-        },
-    }
 
 
 def _find(reader: BagReader, suffix: str, namespace: str | None) -> str | None:
