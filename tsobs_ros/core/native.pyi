@@ -207,3 +207,23 @@ def estimator_observe(
     /,
 ) -> None:
     """Step each state through its samples (samples, p), and write a row after each."""
+
+def estimator_innovations(
+    model: Any,
+    durations: Any,
+    y: Any,
+    u: Any,
+    link_friction: float,
+    motor_friction: float,
+    gate: float,
+    corrected_until: int,
+    innovations: Any,
+    variances: Any,
+    states: Any,
+    scratch: Any,
+    /,
+) -> None:
+    """Write the innovations of a log; see innovations.h. No states are written if there is no room.
+
+    Python's lock is not held meanwhile.
+    """

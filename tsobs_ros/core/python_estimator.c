@@ -4,6 +4,7 @@
  * Bindings of the estimator: its steps for some states one after the other.
  */
 #include "estimator.h"
+#include "innovations.h"
 #include "matrices.h"
 #include "python.h"
 
@@ -182,11 +183,46 @@ BIND(estimator_observe, "dDddfiDDD", "model states y u duration samples correcti
     Py_RETURN_NONE;
 }
 
+BIND(estimator_innovations, "ddddfffiDDDD",
+     "model durations y u link_friction motor_friction gate corrected_until innovations variances "
+     "states scratch")
+{
+    model m;
+    if (model_view(t[0].is.doubles, (size_t)t[0].length, &m) < 0 || m.s.k != 0) {
+        return refuse(of, "model: expected a model's record without parameters");
+    }
+    const int64_t n = m.s.n, count = t[1].length, outputs = count * m.s.p;
+    const sample_log log = {count, t[1].is.doubles, t[2].is.doubles, t[3].is.doubles};
+    const filter_options options = {t[4].is.number, t[5].is.number, t[6].is.number};
+    double *states = t[10].length > 0 ? t[10].is.doubles : NULL;
+    const int rubs = options.link_friction > 0.0 || options.motor_friction > 0.0;
+    if (rubs && *m.design_flow.kind != KIND_ARM) {
+        return refuse(of, "link_friction, motor_friction: expected 0 of a model that is no arm");
+    }
+    for (int64_t i = 0; i < count; i++) {
+        if (!(log.durations[i] <= LONGEST)) {
+            return refuse(of, "durations: expected finite numbers");
+        }
+    }
+    if (!has(of, t, 2, outputs) || !has(of, t, 3, count * m.s.m) || !has(of, t, 8, outputs) ||
+        !has(of, t, 9, outputs) || (states != NULL && !has(of, t, 10, count * n)) ||
+        !has(of, t, 11, (int64_t)innovations_scratch_size(&m))) {
+        return NULL;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    write_innovations(
+        &m, &log, &options, t[7].is.integer, t[8].is.doubles, t[9].is.doubles, states,
+        t[11].is.doubles);
+    Py_END_ALLOW_THREADS
+    Py_RETURN_NONE;
+}
+
 PyMethodDef estimator_methods[] = {
     METHOD(bank_constants),
     METHOD(estimator_correct),
     METHOD(estimator_predict),
     METHOD(estimator_read),
     METHOD(estimator_observe),
+    METHOD(estimator_innovations),
     {NULL, NULL, 0, NULL},
 };

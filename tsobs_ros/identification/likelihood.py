@@ -1,0 +1,241 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The likelihood of recordings under a joint's numbers, by the innovations of a Kalman filter.
+
+With the innovation e of each output given all before it and its variance s,
+
+    −2 log L = Σ e²/s + log s
+
+(the prediction error decomposition; an innovation beyond the gate counts as one at the gate and is
+not used). With derivatives of e and s by the numbers, the Fisher information is
+
+    I = Σ (∂e ∂eᵀ)/s + (∂log s ∂log sᵀ)/2
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from tsobs_ros.checks import Array
+from tsobs_ros.core import native
+from tsobs_ros.estimation.estimator import model_of
+from tsobs_ros.identification.joint import Joint, Unknowns, delayed
+from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE, QUANTITIES
+
+WORKERS = 2
+BLOCKS = 40
+"""Parts of a recording whose scores are compared: their spread is that of the estimates, whatever the
+innovations are correlated with."""
+
+_STEP = 1e-2
+"""Step of a difference, by the 1σ that the number is known to."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Samples of one joint.
+
+    Attributes:
+        name: Of the file.
+        time: Since the first sample [s], shape (n,).
+        durations: From each sample to the next [s], below 0 where a gap begins, shape (n,).
+        y: Outputs of the request, NaN if missing, shape (n, p).
+        u: Torque held from each sample on [N m], shape (n,).
+    """
+
+    name: str
+    time: Array
+    durations: Array
+    y: Array
+    u: Array
+
+    @property
+    def count(self) -> int:
+        """The number of samples."""
+        return len(self.time)
+
+    def part(self, begin: int, end: int) -> "Recording":
+        """Return the samples from one on up to another."""
+        cut = slice(begin, end)
+        return Recording(self.name, self.time[cut], self.durations[cut], self.y[cut], self.u[cut])
+
+
+class Innovations(NamedTuple):
+    """What a filter did not expect.
+
+    Attributes:
+        errors: y − ŷ of each output given those before it, NaN if it is missing, shape (n, p).
+        variances: Expected of their squares, shape (n, p).
+        states: Predicted before each sample, in design coordinates; empty if not asked for.
+    """
+
+    errors: Array
+    variances: Array
+    states: Array
+
+
+def innovations(
+    joint: Joint,
+    recording: Recording,
+    *,
+    gate: float = math.inf,
+    corrected_until: int | None = None,
+    with_states: bool = False,
+) -> Innovations:
+    """Filter a recording by a joint's model.
+
+    Args:
+        joint: The joint.
+        recording: The samples.
+        gate: Sigmas beyond which an output is not used.
+        corrected_until: Sample from which on none is used: the innovations are then those of a
+            simulation; None: all are used.
+        with_states: Whether to return the states.
+    """
+    request = joint.request
+    covariances = (request.measurement_covariance, request.initial_covariance)
+    shape, model = model_of(request.flow, *covariances, None, auxiliary=False)
+    scale = request.arm.to_physical(np.ones(4))
+    for place, (output, delay) in enumerate(
+        zip(request.sensors, joint.output_delays, strict=True)
+    ):
+        if delay:
+            angle = QUANTITIES.index(output.measures)
+            model["C"][0, place, angle + 1] -= delay * scale[angle]
+    gaps = recording.durations < 0.0
+    durations = np.where(gaps, request.period, recording.durations)
+    u = joint.gain * delayed(recording.u, durations, joint.delay) + joint.offset
+    n, count = shape.n, recording.count
+    errors, variances = np.empty((count, shape.p)), np.empty((count, shape.p))
+    states = np.empty((count, n) if with_states else (0, n))
+    arm = request.arm
+    motor, link = joint.friction
+    native.estimator_innovations(
+        model.view(np.float64),
+        recording.durations,
+        recording.y,
+        u,
+        link / arm.link_inertia,
+        motor / arm.motor_inertia * arm.stiffness / arm.link_inertia,
+        gate,
+        count if corrected_until is None else corrected_until,
+        errors,
+        variances,
+        states,
+        np.empty(n * n + 2 * n + int(model["scratch"][0])),
+    )
+    return Innovations(errors, variances, states)
+
+
+class Evaluation(NamedTuple):
+    """The likelihood at one point, with its derivatives.
+
+    Attributes:
+        cost: −log L, up to a constant, and the prior's share.
+        gradient: Of the cost by the coordinates, shape (k,).
+        information: Of the recordings, without the prior, shape (k, k).
+        spread: Σ of products of the scores of blocks, shape (k, k).
+    """
+
+    cost: float
+    gradient: Array
+    information: Array
+    spread: Array
+
+
+class Likelihood:
+    """−log L of some recordings over the coordinates of the unknown numbers, with their prior.
+
+    Args:
+        unknowns: The numbers.
+        recordings: The samples.
+        gate: Sigmas beyond which an innovation is an outlier.
+        advance: Called with the number of filtered samples, for progress.
+    """
+
+    def __init__(
+        self,
+        unknowns: Unknowns,
+        recordings: Sequence[Recording],
+        gate: float = math.inf,
+        advance: Callable[[int], None] = lambda _: None,
+    ) -> None:
+        self.unknowns, self.recordings = unknowns, tuple(recordings)
+        self._gate, self._advance = gate, advance
+        self._spacing = np.full(unknowns.count, 1e-4)
+        self._known: dict[bytes, Evaluation] = {}
+
+    def _filtered(self, coordinates: Array) -> tuple[Array, Array]:
+        """Return all standardised innovations and logarithms of variances, shape (samples,) each."""
+        joint = self.unknowns.at(coordinates)
+        errors, logs = [], []
+        for recording in self.recordings:
+            found = innovations(joint, recording, gate=self._gate)
+            there = np.isfinite(recording.y)
+            with np.errstate(all="ignore"):
+                errors.append((found.errors / np.sqrt(found.variances))[there])
+                logs.append(np.log(found.variances)[there])
+            self._advance(recording.count)
+        return np.concatenate(errors), np.concatenate(logs)
+
+    def cost(self, coordinates: Array) -> float:
+        """Return −log L with the prior's share; infinite where the filter fails."""
+        try:
+            errors, logs = self._filtered(coordinates)
+        except (ValueError, OverflowError):
+            return math.inf
+        return self._cost(coordinates, errors, logs)
+
+    def _cost(self, coordinates: Array, errors: Array, logs: Array) -> float:
+        squares = np.minimum(errors * errors, self._gate * self._gate)
+        total = 0.5 * float(squares.sum() + logs.sum()) + 0.5 * float(coordinates @ coordinates)
+        return total if math.isfinite(total) else math.inf
+
+    def evaluate(self, coordinates: Array) -> Evaluation:
+        """Return the cost with its derivatives, by differences of the innovations."""
+        key = coordinates.tobytes()
+        if key in self._known:
+            return self._known[key]
+        k = self.unknowns.count
+        points = [coordinates, *(coordinates + np.diag(self._spacing))]
+        with ThreadPoolExecutor(WORKERS) as pool:
+            results = list(pool.map(self._filtered, points))
+        errors, logs = results[0]
+        regular = errors * errors <= self._gate * self._gate
+        by_error = np.empty((len(errors), k))
+        by_log = np.empty((len(errors), k))
+        for place, (moved_errors, moved_logs) in enumerate(results[1:]):
+            # ∂e/√s at fixed s: the standardised innovation's own derivative lacks its share of s.
+            change = (moved_logs - logs) / self._spacing[place]
+            by_log[:, place] = change
+            by_error[:, place] = (moved_errors - errors) / self._spacing[place] + 0.5 * errors * change
+        by_error[~regular] = 0.0
+        by_log[~regular] = 0.0
+        squares = np.where(regular, errors * errors, 1.0)
+        # Score of each sample: ½ ∂(e²/s + log s).
+        scores = errors[:, None] * by_error + 0.5 * (1.0 - squares)[:, None] * by_log
+        information = by_error.T @ by_error + 0.5 * by_log.T @ by_log
+        edges = np.linspace(0, len(scores), BLOCKS + 1).astype(int)[:-1]
+        blocks = np.add.reduceat(scores, edges, axis=0)
+        blocks -= blocks.mean(axis=0)
+        made = Evaluation(
+            self._cost(coordinates, errors, logs),
+            scores.sum(axis=0) + coordinates,
+            information,
+            blocks.T @ blocks,
+        )
+        # Next differences by what is known here.
+        self._spacing = np.maximum(_STEP / np.sqrt(np.diag(information) + 1.0), 1e-7)
+        self._known = {key: made}
+        return made
+
+
+def angle_columns(joint: Joint) -> list[int]:
+    """Return the places of outputs that are angles."""
+    names = [output.measures for output in joint.request.sensors]
+    angles = (QUANTITIES[LINK_ANGLE], QUANTITIES[MOTOR_ANGLE])
+    return [place for place, name in enumerate(names) if name in angles]
