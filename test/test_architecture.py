@@ -17,6 +17,7 @@ COMMON = {"checks", "errors", "files", "resources", "schema", "series"}
 COMMON |= {"settings", "stop", "streams", "style", "yaml_files"}
 CORE = {"core", "estimation", "model"}
 RUNS = CORE | {"bag", "campaign", "design", "methods", "replay", "report", "simulation"}
+RUNS |= {"identification"}
 MAY_IMPORT: dict[str, set[str]] = {
     "core": set(),
     "model": {"core"},
@@ -29,7 +30,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "methods": {*CORE, "design", "paper"},
     "exported": {*CORE, "design", "methods"},
     "replay": {*CORE, "bag", "design", "methods"},
-    "report": {*CORE, "bag", "design", "methods", "replay"},
+    "report": {*CORE, "bag", "design", "identification", "methods", "replay"},
+    "identification": {*CORE, "design", "replay", "simulation"},
     "plants": {"design", "simulation"},
     "nodes": {*CORE, "bag", "design", "methods", "plants", "replay", "simulation"},
     "executables": {"cli", "nodes"},
@@ -39,7 +41,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "comparison": {*CORE, "campaign", "design", "methods", "report", "simulation"},
     "api": {*RUNS, "plants"},
     # Lazily: importing the package itself imports nothing, which test_front_door.py checks.
-    "__init__": {*CORE, "api", "bag", "design", "exported", "methods"},
+    "__init__": {*CORE, "api", "bag", "design", "exported", "identification", "methods"},
 }
 
 # The only parts that may import a library, so that the others work without it.
@@ -48,6 +50,7 @@ HOME: dict[str, set[str]] = {
     "ament_index_python": {"nodes"},
     "cvxpy": {"design"},
     "clarabel": {"design"},
+    "scipy": {"design", "identification"},
     "matplotlib": {"report", "paper"},
     "plotly": {"report"},
     "pyarrow": {"campaign", "report"},

@@ -14,6 +14,7 @@ Models and designs:
     TSModel           any Takagi-Sugeno system, by its matrices and memberships
     ArmRequest        the arm, its sensor and disturbance, and the domain to certify
     load_request      a request from a YAML file
+    fit               a request's numbers from recordings (needs scipy)
     synthesise        a certified gain for a request (needs cvxpy)
     Design            a gain with its proof; makes observers
     load_design       a design from its file, its certificate checked again
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
     from tsobs_ros.estimation.records import Measurement
     from tsobs_ros.estimation.tracker import Tracker
     from tsobs_ros.exported import export_c
+    from tsobs_ros.identification.fit import fit
     from tsobs_ros.methods import ObserverSettings, make_tracker
     from tsobs_ros.model.arm import ElasticJointArm
     from tsobs_ros.model.ts_model import TSModel
@@ -84,6 +86,7 @@ _HOMES = {
     "estimate": "api",
     "estimate_bag": "api",
     "export_c": "exported",
+    "fit": "identification.fit",
     "load_design": "design.file",
     "load_request": "design.file",
     "make_tracker": "methods",
@@ -108,6 +111,7 @@ __all__ = [
     "estimate",
     "estimate_bag",
     "export_c",
+    "fit",
     "load_design",
     "load_request",
     "make_tracker",

@@ -21,6 +21,7 @@ from tsobs_ros.cli import (
     design,
     estimate,
     export,
+    fit,
     paper,
     report,
     watch,
@@ -33,6 +34,7 @@ from tsobs_ros.streams import Parser
 
 _COMMANDS = (
     demo,
+    fit,
     design,
     estimate,
     compare,

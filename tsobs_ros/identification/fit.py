@@ -2,15 +2,40 @@
 # SPDX-License-Identifier: Apache-2.0
 """Maximum likelihood: the numbers of a joint that explain its recordings best."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import OptimizeResult, minimize
 
 from tsobs_ros.checks import Array
-from tsobs_ros.identification.joint import Joint, Unknowns
-from tsobs_ros.identification.likelihood import Evaluation, Likelihood, Recording
+from tsobs_ros.design.problem import DisturbanceTerm
+from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.errors import ModelError
+from tsobs_ros.identification.diagnosis import lacks, output_fits
+from tsobs_ros.identification.joint import (
+    DELAY,
+    FRICTION,
+    OFFSET,
+    TORQUE_GAIN,
+    UNCERTAINTY,
+    Joint,
+    Unknowns,
+    numbers_of,
+    with_values,
+)
+from tsobs_ros.identification.likelihood import (
+    Evaluation,
+    Likelihood,
+    Recording,
+    innovations,
+    log_likelihood,
+)
+from tsobs_ros.identification.recordings import Samples, read, require_torque
+from tsobs_ros.identification.result import Fit, Found, Lack, Unseen, ranked
+from tsobs_ros.model.arm import SIDES
 
 GATE = 6.0
 """Sigmas of an innovation from which on it is an outlier, once the numbers are about right."""
@@ -19,6 +44,13 @@ _START_SAMPLES = 4000
 """Samples with which starts are compared."""
 
 _STARTS = 3
+
+_KNOWN = 0.02
+"""Relative error of a number that need not be learnt."""
+
+_MOST = 0.8
+"""Largest relative error that a request may name."""
+
 _MAX_STEPS = 60
 _TOLERANCE = 1e-3
 """Gain of a step that is expected and no longer taken [nat]: a twentieth of a σ of a number."""
@@ -43,6 +75,7 @@ class Optimum:
     evaluation: Evaluation
     before: float
     steps: int
+    outliers: int
 
     @property
     def joint(self) -> Joint:
@@ -60,6 +93,7 @@ def maximise(
     recordings: Sequence[Recording],
     *,
     seed: int = 0,
+    starts: int = _STARTS,
     advance: Callable[[int], None] = lambda _: None,
 ) -> Optimum:
     """Return the most likely numbers.
@@ -71,17 +105,16 @@ def maximise(
         unknowns: The numbers.
         recordings: The samples.
         seed: Of the further points that the search starts from.
+        starts: Number of points.
         advance: Called with the number of filtered samples.
     """
     k, rng = unknowns.count, np.random.default_rng(seed)
     origin = np.zeros(k)
     longest = max(recordings, key=lambda recording: recording.count)
     middle = max(0, (longest.count - _START_SAMPLES) // 2)
-    short = Likelihood(
-        unknowns, [longest.part(middle, middle + _START_SAMPLES)], advance=advance
-    )
-    starts = [origin, *(0.5 * rng.standard_normal((_STARTS - 1, k)))]
-    found = [_search(short, start, 15) for start in starts]
+    short = Likelihood(unknowns, [longest.part(middle, middle + _START_SAMPLES)], advance=advance)
+    points = [origin, *(0.5 * rng.standard_normal((starts - 1, k)))]
+    found = [_search(short, point, 15) for point in points]
     best = min(found, key=lambda one: short.cost(one[0]))[0]
     whole = Likelihood(unknowns, recordings, advance=advance)
     best, steps = _search(whole, best, _MAX_STEPS)
@@ -94,7 +127,8 @@ def maximise(
     robust = inverse @ (made.spread + np.eye(k)) @ inverse
     ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(inverse), 1.0))
     covariance = inverse * np.outer(ratio, ratio)
-    return Optimum(unknowns, best, covariance, made, gated.cost(origin), steps + more)
+    outliers = gated.outliers(best)
+    return Optimum(unknowns, best, covariance, made, gated.cost(origin), steps + more, outliers)
 
 
 def _search(likelihood: Likelihood, start: Array, steps: int) -> tuple[Array, int]:
@@ -122,3 +156,250 @@ def _search(likelihood: Likelihood, start: Array, steps: int) -> tuple[Array, in
         },
     )
     return np.asarray(found.x), int(found.nit)
+
+
+def _found(optimum: Optimum) -> tuple[Found, ...]:
+    """Return the numbers of an optimum."""
+    found = []
+    for number, at, std in zip(
+        optimum.unknowns.numbers,
+        optimum.coordinates.tolist(),
+        optimum.std.tolist(),
+        strict=True,
+    ):
+        before = 0.0 if number.from_nothing else number.start
+        known = min(max(1.0 - std * std, 0.0), 1.0)
+        found.append(
+            Found(
+                number.name,
+                number.unit,
+                before,
+                number.value(at),
+                number.deviation(at, std),
+                known,
+            )
+        )
+    return tuple(found)
+
+
+def observable(
+    joint: Joint,
+    numbers: Sequence[Found],
+    recordings: Sequence[Recording],
+    advance: Callable[[int], None] = lambda _: None,
+) -> ArmRequest:
+    """Return the request of an observer, which has Coulomb friction as a torque disturbance.
+
+    A sign has no bounded slope, so no certificate covers friction in the model; as a Gauss–Markov
+    torque it is covered. Its size and the noises are the likeliest of a filter without friction.
+
+    Args:
+        joint: The likeliest joint.
+        numbers: What was found.
+        recordings: What it was found from.
+        advance: Called with the number of filtered samples.
+    """
+    request = joint.request
+    by_name = {each.name: each for each in numbers}
+    rubbing = [
+        (side, by_name[name].value)
+        for side, name in zip(SIDES, FRICTION, strict=True)
+        if name in by_name and by_name[name].significant
+    ]
+    for side, torque in rubbing:
+        if not getattr(request.torque_disturbance, side):
+            term = DisturbanceTerm("gauss_markov", {"std": torque, "time_constant": 0.3})
+            torques = replace(request.torque_disturbance, **{side: (term,)})
+            request = replace(request, torque_disturbance=torques)
+    if rubbing:
+        smooth = replace(joint, request=request, friction=(0.0, 0.0))
+        noises = replace(Unknowns.of(request).noises(), joint=smooth)
+        request = maximise(noises, recordings, starts=1, advance=advance).joint.request
+    bounds = dict(request.uncertainty)
+    for name, entry in UNCERTAINTY.items():
+        if (each := by_name.get(f"arm.{name}")) is not None:
+            relative = 3.0 * each.std / each.value
+            if relative < _KNOWN:
+                bounds.pop(entry, None)
+            elif each.seen:
+                bounds[entry] = float(f"{relative:.2g}")
+            else:
+                bounds.setdefault(entry, float(f"{min(relative, _MOST):.2g}"))
+    for name in ("link_damping", "motor_damping"):
+        if (each := by_name.get(f"arm.{name}")) is not None:
+            bounds.pop(name, None)
+    shown = {
+        each.name: float(f"{each.start:.6g}")
+        for each in numbers_of(request)
+        if not each.from_nothing and each.positive and each.name != TORQUE_GAIN
+    }
+    for each in numbers:
+        if not (each.before or each.significant) and each.name in shown:
+            shown[each.name] = 0.0
+    return with_values(Joint.of(replace(request, uncertainty=bounds)), shown).request
+
+
+def unseen(optimum: Optimum) -> tuple[Unseen, ...]:
+    """Return the directions in which the recordings know less than the prior."""
+    values, vectors = np.linalg.eigh(optimum.evaluation.information)
+    names = [each.name for each in optimum.unknowns.numbers]
+    found = []
+    for value, vector in zip(values.tolist(), vectors.T, strict=True):
+        if value > 3.0:
+            break
+        parts = ranked(list(zip(names, vector.tolist(), strict=True)), 0.3)
+        shown = " with ".join(name.removeprefix("arm.") for name, _ in parts)
+        motion = next((text for name, text in _MOTIONS.items() if name in parts[0][0]), "")
+        found.append(Unseen(parts, f"{shown}{motion}"))
+    return tuple(found)
+
+
+_MOTIONS = {
+    "stiffness": ": a motion near the joint's resonance would",
+    "gravity": ": slow motion through larger angles would",
+    "inertia": ": faster accelerations would",
+    "damping": ": long motion at several speeds would",
+    "friction": ": slow motion with many reversals would, if there is any",
+    "offset": ": rest at several angles, or motion in both directions, would",
+    "delay": ": steps of the torque would",
+    "process_noise": ": it is too small to matter beside the other noises",
+    "time_constant": ": a longer recording would",
+    "density": ": a longer recording would",
+}
+"""What would show a number, by a part of its name."""
+
+
+def _found_lacks(numbers: Sequence[Found]) -> list[Lack]:
+    """Return what was found that the request did not have."""
+    made = []
+    for each in numbers:
+        if not each.significant or each.before:
+            continue
+        value = f"{each.value:.3g} {each.unit}"
+        if each.name in FRICTION:
+            side = SIDES[FRICTION.index(each.name)]
+            made.append(
+                Lack(
+                    f"Coulomb friction of the {side}, {value}",
+                    f"the fitted request has a torque disturbance of the {side} for it",
+                )
+            )
+        elif each.name == OFFSET:
+            made.append(
+                Lack(f"an offset of the torque, {value}", f"torque: {{offset: {each.value:.3g}}}")
+            )
+        elif each.name == DELAY and each.value > 0.0:
+            made.append(
+                Lack(f"a delay of the torque, {value}", f"torque: {{delay: {each.value:.3g}}}")
+            )
+        elif each.name == DELAY:
+            made.append(
+                Lack(
+                    f"a torque that acts {-each.value:.3g} s before its stamp",
+                    "",
+                )
+            )
+        elif each.name.endswith("damping"):
+            made.append(
+                Lack(
+                    f"{each.name.removeprefix('arm.')} of {value}", "arm: the fitted request has it"
+                )
+            )
+    return made
+
+
+def _mean_log_likelihood(
+    joint: Joint, recordings: Sequence[tuple[Recording, int]], held_out: bool
+) -> float:
+    """Return the log likelihood per sample before or after the samples where each part begins."""
+    total, count = 0.0, 0
+    for recording, begin in recordings:
+        found = innovations(joint, recording, gate=GATE)
+        part = slice(begin, None) if held_out else slice(0, begin)
+        total += log_likelihood(found.errors[part], found.variances[part], GATE)
+        count += len(found.errors[part])
+    return total / count if count else math.nan
+
+
+def fit(
+    request: ArmRequest,
+    *logs: str | Path | Samples,
+    free: Sequence[str] = (),
+    held_out: float = 0.25,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    joint: str | None = None,
+    topic: str | None = None,
+    seed: int = 0,
+    advance: Callable[[int], None] = lambda _: None,
+) -> Fit:
+    """Fit the numbers of a joint to recordings.
+
+    Args:
+        request: An arm's request, e.g. with the numbers of data sheets: they are where the search
+            starts, and its `uncertainty` says how far off they may be.
+        logs: Recordings: paths of CSV logs or bags, or tuples (time, angle, torque) of arrays.
+        free: Names of the numbers to estimate, such as "stiffness" or "torque.delay"; all but the
+            torque's gain if empty.
+        held_out: Share at the end of each recording that is not fitted but predicted.
+        columns: Of CSV logs: titles by what they are, as of `tsobs estimate --columns`.
+        units: Of CSV logs: units by quantity.
+        joint: Name of the joint in the recordings; needed if there are several.
+        topic: Topic of the measurements in bags; None if there is only one.
+        seed: Of the points that the search starts from.
+        advance: Called with the number of filtered samples, for progress.
+
+    Raises:
+        ModelError: The request is for no arm, or a name is unknown.
+        LogError: A recording is of no use; one line says why.
+        BagReadError: A bag cannot be read.
+
+    >>> import tsobs_ros as ts
+    >>> run = ts.simulate(duration=20.0, torque=lambda t: 2.0 if t % 3.0 < 1.0 else -1.0)
+    >>> sheet = ts.ArmRequest(ts.ElasticJointArm(stiffness=13.0))
+    >>> found = ts.fit(sheet, (run.time, run.angle, run.torque), free=["stiffness"])
+    >>> 9.5 < found.number("stiffness").value < 10.5
+    True
+    """
+    if not isinstance(request, ArmRequest):
+        raise ModelError("request: expected one for an arm; a T-S system has no numbers to fit")
+    if not 0.0 <= held_out <= 0.9:
+        raise ModelError(f"held_out: expected a share from 0 to 0.9, got {held_out!r}")
+    start, recordings, notes = read(
+        request, logs, columns=columns, units=units, joint=joint, topic=topic
+    )
+    unknowns = Unknowns.of(start, free)
+    begins = [round((1.0 - held_out) * each.count) for each in recordings]
+    fitted = [each.part(0, end) for each, end in zip(recordings, begins, strict=True)]
+    first = fitted[0]
+    require_torque(unknowns, first.part(0, min(first.count, _START_SAMPLES)))
+    optimum = maximise(unknowns, fitted, seed=seed, advance=advance)
+    likeliest = optimum.joint
+    numbers = _found(optimum)
+    observed = observable(likeliest, numbers, fitted, advance)
+    longest = max(range(len(recordings)), key=lambda place: recordings[place].count)
+    whole = recordings[longest]
+    begin = begins[longest] if held_out else whole.count // 2
+    outputs, traces = output_fits(likeliest, whole, begin, GATE)
+    rest = list(zip(recordings, begins, strict=True))
+    return Fit(
+        request=observed,
+        before=start,
+        joint=likeliest,
+        numbers=numbers,
+        unseen=unseen(optimum),
+        lacks=(*_found_lacks(numbers), *lacks(likeliest, fitted, GATE)),
+        outputs=outputs,
+        log_likelihood=(
+            _mean_log_likelihood(unknowns.joint, rest, False),
+            _mean_log_likelihood(likeliest, rest, False),
+        ),
+        log_likelihood_held_out=(
+            _mean_log_likelihood(unknowns.joint, rest, True),
+            _mean_log_likelihood(likeliest, rest, True),
+        ),
+        samples=(sum(begins), sum(each.count - end for each, end in rest)),
+        outliers=optimum.outliers,
+        notes=notes,
+        traces=traces,
+    )

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a joint that a recording can show, each with its prior, and the joint they make.
+"""Numbers of a joint that a recording can show, each with its prior, and the joint they make.
 
 A number above zero is estimated by its logarithm, so that it stays there and its prior is a factor;
 friction, which may be nothing, too. An offset and delays are estimated as they are. The torque's
@@ -11,13 +11,13 @@ only a number among them that is known could show it.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tsobs_ros.checks import Array, meant
 from tsobs_ros.design.problem import DisturbanceTerm
-from tsobs_ros.design.request import ArmRequest, Output
+from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import SIDES
 
@@ -43,7 +43,7 @@ _UNITS = {
     "link": "rad²/s³",
     "motor": "rad²/s³",
 }
-_UNCERTAINTY = {
+UNCERTAINTY = {
     "stiffness": "stiffness",
     "gravity_torque": "gravity",
     "link_inertia": "link_inverse_inertia",
@@ -69,7 +69,7 @@ class Number(NamedTuple):
     """A number of a joint and its prior.
 
     Attributes:
-        name: Its place in the request, e.g. "arm.stiffness" or "outputs.0.measurement_std".
+        name: Its place in the request, e.g. "arm.stiffness" or "motor_angle.measurement_std".
         unit: Its unit, empty for none.
         start: The request's value, or what stands for nothing.
         prior_std: 1σ beforehand: of the logarithm if `positive`.
@@ -150,7 +150,7 @@ class Unknowns:
         Raises:
             ModelError: A name is unknown.
         """
-        known = {number.name: number for number in _numbers(request)}
+        known = {number.name: number for number in numbers_of(request)}
         for name in free:
             if not any(_names(name, each) for each in known):
                 raise ModelError(
@@ -169,9 +169,11 @@ class Unknowns:
         """How many they are."""
         return len(self.numbers)
 
-    def only(self, names: Sequence[str]) -> "Unknowns":
-        """Return those of some names."""
-        return replace(self, numbers=tuple(n for n in self.numbers if n.name in names))
+    def noises(self) -> "Unknowns":
+        """Return those of noises and disturbances, which are no properties of arm and drive."""
+        own = ("arm.", "torque.", *FRICTION)
+        chosen = [each for each in self.numbers if not each.name.startswith(own)]
+        return replace(self, numbers=tuple(n for n in chosen if not n.name.endswith(".delay")))
 
     def values(self, coordinates: Array) -> dict[str, float]:
         """Return the numbers by their names, from distances in units of their priors."""
@@ -185,55 +187,59 @@ class Unknowns:
 
 def with_values(joint: Joint, values: Mapping[str, float]) -> Joint:
     """Return a joint with some numbers changed, by their names."""
-    request, friction = joint.request, list(joint.friction)
-    delays = list(joint.output_delays)
-    arm: dict[str, float] = {}
-    process: dict[str, float] = {}
-    outputs = list(request.sensors)
-    torques = {side: list(getattr(request.torque_disturbance, side)) for side in SIDES}
-    path: dict[str, float] = {}
+    groups: dict[str, dict[str, float]] = {}
     for name, value in values.items():
         group, _, rest = name.partition(".")
-        if group == "arm":
-            arm[rest] = value
-        elif group == "process_noise":
-            process[rest] = value
-        elif group == "torque":
-            path[rest] = value
-        elif group == "torque_disturbance":
-            side, place, key = rest.split(".")
-            torques[side][int(place)] = _with(torques[side][int(place)], key, value)
-        elif group == "outputs":
-            number, _, key = rest.partition(".")
-            place = int(number)
-            if key == "delay":
-                delays[place] = value
-            elif key == "measurement_std":
-                outputs[place] = replace(outputs[place], measurement_std=value)
-            else:
-                _, term, entry = key.split(".")
-                terms = list(outputs[place].disturbance)
-                terms[int(term)] = _with(terms[int(term)], entry, value)
-                outputs[place] = replace(outputs[place], disturbance=tuple(terms))
-        else:
-            friction[FRICTION.index(name)] = value
-    changes: dict[str, object] = {
-        "arm": replace(request.arm, **arm),
-        "process_noise": replace(request.process_noise, **process),
-        "torque_disturbance": replace(
-            request.torque_disturbance, **{side: tuple(each) for side, each in torques.items()}
-        ),
-        "measurement_std": outputs[0].measurement_std,
-        "disturbance": outputs[0].disturbance,
-        "outputs": tuple(outputs) if request.outputs else (),
+        groups.setdefault(group, {})[rest] = value
+    request = joint.request
+    outputs, delays = [], []
+    for output, known in zip(request.sensors, joint.output_delays, strict=True):
+        own = groups.get(output.measures, {})
+        delays.append(own.get("delay", known))
+        std = own.get("measurement_std", output.measurement_std)
+        terms = _terms_with(output.disturbance, own, "disturbance.")
+        outputs.append(replace(output, measurement_std=std, disturbance=terms))
+    disturbed = {
+        side: _terms_with(
+            getattr(request.torque_disturbance, side),
+            groups.get("torque_disturbance", {}),
+            f"{side}.",
+        )
+        for side in SIDES
     }
+    changed = replace(
+        request,
+        arm=replace(request.arm, **groups.get("arm", {})),
+        process_noise=replace(request.process_noise, **groups.get("process_noise", {})),
+        torque_disturbance=replace(request.torque_disturbance, **disturbed),
+        measurement_std=outputs[0].measurement_std,
+        disturbance=outputs[0].disturbance,
+        outputs=tuple(outputs) if request.outputs else (),
+    )
+    motor, link = (
+        groups.get(name, {}).get("", known)
+        for name, known in zip(FRICTION, joint.friction, strict=True)
+    )
     return replace(
         joint,
-        request=replace(request, **changes),  # type: ignore[arg-type]
+        request=changed,
         output_delays=tuple(delays),
-        friction=(friction[0], friction[1]),
-        **path,
+        friction=(motor, link),
+        **groups.get("torque", {}),
     )
+
+
+def _terms_with(
+    terms: Sequence[DisturbanceTerm], values: Mapping[str, float], prefix: str
+) -> tuple[DisturbanceTerm, ...]:
+    """Return terms with the parameters that `values` names as "prefix + place.parameter"."""
+    changed = []
+    for place, term in enumerate(terms):
+        entries: dict[str, Any] = dict(term)
+        for key in entries:
+            entries[key] = values.get(f"{prefix}{place}.{key}", entries[key])
+        changed.append(DisturbanceTerm.from_mapping(entries))
+    return tuple(changed)
 
 
 def _names(prefix: str, name: str) -> bool:
@@ -241,16 +247,11 @@ def _names(prefix: str, name: str) -> bool:
     return name == prefix or name.startswith(f"{prefix}.") or name == f"arm.{prefix}"
 
 
-def _with(term: DisturbanceTerm, key: str, value: float) -> DisturbanceTerm:
-    entries = dict(term) | {key: value}
-    return DisturbanceTerm(str(entries.pop("kind")), entries)
-
-
-def _numbers(request: ArmRequest) -> list[Number]:
+def numbers_of(request: ArmRequest) -> list[Number]:
     """Return all numbers of a request that can be estimated."""
     arm, found = request.arm, list[Number]()
     speed = float(request.reach[1])
-    for name, entry in _UNCERTAINTY.items():
+    for name, entry in UNCERTAINTY.items():
         if start := getattr(arm, name):
             std = request.uncertainty.get(entry, _UNKNOWN / _BOUND_STD) * _BOUND_STD
             found.append(Number(f"arm.{name}", _UNITS[name], start, std))
@@ -263,8 +264,7 @@ def _numbers(request: ArmRequest) -> list[Number]:
         found.append(
             Number(f"arm.{name}", _UNITS[name], start, std if own else _NOISE, True, own == 0.0)
         )
-    for side, name in zip(SIDES, FRICTION, strict=True):
-        del side
+    for name in FRICTION:
         found.append(Number(name, _UNITS[name], _SMALL * torque, _NOISE, True, True))
     found.append(Number(TORQUE_GAIN, "", 1.0, _UNKNOWN))
     found.append(Number(OFFSET, "N m", 0.0, 0.1 * torque, False))
@@ -275,7 +275,7 @@ def _numbers(request: ArmRequest) -> list[Number]:
         name = f"process_noise.{side}"
         found.append(Number(name, _UNITS[side], size, _NOISE, True, density == 0.0))
     for place, output in enumerate(request.sensors):
-        prefix = f"outputs.{place}"
+        prefix = output.measures
         unit = "rad" if output.measures.endswith("_angle") else "rad/s"
         found.append(Number(f"{prefix}.measurement_std", unit, output.measurement_std, _NOISE))
         if place and unit == "rad":
@@ -288,7 +288,7 @@ def _numbers(request: ArmRequest) -> list[Number]:
 
 
 def _of_terms(prefix: str, terms: Sequence[DisturbanceTerm], unit: str) -> list[Number]:
-    """Return the numbers of disturbances' terms that a recording shows, but for those of a start."""
+    """Return the numbers of terms that a recording shows, but for those of its start."""
     found = []
     for place, term in enumerate(terms):
         for key, value in term.items():
@@ -299,11 +299,6 @@ def _of_terms(prefix: str, terms: Sequence[DisturbanceTerm], unit: str) -> list[
             name = f"{prefix}.{place}.{key}"
             found.append(Number(name, units.get(key, _UNITS.get(key, "")), float(value), std))
     return found
-
-
-def output_of(request: ArmRequest, place: int) -> Output:
-    """Return a sensor by its place."""
-    return request.sensors[place]
 
 
 def delayed(torque: Array, durations: Array, delay: float) -> Array:

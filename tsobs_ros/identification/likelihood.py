@@ -24,12 +24,12 @@ from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.estimation.estimator import model_of
 from tsobs_ros.identification.joint import Joint, Unknowns, delayed
-from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE, QUANTITIES
+from tsobs_ros.model.arm import QUANTITIES
 
 WORKERS = 2
 BLOCKS = 40
-"""Parts of a recording whose scores are compared: their spread is that of the estimates, whatever the
-innovations are correlated with."""
+"""Parts of a recording whose scores are compared: their spread is that of the estimates, whatever
+the innovations are correlated with."""
 
 _STEP = 1e-2
 """Step of a difference, by the 1σ that the number is known to."""
@@ -100,9 +100,7 @@ def innovations(
     covariances = (request.measurement_covariance, request.initial_covariance)
     shape, model = model_of(request.flow, *covariances, None, auxiliary=False)
     scale = request.arm.to_physical(np.ones(4))
-    for place, (output, delay) in enumerate(
-        zip(request.sensors, joint.output_delays, strict=True)
-    ):
+    for place, (output, delay) in enumerate(zip(request.sensors, joint.output_delays, strict=True)):
         if delay:
             angle = QUANTITIES.index(output.measures)
             model["C"][0, place, angle + 1] -= delay * scale[angle]
@@ -170,7 +168,7 @@ class Likelihood:
         self._known: dict[bytes, Evaluation] = {}
 
     def _filtered(self, coordinates: Array) -> tuple[Array, Array]:
-        """Return all standardised innovations and logarithms of variances, shape (samples,) each."""
+        """Return all standardised innovations and logarithms of variances, shape (n,) each."""
         joint = self.unknowns.at(coordinates)
         errors, logs = [], []
         for recording in self.recordings:
@@ -189,6 +187,10 @@ class Likelihood:
         except (ValueError, OverflowError):
             return math.inf
         return self._cost(coordinates, errors, logs)
+
+    def outliers(self, coordinates: Array) -> int:
+        """Return the number of innovations beyond the gate."""
+        return int((np.abs(self._filtered(coordinates)[0]) > self._gate).sum())
 
     def _cost(self, coordinates: Array, errors: Array, logs: Array) -> float:
         squares = np.minimum(errors * errors, self._gate * self._gate)
@@ -212,7 +214,9 @@ class Likelihood:
             # ∂e/√s at fixed s: the standardised innovation's own derivative lacks its share of s.
             change = (moved_logs - logs) / self._spacing[place]
             by_log[:, place] = change
-            by_error[:, place] = (moved_errors - errors) / self._spacing[place] + 0.5 * errors * change
+            by_error[:, place] = (moved_errors - errors) / self._spacing[
+                place
+            ] + 0.5 * errors * change
         by_error[~regular] = 0.0
         by_log[~regular] = 0.0
         squares = np.where(regular, errors * errors, 1.0)
@@ -234,8 +238,8 @@ class Likelihood:
         return made
 
 
-def angle_columns(joint: Joint) -> list[int]:
-    """Return the places of outputs that are angles."""
-    names = [output.measures for output in joint.request.sensors]
-    angles = (QUANTITIES[LINK_ANGLE], QUANTITIES[MOTOR_ANGLE])
-    return [place for place, name in enumerate(names) if name in angles]
+def log_likelihood(errors: Array, variances: Array, gate: float) -> float:
+    """Return log L of innovations, NaN of one that is missing."""
+    with np.errstate(all="ignore"):
+        squares = np.minimum(errors * errors / variances, gate * gate)
+        return -0.5 * float(np.nansum(squares + np.log(2.0 * math.pi * variances)))

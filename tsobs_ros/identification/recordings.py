@@ -43,10 +43,10 @@ _SATURATED = 0.05
 """Share of samples at the same largest value from which on a sensor is at its stop."""
 
 _BETTER = 100.0
-"""Gain of likelihood [nat] by which another sign or scale of the torque must explain a recording."""
+"""Gain of likelihood by which another sign or scale of the torque must be likelier [nat]."""
 
 _SCALES = tuple(10.0 ** (step / 3.0) for step in range(-12, 13))
-_UNITS = {1e-3: "mN m", 1e-2: "N cm", 1e3: "kN m"}
+_UNITS = {1e-3: "mN m", 1e-2: "N cm"}
 
 
 class Read(NamedTuple):
@@ -133,11 +133,9 @@ def _samples(
         source.observe([request])
         samples = [part.samples for part in source.parts()]
         whole = samples[0].followed_by(*samples[1:])
-        name = str(log)
-        times, y, u = whole.stamps / NANOSECONDS, whole.y[:, 0], whole.u[:, 0, 0]
-        # Stamps since the epoch have no digits left below a microsecond as one number.
-        times = (whole.stamps - whole.stamps.min(initial=0)) / NANOSECONDS
+        name, y, u = str(log), whole.y[:, 0], whole.u[:, 0, 0]
         keep = (whole.stamps > 0) & whole.complete[:, 0]
+        # Stamps since the epoch have no digits left below a microsecond as one number.
         times = (whole.stamps - whole.stamps[keep].min(initial=2**62)) / NANOSECONDS
     else:
         name = "the arrays"
@@ -163,9 +161,7 @@ def _samples(
     return name, times - times[0], np.ascontiguousarray(y), np.ascontiguousarray(u)
 
 
-def _even(
-    name: str, time: Array, y: Array, u: Array, period: float
-) -> tuple[Recording, str]:
+def _even(name: str, time: Array, y: Array, u: Array, period: float) -> tuple[Recording, str]:
     """Return a recording whose nearly even times are even, and a remark about its gaps."""
     durations = np.diff(time, append=time[-1] + period)
     steps = np.round(durations / period)
@@ -195,15 +191,17 @@ def _checked(request: ArmRequest, recording: Recording) -> list[str]:
             raise LogError(f"{name}: {output.measures}: only {len(values)} samples have it")
         noise = max(float(np.median(np.abs(np.diff(values, 2)))) / 1.65, 1e-12)
         swing = float(np.quantile(values, 0.98) - np.quantile(values, 0.02))
-        moves |= swing > _LEAST_MOTION * noise and swing > _LEAST_MOTION * 0.05 * output.measurement_std
+        moves |= (
+            swing > _LEAST_MOTION * noise and swing > _LEAST_MOTION * 0.05 * output.measurement_std
+        )
         if output.measures.endswith("_angle"):
             _require_domain(request, recording, place, values)
         for edge in (values.min(), values.max()):
             share = float((values == edge).mean())
             if share > _SATURATED and swing > 0.0:
                 raise LogError(
-                    f"{name}: {output.measures}: {100 * share:.0f} % of the samples are {edge:.4g}: "
-                    "the sensor or the arm is at a stop; leave that part out"
+                    f"{name}: {output.measures}: {100 * share:.0f} % of the samples are "
+                    f"{edge:.4g}: the sensor or the arm is at a stop; leave that part out"
                 )
     if not moves:
         raise LogError(f"{name}: at rest: no output moves by more than its noise")
@@ -211,33 +209,32 @@ def _checked(request: ArmRequest, recording: Recording) -> list[str]:
         share = float((u == edge).mean())
         if share > 0.3:
             notes.append(
-                f"note: {name}: the torque is {edge:.4g} N m in {100 * share:.0f} % of the samples; "
-                "if the drive is at its limit there, the torque that acts may be another one"
+                f"note: {name}: the torque is {edge:.4g} N m in {100 * share:.0f} % of the "
+                "samples: if the drive is at its limit there, the true torque may be another one"
             )
     notes += _gear(request, recording)
     return notes
 
 
-def _require_domain(
-    request: ArmRequest, recording: Recording, place: int, values: Array
-) -> None:
+def _require_domain(request: ArmRequest, recording: Recording, place: int, values: Array) -> None:
     """Refuse angles beyond the domain, with what they would be in degrees."""
     largest = float(np.quantile(np.abs(values), 0.999))
     domain = request.max_angle
     if largest <= domain * 1.0001 and (math.isfinite(domain) or largest < 50.0):
         return
     name, what = recording.name, request.sensors[place].measures
-    limit = min(domain, math.pi)
-    if largest > limit and math.radians(largest) <= limit and largest > 3.0:
-        raise LogError(
-            f"{name}: {what}: up to {largest:.4g} rad, which as degrees would be "
-            f"{math.radians(largest):.3g} rad: give the unit, --units angle=deg"
+    limit, hints = min(domain, math.pi), []
+    if largest > max(limit, 3.0) and math.radians(largest) <= limit:
+        hints.append(
+            f"if these are degrees, {math.radians(largest):.3g} rad, say so: --units angle=deg"
         )
+    if largest > 4.0:
+        hints.append("if it is the motor's side of a gear, divide by its ratio")
     if math.isfinite(domain):
-        hint = "" if largest < 4.0 else " (the motor's side of a gear? divide by its ratio)"
+        hints.append("widen x_max, or leave that motion out")
+    if hints:
         raise LogError(
-            f"{name}: {what}: up to {largest:.4g} rad, beyond the request's x_max of {domain:.4g} "
-            f"rad{hint}: widen x_max, or leave that motion out"
+            f"{name}: {what}: up to {largest:.4g} rad, beyond {limit:.4g} rad: {'; '.join(hints)}"
         )
 
 
@@ -254,27 +251,24 @@ def _gear(request: ArmRequest, recording: Recording) -> list[str]:
     if abs(agreement) > 0.7 and not 0.5 < slope < 2.0:
         sign = " and has the opposite sign" if slope < 0.0 else ""
         raise LogError(
-            f"{recording.name}: motor_angle moves {abs(slope):.4g} times as far as link_angle{sign}: "
-            "if a gear is between them, divide the motor's angle by its ratio, and multiply the "
-            "torque by it"
+            f"{recording.name}: motor_angle moves {abs(slope):.4g} times as far as link_angle"
+            f"{sign}: if a gear is between them, divide the motor's angle by its ratio, and "
+            "multiply the torque by it"
         )
     return []
 
 
-def require_torque(unknowns: Unknowns, recording: Recording, best: float) -> None:
+def require_torque(unknowns: Unknowns, recording: Recording) -> None:
     """Refuse a torque of the wrong sign, or whose unit or gear ratio is wrong.
 
     Args:
         unknowns: What is estimated.
         recording: A part of the samples.
-        best: The cost that the torque as it is led to.
 
     Raises:
         LogError: Another sign or scale is far likelier.
     """
-    noises = unknowns.only(
-        [each.name for each in unknowns.numbers if each.name.startswith(("process", "outputs"))]
-    )
+    noises = unknowns.noises()
     # A filter that does not trust its model shows the sign and the scale, whatever else is wrong.
     at = np.array([2.0 if each.name.startswith("process") else 0.0 for each in noises.numbers])
     costs = {}
@@ -291,11 +285,11 @@ def require_torque(unknowns: Unknowns, recording: Recording, best: float) -> Non
             "sign the motion follows from it; change the sign of torque or angle"
         )
     if not 0.08 < upright < 12.0 and costs[upright] < costs[1.0] - _BETTER:
-        unit = _UNITS.get(min(_UNITS, key=lambda each: abs(math.log(each / upright))), "")
-        near = abs(math.log10(upright) - round(math.log10(upright))) < 0.2
-        hint = f" (is its unit {unit}?)" if near and upright < 0.02 else " (a gear ratio?)"
+        unit = min(_UNITS, key=lambda each: abs(math.log(each / upright)))
+        is_unit = upright < 1.0 and abs(math.log10(unit / upright)) < 0.4
+        hint = f" (is its unit {_UNITS[unit]}?)" if is_unit else " (a gear ratio?)"
         raise LogError(
-            f"{recording.name}: torque: the arm of the request moves as if the torque were about "
-            f"{upright:.2g} times as large: its unit, or the side of the gear that it is for, is "
-            f"not that of the request{hint}"
+            f"{recording.name}: torque: the request's arm moves as if the torque were about "
+            f"{upright:.2g} times as large: the torque's unit, or the side of the gear that it is "
+            f"for, is not the request's{hint}"
         )
