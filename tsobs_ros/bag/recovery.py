@@ -4,11 +4,11 @@
 
 import re
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from mcap.records import Channel, Footer, Header, McapRecord, Metadata, Schema, Statistics
 
@@ -24,17 +24,13 @@ from tsobs_ros.bag.metadata import (
     TopicInfo,
     read_metadata,
 )
-from tsobs_ros.bag.walker import Damage, FileWalker, Part, Progress, read_part
+from tsobs_ros.bag.walker import Damage, FileWalker, Progress
 from tsobs_ros.bag.writer import LIBRARY, BagWriter, whole_bag
 from tsobs_ros.errors import BagReadError, BagWriteError, printable
 from tsobs_ros.files import open_regular
 
-Keep = Callable[[str, bytes, int, int], object]
-"""Takes a message: topic, data, log time [ns] and publish time [ns]."""
-
 _SHOWN = 10
 _MAX_DESCRIPTIONS = 2**26
-_RUN_SIZE = 2**20
 _NUMBER = re.compile(r"_(\d+)$")
 
 
@@ -44,8 +40,8 @@ class FileRecovery:
 
     Attributes:
         name: The name of the file.
-        size: The number of bytes read.
-        is_finished: Whether its recorder had closed it.
+        bytes_read: The number of bytes read.
+        finished: Whether its recorder had closed it.
         kept: The number of messages kept, by topic.
         unchecked: The number of messages kept that no checksum covers.
         dropped: The number of messages found and not kept, by reason.
@@ -57,8 +53,8 @@ class FileRecovery:
     """
 
     name: str
-    size: int = 0
-    is_finished: bool = False
+    bytes_read: int = 0
+    finished: bool = False
     kept: Counter[str] = field(default_factory=Counter)
     unchecked: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
@@ -86,7 +82,7 @@ class FileRecovery:
     @property
     def reason(self) -> str:
         """The first reasons why something is lost."""
-        if self.error or not self.size:
+        if self.error or not self.bytes_read:
             return self.error or "it is empty"
         parts = [str(part) for part in self.damage[:1]]
         parts += [f"{count} messages {reason}" for reason, count in self.dropped.items()]
@@ -94,19 +90,9 @@ class FileRecovery:
 
     def as_mapping(self) -> dict[str, Any]:
         """Return plain data."""
-        return {
-            "name": self.name,
-            "bytes_read": self.size,
-            "finished": self.is_finished,
-            "error": self.error,
-            "kept": dict(self.kept),
-            "unchecked": self.unchecked,
-            "start_ns": self.start_ns,
-            "end_ns": self.end_ns,
-            "dropped": dict(self.dropped),
+        return asdict(self) | {
             "missing": self.missing,
             "excess": self.excess,
-            "damage": [vars(part) for part in self.damage],
             "bytes_damaged": sum(part.size for part in self.damage),
         }
 
@@ -114,8 +100,9 @@ class FileRecovery:
         """Return lines for people."""
         if self.error:
             return [f"{self.name}: not read: {self.error}"]
-        state = "finished" if self.is_finished else "without what its recorder had not flushed"
-        lines = [f"{self.name}: {self.size} bytes, {state}: {self.kept.total()} messages kept"]
+        state = "finished" if self.finished else "without what its recorder had not flushed"
+        kept = f"{self.kept.total()} messages kept"
+        lines = [f"{self.name}: {self.bytes_read} bytes, {state}: {kept}"]
         lines += [f"  kept {count} of {topic}" for topic, count in sorted(self.kept.items())]
         if self.start_ns is not None and self.end_ns is not None:
             duration = (self.end_ns - self.start_ns) * 1e-9
@@ -186,18 +173,19 @@ class Recovery:
         return "\n".join(map(printable, lines))
 
 
-class _Piece(NamedTuple):
-    """A part of a file with messages: see `Part`; `foreign` are channels it describes as others."""
+class DamagedFile:
+    """One file: the records that describe its topics, wherever they are, and its messages.
 
-    at: int
-    size: int
-    front: int | None
-    is_checked: bool
-    foreign: tuple[int, ...]
+    Args:
+        path: The file.
+        progress: Called with the number of bytes that were read since the last call.
+        options: Those of `FileWalker`.
 
-
-class _File:
-    """One file: the records that describe its topics, wherever they are, and its pieces."""
+    Attributes:
+        account: The account of what was read.
+        topics: The topics of its channels, which others find.
+        reasons: Why messages of other channels are dropped.
+    """
 
     def __init__(self, path: Path, progress: Progress, **options: bool) -> None:
         self.path = path
@@ -207,59 +195,71 @@ class _File:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.metadata: BagMetadata | None = None
-        # The channels' topics, and why messages of others have none.
         self.topics: dict[int, str] = {}
         self.reasons: dict[int, str] = {}
+        self._options = options
         self._counts: dict[int, int] = {}
-        self._pieces: list[_Piece] = []
         self._metadata_texts: deque[str] = deque(maxlen=2)
         self._definitions: dict[int, MessageDefinition | None] = {}
         self._room = _MAX_DESCRIPTIONS
         try:
             with open_regular(path) as stream:
-                self.account.size = stream.seek(0, 2)
-                walker = FileWalker(stream, self.account.size, **options)
-                self.account.damage = walker.damage
-                if summary := walker.summary:
-                    for record in (*summary.schemas.values(), *summary.channels.values()):
-                        self._describe(record)
-                    self._describe(summary.statistics)
-                for part in walker.parts(progress):
-                    self._take(part)
+                self.account.bytes_read = stream.seek(0, 2)
+                self._find_descriptions(FileWalker(stream, stream.tell(), **options), progress)
         except OSError as error:
             self.account.error = error.strerror or str(error)
-        # The last one tells most.
+        # The last one has the most.
         for text in reversed(self._metadata_texts):
             with suppress(ValueError):
                 self.metadata = BagMetadata.from_yaml(text)
                 break
 
-    def read(self, keep: Keep, progress: Progress) -> FileRecovery:
-        """Read all messages, and return the account."""
+    def _find_descriptions(self, walker: FileWalker, progress: Progress) -> None:
+        self.account.damage = walker.damage
+        if summary := walker.summary:
+            for record in (*summary.schemas.values(), *summary.channels.values()):
+                self._describe(record)
+            self._describe(summary.statistics)
+        for part in walker.parts(progress):
+            if part.content is not None:
+                for description in _descriptions(part.content):
+                    self._describe(description)
+            elif part.record is not None:
+                self._describe(part.record)
+
+    def messages(
+        self, progress: Progress = lambda _: None
+    ) -> Iterator[tuple[str, bytes, int, int]]:
+        """Yield topic, data, log time and publish time [ns] of what is kept, and count it.
+
+        Args:
+            progress: Called with the number of bytes that were read since the last call.
+
+        Raises:
+            BagReadError: The file has changed since it was opened.
+        """
         account = self.account
         for id_, count in self._counts.items():
             account.stated[self.topics.get(id_, f"channel {id_}")] += count
         if account.error:
-            return account
-        at = 0
+            return
         with open_regular(self.path) as stream:
-            for piece in self._pieces:
-                for id_ in piece.foreign:
-                    self.topics.pop(id_, None)
-                    self.reasons[id_] = f"of channel {id_}, which is described as two topics"
-                try:
-                    content = read_part(stream, *piece[:3])
-                except RecordError as error:
-                    raise BagReadError(f"{self.path}: changed while it was read") from error
+            walker = FileWalker(stream, account.bytes_read, **self._options)
+            for part in walker.parts(progress):
+                if part.content is None:
+                    continue
+                for description in _descriptions(part.content):
+                    for id_ in self._contradicted(description):
+                        self.topics.pop(id_, None)
+                        self.reasons[id_] = f"of channel {id_}, which is described as two topics"
                 counted = account.kept.total()
-                self._keep(content, account, keep)
-                account.unchecked += 0 if piece.is_checked else account.kept.total() - counted
-                progress(piece.at + piece.size - at)
-                at = piece.at + piece.size
-        progress(account.size - at)
-        return account
+                yield from self._kept(part.content)
+                account.unchecked += 0 if part.is_checked else account.kept.total() - counted
+        if walker.damage != account.damage:
+            raise BagReadError(f"{self.path}: changed while it was read")
 
-    def _keep(self, content: Records, account: FileRecovery, keep: Keep) -> None:
+    def _kept(self, content: Records) -> Iterator[tuple[str, bytes, int, int]]:
+        account = self.account
         for channel, log_time, publish_time, begin, size in zip(
             *(column.tolist() for column in content[1:]), strict=True
         ):
@@ -269,34 +269,12 @@ class _File:
             elif not (0 <= log_time < EMPTY_START_NS and 0 <= publish_time < EMPTY_START_NS):
                 account.dropped[f"of {topic}, whose times do not fit 63 bits"] += 1
             else:
-                keep(topic, content.data[begin : begin + size], log_time, publish_time)
+                yield topic, content.data[begin : begin + size], log_time, publish_time
                 account.kept[topic] += 1
                 if account.start_ns is None or log_time < account.start_ns:
                     account.start_ns = log_time
                 if account.end_ns is None or log_time > account.end_ns:
                     account.end_ns = log_time
-
-    def _take(self, part: Part) -> None:
-        if part.content is None:
-            if part.record is not None:
-                self._describe(part.record)
-            return
-        foreign: list[int] = []
-        seen = set()
-        for description in part.content.descriptions():
-            if (key := description[:1] + description[9:11]) not in seen:
-                seen.add(key)
-                with suppress(RecordError):
-                    record = parse_record(description)
-                    foreign += self._contradicted(record)
-                    self._describe(record)
-        last = self._pieces[-1] if self._pieces else None
-        is_run = last and part.record is None and last.at + last.size == part.at
-        if last and is_run and last.size < _RUN_SIZE:
-            self._pieces[-1] = last._replace(size=last.size + part.size)
-        else:
-            piece = _Piece(part.at, part.size, part.front, part.is_checked, tuple(foreign))
-            self._pieces.append(piece)
 
     def _contradicted(self, record: McapRecord) -> Iterator[int]:
         """Yield the channels that a chunk describes as others: it may be of another file."""
@@ -326,7 +304,7 @@ class _File:
             ):
                 self._counts = record.channel_message_counts
             case Footer():
-                self.account.is_finished = True
+                self.account.finished = True
             case Metadata(name="rosbag2"):
                 self._metadata_texts.append(record.metadata.get("serialized_metadata", ""))
 
@@ -346,6 +324,16 @@ class _File:
             return None
         hash_ = channel.metadata.get("topic_type_hash", "")
         return found._replace(type_hash=hash_ if TYPE_HASH.fullmatch(hash_) else "")
+
+
+def _descriptions(content: Records) -> Iterator[McapRecord]:
+    """Yield the first description of each schema and channel in a part of a file."""
+    seen = set()
+    for description in content.descriptions():
+        if (key := description[:1] + description[9:11]) not in seen:
+            seen.add(key)
+            with suppress(RecordError):
+                yield parse_record(description)
 
 
 def _is_sound(definition: MessageDefinition) -> bool:
@@ -371,6 +359,7 @@ class DamagedBag:
         options: Those of `FileWalker`.
 
     Attributes:
+        files: Its files, in the order of recording.
         topics: The topics found, by name.
         metadata: The metadata of the bag, of its folder or else of a file; None if it is lost.
         profiles: The profiles in the headers of the files.
@@ -382,54 +371,31 @@ class DamagedBag:
 
     def __init__(self, bag: Path, progress: Progress = lambda _: None, **options: bool) -> None:
         paths, metadata, self.remarks = _find_files(bag)
-        self._files = [_File(path, progress, **options) for path in paths]
-        stated = [metadata, *(file.metadata for file in self._files)]
+        self.files = [DamagedFile(path, progress, **options) for path in paths]
+        stated = [metadata, *(file.metadata for file in self.files)]
         self.metadata = next(filter(None, stated), None)
         self.custom_data = next((m.custom_data for m in stated if m and m.custom_data), None)
-        self.profiles = {file.profile for file in self._files} - {None}
+        self.profiles = {file.profile for file in self.files} - {None}
         # The header may be what is damaged: what counts is whether messages are in CDR.
         self.remarks += [
             f"{file.path.name}: its profile is '{file.profile}', expected 'ros2'"
-            for file in self._files
+            for file in self.files
             if file.profile not in (None, "ros2")
         ]
         self._listed: tuple[TopicInfo, ...] = max(
             (each.topics for each in stated if each), key=len, default=()
         )
         self._definitions: dict[tuple[str, str], MessageDefinition] = {}
-        for file in self._files:
+        for file in self.files:
             for channel in file.channels.values():
                 if definition := file.definition(channel):
                     key = (definition.type, definition.type_hash)
                     self._definitions.setdefault(key, definition)
         self.topics: dict[str, TopicInfo] = {}
-        for file in self._files:
+        for file in self.files:
             self._find_topics(file)
 
-    def read(
-        self,
-        keep: Keep,
-        *,
-        progress: Progress = lambda _: None,
-        start_file: Callable[[], object] = lambda: None,
-    ) -> tuple[FileRecovery, ...]:
-        """Read all messages, once, file by file, in the order of recording.
-
-        Args:
-            keep: Called with each message.
-            progress: Called with the number of bytes that were read since the last call.
-            start_file: Called before the first message of each file.
-
-        Returns:
-            The account of each file.
-        """
-        accounts = []
-        for file in self._files:
-            start_file()
-            accounts.append(file.read(keep, progress))
-        return tuple(accounts)
-
-    def _find_topics(self, file: _File) -> None:
+    def _find_topics(self, file: DamagedFile) -> None:
         offered = OfferedQos()
         by_name = {listed.name: listed for listed in self._listed}
         for id_, channel in file.channels.items():
@@ -450,7 +416,7 @@ class DamagedBag:
 
     def _add(
         self,
-        file: _File,
+        file: DamagedFile,
         id_: int,
         name: str,
         definition: MessageDefinition | None,
@@ -516,22 +482,22 @@ def recover(
         raise BagWriteError(f"{target}: is inside of the bag {source}, which is not touched")
     writer: BagWriter | None = None
 
-    def keep(topic: str, data: bytes, log_time: int, publish_time: int) -> None:
-        nonlocal writer
-        if writer is None:
-            writer = stack.enter_context(
-                whole_bag(target, compression=compression, custom_data=damaged.custom_data)
-            )
-            for each in damaged.topics.values():
-                writer.add_topic(
-                    each.name, each.type, each.qos_profiles, definition=each.definition
-                )
-        writer.write(topic, data, log_time, publish_time)
-
     with ExitStack() as stack:
-        files = damaged.read(
-            keep, progress=progress, start_file=lambda: writer.split() if writer else None
-        )
+        for file in damaged.files:
+            if writer is not None:
+                writer.split()
+            for message in file.messages(progress):
+                if writer is None:
+                    new = whole_bag(
+                        target, compression=compression, custom_data=damaged.custom_data
+                    )
+                    writer = stack.enter_context(new)
+                    for each in damaged.topics.values():
+                        writer.add_topic(
+                            each.name, each.type, each.qos_profiles, definition=each.definition
+                        )
+                writer.write(*message)
+    files = tuple(file.account for file in damaged.files)
     if writer is None:
         reasons = "; ".join(f"{file.name}: {file.reason}" for file in files)
         raise BagReadError(f"{source}: no message can be recovered: {reasons}")

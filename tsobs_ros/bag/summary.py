@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Summaries of bags: files, times and topics, also of bags that are not finished or damaged."""
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -206,12 +206,14 @@ def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
     damaged = DamagedBag(path)
     if damaged.profiles - {"ros2"} or not damaged.topics:
         raise error
-    files = damaged.read(lambda *_: None)
+    for damaged_file in damaged.files:
+        deque(damaged_file.messages(), maxlen=0)
+    files = [each.account for each in damaged.files]
     counts = sum((file.kept for file in files), Counter[str]())
     return BagSummary(
         path=path,
         problem=str(error),
-        files=tuple(FileSummary(file.name, file.size, file.kept.total()) for file in files),
+        files=tuple(FileSummary(file.name, file.bytes_read, file.kept.total()) for file in files),
         topics=tuple(replace(topic, count=counts[topic.name]) for topic in damaged.topics.values()),
         start_ns=min((f.start_ns for f in files if f.start_ns is not None), default=None),
         end_ns=max((f.end_ns for f in files if f.end_ns is not None), default=None),

@@ -79,7 +79,6 @@ class Part(NamedTuple):
         record: The record that it is: a chunk without its data, None for a message or an index.
         content: What it holds of messages, schemas and channels.
         is_checked: Whether a checksum covers them.
-        front: The number of bytes of a damaged chunk's content that are kept; None for all.
     """
 
     at: int
@@ -87,7 +86,6 @@ class Part(NamedTuple):
     record: McapRecord | None = None
     content: Records | None = None
     is_checked: bool = False
-    front: int | None = None
 
 
 @dataclass
@@ -262,13 +260,11 @@ class FileWalker:
                 if is_cut:
                     reason = "the file ends inside of a chunk, the front of which is kept"
                     self._lose(at, reason, self._size)
-                    part = Part(at, self._size - at, replace(chunk, data=b""), front)
-                    return part._replace(front=len(front.data)), self._size
+                    return Part(at, self._size - at, replace(chunk, data=b""), front), self._size
         kept: Part | None = None
         if self._keep_unchecked:
             front, _ = _front(chunk)
-            size = min(end, self._size) - at
-            kept = Part(at, size, replace(chunk, data=b""), front, front=len(front.data))
+            kept = Part(at, min(end, self._size) - at, replace(chunk, data=b""), front)
         following = end if end <= self._size and self._starts_record(end) else None
         if following is None:
             # A chunk that has lost bytes reaches into what follows it: search inside of it, unless
@@ -496,28 +492,6 @@ class FileWalker:
                 return start + kept
             end = start
         return 0
-
-
-def read_part(stream: IO[bytes], at: int, size: int, front: int | None) -> Records:
-    """Return what a part of a file holds that a walk has found.
-
-    Args:
-        stream: The file.
-        at: Its first byte: of a chunk, or of messages outside of chunks.
-        size: Its size, bytes.
-        front: As of the part.
-
-    Raises:
-        RecordError: It is not what it was.
-    """
-    data = os.pread(stream.fileno(), size, at)
-    if data[:1] != bytes([Opcode.CHUNK]):
-        return split_records(data)
-    chunk, data_at, _ = chunk_head(data[:CHUNK_HEAD_SIZE])
-    chunk.data = data[data_at:]
-    if front is None:
-        return split_records(chunk_records(chunk))
-    return split_records(_decompressed(chunk)[:front])
 
 
 def _front(chunk: Chunk) -> tuple[Records, bool]:
