@@ -568,7 +568,7 @@ def attack(folder: Path, kind: Callable[[Made, random.Random], bytes], seed: int
     assert new.exists() == (report is not None)
     if report:
         found = in_recorded_order(new)
-        assert report.message_count == len(found) == summarise(new).messages
+        assert report.message_count == len(found) == summarise(new)["messages"]
         assert ("more than the file states" in report.text()) == any(
             file.excess for file in report.files
         )

@@ -6,7 +6,7 @@ import re
 from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -90,9 +90,10 @@ class FileRecovery:
 
     def as_mapping(self) -> dict[str, Any]:
         """Return plain data."""
-        return asdict(self) | {
+        return vars(self) | {
             "missing": self.missing,
             "excess": self.excess,
+            "damage": [vars(part) for part in self.damage],
             "bytes_damaged": sum(part.size for part in self.damage),
         }
 

@@ -3,9 +3,9 @@
 """Summaries of bags: files, times and topics, also of bags that are not finished or damaged."""
 
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import chain, groupby
 from operator import attrgetter
@@ -26,7 +26,7 @@ from tsobs_ros.bag.container import (
     Summary,
     chunk_head,
 )
-from tsobs_ros.bag.metadata import BagMetadata, QosProfile, TopicInfo
+from tsobs_ros.bag.metadata import BagMetadata, TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagReader
 from tsobs_ros.bag.recovery import DamagedBag
 from tsobs_ros.errors import BagReadError, printable
@@ -35,146 +35,17 @@ from tsobs_ros.files import open_regular
 _FEW_TIMES = 2**16
 
 
-@dataclass(frozen=True)
-class FileSummary:
-    """One file of a bag: name, size in bytes, and how many messages it holds."""
-
-    name: str
-    size: int
-    messages: int
-
-
-@dataclass(frozen=True)
-class BagSummary:
-    """The summary of a bag.
-
-    Attributes:
-        path: The bag.
-        problem: The reason for reading it through, message by message; empty for a finished bag.
-        files: Its files.
-        topics: Its topics.
-        start_ns: The smallest log time, ns since the epoch; None without messages.
-        end_ns: The largest log time, ns since the epoch; None without messages.
-        metadata: The content of its metadata.yaml, if it has any.
-        largest_gaps_ns: The longest time between two messages of a topic, ns, if it is known.
-        spans_ns: The time from the first to the last message of a topic, ns, if it is known.
-        unchecked: The number of messages that no checksum covers, so that damage is not noticed.
-    """
-
-    path: Path
-    problem: str
-    files: tuple[FileSummary, ...]
-    topics: tuple[TopicInfo, ...]
-    start_ns: int | None
-    end_ns: int | None
-    metadata: BagMetadata | None
-    largest_gaps_ns: Mapping[str, int]
-    spans_ns: Mapping[str, int]
-    unchecked: int
-
-    @property
-    def ros_distro(self) -> str:
-        """The ROS distribution it was recorded with; empty if unknown."""
-        return self.metadata.ros_distro if self.metadata else ""
-
-    @property
-    def custom_data(self) -> Mapping[str, str]:
-        """The notes of its recorder."""
-        return (self.metadata.custom_data if self.metadata else None) or {}
-
-    @property
-    def messages(self) -> int:
-        """The number of messages in all files."""
-        return sum(file.messages for file in self.files)
-
-    @property
-    def size(self) -> int:
-        """The size of all files, bytes."""
-        return sum(file.size for file in self.files)
-
-    @property
-    def duration_ns(self) -> int:
-        """The time from the smallest to the largest log time, ns."""
-        return 0 if self.start_ns is None or self.end_ns is None else self.end_ns - self.start_ns
-
-    def rate(self, topic: TopicInfo) -> float | None:
-        """Return a topic's mean rate, without its largest gap, Hz; None if that is unknown.
-
-        A gap, and the time before the first message, would make 200 Hz look like 93.
-        """
-        steps, span = topic.count - 1, self.spans_ns.get(topic.name, self.duration_ns) or 0
-        if steps > 1:
-            gap = self.largest_gaps_ns.get(topic.name, 0)
-            steps, span = (steps - 1, span - gap) if gap else (steps, span)
-        return steps * 1e9 / span if steps > 0 and span > 0 else None
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return plain data."""
-        return {
-            "bag": str(self.path),
-            "problem": self.problem,
-            "storage_id": "mcap",
-            "ros_distro": self.ros_distro,
-            "size": self.size,
-            "messages": self.messages,
-            "unchecked": self.unchecked,
-            "start_ns": self.start_ns,
-            "end_ns": self.end_ns,
-            "duration_ns": self.duration_ns,
-            "custom_data": dict(self.custom_data),
-            "files": [asdict(file) for file in self.files],
-            "topics": [
-                {
-                    "name": topic.name,
-                    "type": topic.type,
-                    "messages": topic.count,
-                    "serialization_format": "cdr",
-                    "qos": [profile.to_map() for profile in topic.qos_profiles],
-                    "type_hash": topic.type_hash,
-                    "largest_gap_ns": self.largest_gaps_ns.get(topic.name),
-                    "rate": self.rate(topic),
-                }
-                for topic in self.topics
-            ],
-        }
-
-    def text(self) -> str:
-        """Return text in the manner of `ros2 bag info`."""
-        lines = [f"NOT FINISHED: {self.problem}"] if self.problem else []
-        for place, file in enumerate(self.files):
-            what = f"{file.name} ({_bytes(file.size)}, {file.messages} messages)"
-            lines.append(f"{'' if place else 'Files:':14}{what}")
-        lines += [
-            f"Bag size:     {_bytes(self.size)}",
-            "Storage id:   mcap",
-            f"ROS distro:   {self.ros_distro or 'unknown'}",
-            f"Duration:     {self.duration_ns * 1e-9:.9f} s",
-            f"Start:        {_time(self.start_ns)}",
-            f"End:          {_time(self.end_ns)}",
-            f"Messages:     {self.messages}",
-        ]
-        if self.unchecked:
-            lines.append(f"Unchecked:    {self.unchecked} {UNCHECKED}")
-        lines += [f"Custom data:  {key}: {value}" for key, value in self.custom_data.items()]
-        for topic in self.topics:
-            lines.append(
-                f"Topic:        {topic.name} | {topic.type} | {topic.count} messages | "
-                f"cdr | {_qos(topic.qos_profiles)}{self._pace(topic)}"
-            )
-        return "\n".join(map(printable, lines))
-
-    def _pace(self, topic: TopicInfo) -> str:
-        rate = self.rate(topic)
-        text = "" if rate is None else f" | {rate:.4g} Hz"
-        gap = self.largest_gaps_ns.get(topic.name)
-        return text if gap is None else f"{text} | largest gap {gap * 1e-9:.6g} s"
-
-
-def summarise(bag: str | Path) -> BagSummary:
+def summarise(bag: str | Path) -> dict[str, Any]:
     """Return the summary of a bag; one that is not finished or is damaged is read through.
 
     Args:
         bag: A bag folder, or one MCAP file.
+
+    Returns:
+        Plain data: the bag, the problem for which it was read message by message (empty for a
+        finished bag), `size` in bytes, log times in ns since the epoch, files, and topics with
+        their rate in Hz. Unchecked messages are those that no checksum covers. What is unknown, as
+        the times of a bag without messages, is None.
 
     Raises:
         BagReadError: There is no bag of ROS 2, or nothing can be read of it.
@@ -184,47 +55,110 @@ def summarise(bag: str | Path) -> BagSummary:
         reader = BagReader(path)
     except BagReadError as error:
         return _of_damaged(path, error)
-    found, unchecked = _look_into_indexes(reader.summaries)
-    return BagSummary(
-        path=path,
-        problem="",
-        files=tuple(
-            FileSummary(i.path.name, i.path.stat().st_size, i.statistics.message_count)
-            for i in reader.summaries
-        ),
-        topics=tuple(reader.topics.values()),
-        start_ns=reader.start_time,
-        end_ns=reader.end_time,
-        metadata=reader.metadata,
-        largest_gaps_ns={topic: each.gap for topic, each in found.items() if each.gap is not None},
-        spans_ns={topic: each.last - each.first for topic, each in found.items()},
-        unchecked=unchecked,
-    )
+    times, unchecked = _look_into_indexes(reader.summaries)
+    files = [
+        {"name": s.path.name, "size": s.path.stat().st_size, "messages": s.statistics.message_count}
+        for s in reader.summaries
+    ]
+    found = _summary(files, reader.start_time, reader.end_time, reader.metadata)
+    topics = [
+        _topic(topic, times.get(topic.name), found["duration_ns"])
+        for topic in reader.topics.values()
+    ]
+    return {"bag": str(path), "problem": "", **found, "unchecked": unchecked, "topics": topics}
 
 
-def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
+def _of_damaged(path: Path, error: BagReadError) -> dict[str, Any]:
     damaged = DamagedBag(path)
     if damaged.profiles - {"ros2"} or not damaged.topics:
         raise error
-    for damaged_file in damaged.files:
-        deque(damaged_file.messages(), maxlen=0)
-    files = [each.account for each in damaged.files]
-    counts = sum((file.kept for file in files), Counter[str]())
-    return BagSummary(
-        path=path,
-        problem=str(error),
-        files=tuple(FileSummary(file.name, file.bytes_read, file.kept.total()) for file in files),
-        topics=tuple(replace(topic, count=counts[topic.name]) for topic in damaged.topics.values()),
-        start_ns=min((f.start_ns for f in files if f.start_ns is not None), default=None),
-        end_ns=max((f.end_ns for f in files if f.end_ns is not None), default=None),
-        metadata=damaged.metadata,
-        largest_gaps_ns={},
-        spans_ns={},
-        unchecked=sum(file.unchecked for file in files),
-    )
+    for file in damaged.files:
+        deque(file.messages(), maxlen=0)
+    accounts = [file.account for file in damaged.files]
+    files = [
+        {"name": each.name, "size": each.bytes_read, "messages": each.kept.total()}
+        for each in accounts
+    ]
+    start = min((each.start_ns for each in accounts if each.start_ns is not None), default=None)
+    end = max((each.end_ns for each in accounts if each.end_ns is not None), default=None)
+    found = _summary(files, start, end, damaged.metadata)
+    counts = sum((each.kept for each in accounts), Counter[str]())
+    topics = [
+        _topic(replace(topic, count=counts[topic.name]), None, found["duration_ns"])
+        for topic in damaged.topics.values()
+    ]
+    unchecked = sum(each.unchecked for each in accounts)
+    found |= {"unchecked": unchecked, "topics": topics}
+    return {"bag": str(path), "problem": str(error), **found}
 
 
-class _Topic:
+def _summary(
+    files: list[dict[str, Any]], start: int | None, end: int | None, metadata: BagMetadata | None
+) -> dict[str, Any]:
+    return {
+        "storage_id": "mcap",
+        "ros_distro": metadata.ros_distro if metadata else "",
+        "size": sum(file["size"] for file in files),
+        "messages": sum(file["messages"] for file in files),
+        "start_ns": start,
+        "end_ns": end,
+        "duration_ns": 0 if start is None or end is None else end - start,
+        "custom_data": dict((metadata.custom_data if metadata else None) or {}),
+        "files": files,
+    }
+
+
+def _topic(topic: TopicInfo, times: "_Times | None", duration: int) -> dict[str, Any]:
+    """Return what there is of a topic.
+
+    Its rate is the mean without the largest gap: that, and the time before the first message, would
+    make 200 Hz look like 93.
+    """
+    gap, steps = None if times is None else times.gap, topic.count - 1
+    span = duration if times is None else times.last - times.first
+    if steps > 1 and gap:
+        steps, span = steps - 1, span - gap
+    return {
+        "name": topic.name,
+        "type": topic.type,
+        "messages": topic.count,
+        "serialization_format": "cdr",
+        "qos": [profile.to_map() for profile in topic.qos_profiles],
+        "type_hash": topic.type_hash,
+        "largest_gap_ns": gap,
+        "rate": steps * 1e9 / span if steps > 0 and span > 0 else None,
+    }
+
+
+def as_text(summary: Mapping[str, Any]) -> str:
+    """Return a summary as text in the manner of `ros2 bag info`."""
+    lines = [f"NOT FINISHED: {summary['problem']}"] if summary["problem"] else []
+    for place, file in enumerate(summary["files"]):
+        what = f"{file['name']} ({_bytes(file['size'])}, {file['messages']} messages)"
+        lines.append(f"{'' if place else 'Files:':14}{what}")
+    lines += [
+        f"Bag size:     {_bytes(summary['size'])}",
+        f"Storage id:   {summary['storage_id']}",
+        f"ROS distro:   {summary['ros_distro'] or 'unknown'}",
+        f"Duration:     {summary['duration_ns'] * 1e-9:.9f} s",
+        f"Start:        {_time(summary['start_ns'])}",
+        f"End:          {_time(summary['end_ns'])}",
+        f"Messages:     {summary['messages']}",
+    ]
+    if summary["unchecked"]:
+        lines.append(f"Unchecked:    {summary['unchecked']} {UNCHECKED}")
+    lines += [f"Custom data:  {key}: {value}" for key, value in summary["custom_data"].items()]
+    for topic in summary["topics"]:
+        rate, gap = topic["rate"], topic["largest_gap_ns"]
+        parts = [topic["name"], topic["type"], f"{topic['messages']} messages", "cdr"]
+        parts += [_qos(topic["qos"])]
+        parts += [] if rate is None else [f"{rate:.4g} Hz"]
+        parts += [] if gap is None else [f"largest gap {gap * 1e-9:.6g} s"]
+        lines.append(f"Topic:        {' | '.join(parts)}")
+    return "\n".join(map(printable, lines))
+
+
+class _Times:
     """The times of a topic: the first, the last, and the largest gap between two."""
 
     def __init__(self) -> None:
@@ -255,7 +189,7 @@ class _Topic:
         self._added, self._room = [], max(_FEW_TIMES, self._open.size)
 
 
-def _look_into_indexes(summaries: Sequence[Summary]) -> tuple[dict[str, _Topic], int]:
+def _look_into_indexes(summaries: Sequence[Summary]) -> tuple[dict[str, _Times], int]:
     """Return what the indexes and the heads of the chunks tell, without reading any message.
 
     Topics with fewer than two messages are left out, and those in files without message indexes.
@@ -264,7 +198,7 @@ def _look_into_indexes(summaries: Sequence[Summary]) -> tuple[dict[str, _Topic],
     Raises:
         BagReadError: An index is damaged.
     """
-    found: dict[str, _Topic] = {}
+    found: dict[str, _Times] = {}
     unknown: set[str] = set()
     checked: Counter[int] = Counter()
     unchecked: set[int] = set()
@@ -288,7 +222,7 @@ def _look_into_indexes(summaries: Sequence[Summary]) -> tuple[dict[str, _Topic],
                             raise ValueError("the message indexes overlap")
                         checked[rank] += times.size if is_checked else 0
                         if channel in topics and times.size:
-                            found.setdefault(topics[channel], _Topic()).add(times, span.start)
+                            found.setdefault(topics[channel], _Times()).add(times, span.start)
         except (OSError, ValueError, OverflowError) as error:
             raise BagReadError(f"{path}: {error}") from error
     for each in found.values():
@@ -337,8 +271,7 @@ def _time(stamp: int | None) -> str:
     return f"{date}.{nanoseconds:09d} UTC ({seconds}.{nanoseconds:09d})"
 
 
-def _qos(profiles: tuple[QosProfile, ...]) -> str:
-    if not profiles:
-        return "QoS unknown"
-    offers = Counter(f"{p.reliability}, {p.durability}" for p in profiles)
-    return "; ".join(f"{n} x {offer}" if n > 1 else offer for offer, n in offers.items())
+def _qos(profiles: Iterable[Mapping[str, Any]]) -> str:
+    offers = Counter(f"{p['reliability']}, {p['durability']}" for p in profiles)
+    texts = (f"{n} x {offer}" if n > 1 else offer for offer, n in offers.items())
+    return "; ".join(texts) or "QoS unknown"
