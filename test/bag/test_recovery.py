@@ -102,12 +102,10 @@ def scanned(data: bytes) -> list[tuple[bytes, int, int]]:
         stream.write(data)
         stream.flush()
         return [
-            (content.data[begin : begin + size], log_time, publish_time)
+            (message, log_time, publish_time)
             for part in FileWalker(stream, len(data)).parts()
-            if (content := part.content)
-            for _, log_time, publish_time, begin, size in zip(
-                *(column.tolist() for column in content[1:]), strict=True
-            )
+            if part.content
+            for _, log_time, publish_time, message in part.content.messages()
         ]
 
 

@@ -93,6 +93,12 @@ class Records(NamedTuple):
     begins: Integers
     sizes: Integers
 
+    def messages(self) -> Iterator[tuple[int, int, int, bytes]]:
+        """Yield channel, log time, publish time and data of each message."""
+        columns = (column.tolist() for column in self[1:])
+        for channel, log_time, publish_time, begin, size in zip(*columns, strict=True):
+            yield channel, log_time, publish_time, self.data[begin : begin + size]
+
     def descriptions(self) -> Iterator[bytes]:
         """Yield the records between the messages: schemas and channels."""
         begins = np.append(self.begins - MESSAGE.size, len(self.data))

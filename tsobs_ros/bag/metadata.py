@@ -206,7 +206,7 @@ class FileMetadata(msgspec.Struct, frozen=True):
         return self.duration.nanoseconds
 
 
-class _TopicFields(msgspec.Struct):
+class _Topic(msgspec.Struct):
     name: str
     type: str
     serialization_format: str
@@ -215,24 +215,18 @@ class _TopicFields(msgspec.Struct):
 
 
 class _TopicEntry(msgspec.Struct):
-    topic_metadata: _TopicFields
+    topic_metadata: _Topic
     message_count: _Count
 
 
 class _Information(msgspec.Struct, kw_only=True):
-    """The content of the root key, in rosbag2's order; further keys are ignored.
+    """What is read of the root key; what repeats the content of `files` may be missing."""
 
-    Times and the number of messages, which repeat those of `files`, may be missing.
-    """
-
-    version: int
     storage_identifier: str
     duration: _Duration = _Duration()
     starting_time: _Time = _Time()
     message_count: _Count = 0
     topics_with_message_count: list[_TopicEntry]
-    # Empty even with compressed chunks: those are MCAP's.
-    compression_format: str = ""
     compression_mode: str
     relative_file_paths: list[str]
     files: list[FileMetadata]
@@ -264,33 +258,33 @@ class BagMetadata:
         start = min((file.start_ns for file in filled), default=EMPTY_START_NS)
         end = max((file.start_ns + file.duration_ns for file in filled), default=start)
         topics = [
-            _TopicEntry(
-                _TopicFields(
-                    topic.name,
-                    topic.type,
-                    "cdr",
-                    [qos.to_map() for qos in topic.qos_profiles],
-                    topic.type_hash,
-                ),
-                topic.count,
-            )
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": [qos.to_map() for qos in topic.qos_profiles],
+                    "type_description_hash": topic.type_hash,
+                },
+                "message_count": topic.count,
+            }
             for topic in self.topics
         ]
-        information = _Information(
-            version=VERSION,
-            storage_identifier=self.storage_identifier,
-            duration=_Duration(end - start),
-            starting_time=_Time(start),
-            message_count=sum(file.message_count for file in filled),
-            topics_with_message_count=topics,
-            compression_mode="",
-            relative_file_paths=[file.path for file in self.files],
-            files=list(self.files),
-            custom_data=dict(self.custom_data) if self.custom_data else None,
-            ros_distro=self.ros_distro,
-        )
-        plain: dict[str, Any] = msgspec.to_builtins(information)
-        return plain
+        return {
+            "version": VERSION,
+            "storage_identifier": self.storage_identifier,
+            "duration": {"nanoseconds": end - start},
+            "starting_time": {"nanoseconds_since_epoch": start},
+            "message_count": sum(file.message_count for file in filled),
+            "topics_with_message_count": topics,
+            # Empty even with compressed chunks: those are MCAP's.
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [file.path for file in self.files],
+            "files": [msgspec.to_builtins(file) for file in self.files],
+            "custom_data": dict(self.custom_data) if self.custom_data else None,
+            "ros_distro": self.ros_distro,
+        }
 
     def to_yaml(self) -> str:
         """Return the content of the root key as YAML: the text that an MCAP file carries."""
@@ -319,9 +313,18 @@ class BagMetadata:
             raise ValueError(f"files are {listed}: each needs a name that no other has")
         # rosbag2 writes texts without quotes, so that YAML may take them for numbers.
         notes = stated.custom_data and {str(k): str(v) for k, v in stated.custom_data.items()}
-        topics = tuple(map(_topic_info, stated.topics_with_message_count))
-        files = tuple(stated.files)
-        return cls(topics, files, notes, stated.ros_distro, stated.storage_identifier)
+        topics = [
+            TopicInfo(
+                each.topic_metadata.name,
+                each.topic_metadata.type,
+                each.message_count,
+                _profiles(each.topic_metadata.offered_qos_profiles),
+                each.topic_metadata.type_description_hash,
+            )
+            for each in stated.topics_with_message_count
+        ]
+        files, storage = tuple(stated.files), stated.storage_identifier
+        return cls(tuple(topics), files, notes, stated.ros_distro, storage)
 
     @classmethod
     def from_yaml(cls, text: str) -> "BagMetadata":
@@ -331,12 +334,6 @@ class BagMetadata:
             ValueError: The text is not YAML or not the metadata of a bag.
         """
         return cls.from_map(load_yaml(text))
-
-
-def _topic_info(entry: _TopicEntry) -> TopicInfo:
-    topic, count = entry.topic_metadata, entry.message_count
-    qos = _profiles(topic.offered_qos_profiles)
-    return TopicInfo(topic.name, topic.type, count, qos, topic.type_description_hash)
 
 
 def write_metadata(folder: Path, metadata: BagMetadata) -> None:

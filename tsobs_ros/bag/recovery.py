@@ -261,16 +261,14 @@ class DamagedFile:
 
     def _kept(self, content: Records) -> Iterator[tuple[str, bytes, int, int]]:
         account = self.account
-        for channel, log_time, publish_time, begin, size in zip(
-            *(column.tolist() for column in content[1:]), strict=True
-        ):
+        for channel, log_time, publish_time, data in content.messages():
             if (topic := self.topics.get(channel)) is None:
                 lost = f"of channel {channel}, whose topic is lost"
                 account.dropped[self.reasons.get(channel, lost)] += 1
             elif not (0 <= log_time < EMPTY_START_NS and 0 <= publish_time < EMPTY_START_NS):
                 account.dropped[f"of {topic}, whose times do not fit 63 bits"] += 1
             else:
-                yield topic, content.data[begin : begin + size], log_time, publish_time
+                yield topic, data, log_time, publish_time
                 account.kept[topic] += 1
                 if account.start_ns is None or log_time < account.start_ns:
                     account.start_ns = log_time

@@ -241,9 +241,7 @@ class BagWriter:
         times = records.log_times, records.publish_times
         is_right = all(each.min() >= 0 and each.max() < EMPTY_START_NS for each in times)
         if self._closed or self._is_limited or not is_right or min(topics) <= 0:
-            columns = (each.tolist() for each in records[1:])
-            for id_, log_time, publish_time, begin, size in zip(*columns, strict=True):
-                data = records.data[begin : begin + size]
+            for id_, log_time, publish_time, data in records.messages():
                 self.write(topics[id_], data, log_time, publish_time)
             return
         with self._writing():
