@@ -27,8 +27,14 @@ from tsobs_ros.core import native
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.files import open_regular
 
-Integers = NDArray[np.int64]
-Bytes = NDArray[np.uint8]
+Rows = NDArray[np.void]
+"""Messages, each a row of the type `ROW`."""
+
+ROW = np.dtype(
+    [(f, np.int64) for f in ("channel", "log_time", "publish_time", "begin", "size", "chunk")]
+)
+"""A message: its channel, times [ns], the first byte and the size of its data in some records, and
+the key of these records if there are several. Times that do not fit 63 bits are negative."""
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -75,34 +81,20 @@ class RecordError(ValueError):
 
 
 class Records(NamedTuple):
-    """Messages in a run of records, n of them.
-
-    Attributes:
-        data: The records.
-        channels: Channel of each message, shape (n,).
-        log_times: [ns], shape (n,); negative if it does not fit 63 bits.
-        publish_times: As `log_times`.
-        begins: First byte of the data of each, shape (n,).
-        sizes: Size of its data, shape (n,).
-    """
+    """A run of records, and the messages in it: rows of the type `ROW`, shape (n,)."""
 
     data: bytes
-    channels: Integers
-    log_times: Integers
-    publish_times: Integers
-    begins: Integers
-    sizes: Integers
+    rows: Rows
 
     def messages(self) -> Iterator[tuple[int, int, int, bytes]]:
         """Yield channel, log time, publish time and data of each message."""
-        columns = (column.tolist() for column in self[1:])
-        for channel, log_time, publish_time, begin, size in zip(*columns, strict=True):
+        for channel, log_time, publish_time, begin, size, _ in self.rows.tolist():
             yield channel, log_time, publish_time, self.data[begin : begin + size]
 
     def descriptions(self) -> Iterator[bytes]:
         """Yield the records between the messages: schemas and channels."""
-        begins = np.append(self.begins - MESSAGE.size, len(self.data))
-        ends = np.append(0, self.begins + self.sizes)
+        begins = np.append(self.rows["begin"] - MESSAGE.size, len(self.data))
+        ends = np.append(0, self.rows["begin"] + self.rows["size"])
         for gap in np.flatnonzero(begins != ends).tolist():
             at = int(ends[gap])
             while at < begins[gap]:
@@ -121,7 +113,7 @@ def split_records(data: bytes) -> Records:
         RecordError: A record is cut off or malformed, or there are too many.
 
     >>> record = MESSAGE.pack(Opcode.MESSAGE, 24, 1, 0, 20, 10) + b"hi"
-    >>> split_records(record).log_times.tolist()
+    >>> split_records(record).rows["log_time"].tolist()
     [20]
     """
     # Memory that nothing is written to costs nothing.
@@ -132,7 +124,9 @@ def split_records(data: bytes) -> Records:
         raise RecordError(f"it holds bytes that are no record{many}")
     if len(data) - MESSAGE.size * count - int(found[-1, :count].sum()) > _MAX_DESCRIPTIONS:
         raise RecordError(f"more than {_MAX_DESCRIPTIONS} bytes of it are no messages")
-    return Records(data, *found[:, :count])
+    rows = np.zeros(count, ROW)
+    rows.view(np.int64).reshape(-1, _FIELDS + 1)[:, :_FIELDS] = found[:, :count].T
+    return Records(data, rows)
 
 
 def chunk_records(chunk: Chunk) -> bytes:

@@ -53,10 +53,10 @@ class RecordedChunk(NamedTuple):
             channels: The file's.
             schemas: The file's.
         """
-        times, chunk = self.messages.log_times, self.chunk
+        times, chunk = self.messages.rows["log_time"], self.chunk
         if not chunk.uncompressed_crc or not len(times):
             return False
-        if any(ids.get(id_) != id_ for id_ in np.unique(self.messages.channels).tolist()):
+        if any(ids.get(id_) != id_ for id_ in np.unique(self.messages.rows["channel"]).tolist()):
             return False
         if (chunk.message_start_time, chunk.message_end_time) != (times.min(), times.max()):
             return False
@@ -77,18 +77,18 @@ class RecordedChunk(NamedTuple):
         """
         new = np.full(2**16, _NO_CHANNEL)
         new[list(ids)] = list(ids.values())
-        found, data = self.messages, np.frombuffer(self.messages.data, np.uint8)
-        chosen = np.flatnonzero(new[found.channels] != _NO_CHANNEL)
-        channels, log_times, publish_times, begins, sizes = (c[chosen] for c in found[1:])
-        channels = new[channels]
+        data = np.frombuffer(self.messages.data, np.uint8)
+        rows = self.messages.rows[new[self.messages.rows["channel"]] != _NO_CHANNEL]
+        rows["channel"] = new[rows["channel"]]
         edges = np.zeros(len(data) + 1, np.int8)
-        edges[begins - MESSAGE.size] += 1
-        edges[begins + sizes] -= 1
+        edges[rows["begin"] - MESSAGE.size] += 1
+        edges[rows["begin"] + rows["size"]] -= 1
         picked = data[np.cumsum(edges[:-1], dtype=np.int8).view(np.bool_)]
-        begins = np.cumsum(MESSAGE.size + sizes) - sizes
+        rows["begin"] = np.cumsum(MESSAGE.size + rows["size"]) - rows["size"]
         for byte in range(2):
-            picked[begins - MESSAGE.size + RECORD.size + byte] = channels >> 8 * byte & 255
-        return Records(picked.tobytes(), channels, log_times, publish_times, begins, sizes)
+            places = rows["begin"] - MESSAGE.size + RECORD.size + byte
+            picked[places] = rows["channel"] >> 8 * byte & 255
+        return Records(picked.tobytes(), rows)
 
 
 class ChunkCopy:

@@ -34,7 +34,7 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.container import CHUNK_HEAD, INDEX_HEAD, MAGIC, MESSAGE, RECORD, Records
+from tsobs_ros.bag.container import CHUNK_HEAD, INDEX_HEAD, MAGIC, MESSAGE, RECORD, Records, Rows
 from tsobs_ros.bag.metadata import FileMetadata, TopicInfo, profiles_to_yaml
 
 COMPRESSIONS = "none", "lz4", "zstd"
@@ -158,8 +158,9 @@ class FileWriter:
     def add_records(self, records: Records) -> None:
         """Append messages with nothing between their records, each as `add_message` does."""
         data = memoryview(records.data)
-        all_begins, all_ends = records.begins - MESSAGE.size, records.begins + records.sizes
-        first, count = 0, len(all_begins)
+        rows = records.rows
+        all_begins, all_ends = rows["begin"] - MESSAGE.size, rows["begin"] + rows["size"]
+        first, count = 0, len(rows)
         while first < count:
             begin = int(all_begins[first])
             # The message that goes beyond the size is the chunk's last.
@@ -167,8 +168,7 @@ class FileWriter:
             last = min(int(np.searchsorted(all_ends, full, side="right")), count - 1)
             own = slice(first, last + 1)
             places = all_begins[own] - begin + self._size
-            entries = _entries(records.channels[own], records.log_times[own], places)
-            for channel, each in entries.items():
+            for channel, each in _entries(rows[own], places).items():
                 self._entries.setdefault(channel, array("Q")).frombytes(each.tobytes())
             end = int(all_ends[last])
             self._pieces.append(data[begin:end])
@@ -176,7 +176,7 @@ class FileWriter:
             if self._size > self._chunk_size:
                 self._finish_chunk()
             first = last + 1
-        self._count(records)
+        self._count(rows)
 
     def add_chunk(self, content: Records, record: bytes = b"", chunk: Chunk | None = None) -> None:
         """Append a whole chunk, in front of the messages that are waiting for one to be full.
@@ -192,11 +192,11 @@ class FileWriter:
             if self._pieces:
                 self._stream.write(b"".join(self._pieces))
                 self._begin_chunk()
-        entries = _entries(content.channels, content.log_times, content.begins - MESSAGE.size)
+        entries = _entries(content.rows, content.rows["begin"] - MESSAGE.size)
         if chunk is None:
             record, chunk = self._compressed(content.data, entries)
         self._write_chunk(record, chunk, entries)
-        self._count(content)
+        self._count(content.rows)
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Append metadata, behind all messages so far."""
@@ -256,11 +256,11 @@ class FileWriter:
         with self._stream:
             os.fsync(self._stream.fileno())
 
-    def _count(self, records: Records) -> None:
-        self.message_count += len(records.begins)
-        if len(records.log_times):
-            self._start = min(self._start, int(records.log_times.min()))
-            self._end = max(self._end, int(records.log_times.max()))
+    def _count(self, rows: Rows) -> None:
+        self.message_count += len(rows)
+        if len(rows):
+            self._start = min(self._start, int(rows["log_time"].min()))
+            self._end = max(self._end, int(rows["log_time"].max()))
 
     def _begin_chunk(self) -> None:
         self._pieces, self._size, self._entries, self._describes = [], 0, {}, False
@@ -326,11 +326,10 @@ def _packed(record: McapRecord) -> bytes:
     return bytes(builder.end())
 
 
-def _entries(
-    channels: NDArray[np.int64], log_times: NDArray[np.int64], places: NDArray[np.int64]
-) -> dict[int, NDArray[np.uint64]]:
+def _entries(rows: Rows, places: NDArray[np.int64]) -> dict[int, NDArray[np.uint64]]:
     """Return log times and places by channel, the channel of the first message first."""
-    each = np.stack([log_times, places], axis=1).astype("<u8")
+    channels = rows["channel"]
+    each = np.stack([rows["log_time"], places], axis=1).astype("<u8")
     known, first = np.unique(channels, return_index=True)
     return {int(known[k]): each[channels == known[k]] for k in np.argsort(first)}
 

@@ -5,13 +5,15 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tsobs_ros.bag.container import ROW, Rows
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder, JointStates
-from tsobs_ros.bag.reader import BagReader, Rows, pieces
+from tsobs_ros.bag.reader import BagReader, pieces
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.errors import BagReadError
 
@@ -84,8 +86,8 @@ class _Builder:
 
     def decode(self, rows: Rows, records: Mapping[int, bytes]) -> JointSeries:
         """Return the messages in records that rows are of."""
-        block = _empty(len(rows.sizes), self._wanted)
-        block.log_times[:], block.publish_times[:] = rows.log_times, rows.publish_times
+        block = _empty(len(rows), self._wanted)
+        block.log_times[:], block.publish_times[:] = rows["log_time"], rows["publish_time"]
         for places, data in _raw(rows, records).groups:
             # What is malformed names nobody, and so is no sample of anybody.
             for group in self._decoder.decode_rows(places, data):
@@ -163,10 +165,10 @@ def read_blocks(
     builders = [_Builder(each) for each in wanted.values()]
     names = list(dict.fromkeys([*wanted, *raw]))
     parts = until_damage(reader.rows(names), on_damage)
-    waiting, records, whole = Rows.of([]), dict[int, bytes](), False
+    waiting, records, whole = np.zeros(0, ROW), dict[int, bytes](), False
     while not whole:
         found = [waiting]
-        while size is None or sum(len(one.sizes) for one in found) < size:
+        while size is None or sum(map(len, found)) < size:
             try:
                 rows, new = next(parts)
             except StopIteration:
@@ -174,20 +176,20 @@ def read_blocks(
                 break
             found.append(rows)
             records |= new
-        waiting = Rows.of(found)
-        block = waiting.take(slice(size))
+        waiting = np.concatenate(found)
+        block = waiting[:size]
         horizon = math.inf
         if not whole and size is not None:
-            horizon = int(block.log_times[_behind(size) - 1])
-        own_rows = [block.take(block.topics == place) for place in range(len(names))]
+            horizon = int(block["log_time"][_behind(size) - 1])
+        own_rows = [block[block["channel"] == place] for place in range(len(names))]
         series = {
             name: builder.decode(rows, records)
             for name, builder, rows in zip(wanted, builders, own_rows, strict=False)
         }
         found_raw = {name: _raw(own_rows[names.index(name)], records) for name in raw}
         yield Block(series, found_raw, horizon)
-        waiting = waiting.take(slice(len(block.sizes), None))
-        records = {key: records[key] for key in np.unique(waiting.chunks).tolist()}
+        waiting = waiting[len(block) :]
+        records = {key: records[key] for key in np.unique(waiting["chunk"]).tolist()}
 
 
 def _behind(size: int) -> int:
@@ -232,19 +234,18 @@ def _empty(count: int, wanted: Wanted) -> JointSeries:
 
 def _raw(rows: Rows, records: Mapping[int, bytes]) -> RawMessages:
     groups = []
-    for size in np.unique(rows.sizes).tolist():
-        places = np.flatnonzero(rows.sizes == size)
-        groups.append((places, _gather(rows.take(places), records, size)))
-    return RawMessages(rows.log_times, rows.publish_times, groups)
+    for size in np.unique(rows["size"]).tolist():
+        places = np.flatnonzero(rows["size"] == size)
+        groups.append((places, _gather(rows[places], records, size)))
+    return RawMessages(rows["log_time"].copy(), rows["publish_time"].copy(), groups)
 
 
 def _gather(rows: Rows, records: Mapping[int, bytes], size: int) -> NDArray[np.uint8]:
     """Return the bytes of messages of one size, shape (n, size)."""
-    gathered = np.empty((len(rows.sizes), size), np.uint8)
-    edges = np.flatnonzero(np.diff(rows.chunks)) + 1
-    for places in np.split(np.arange(len(gathered)), edges):
-        if len(places) and size:
-            own = slice(int(places[0]), int(places[-1]) + 1)
-            data = np.frombuffer(records[int(rows.chunks[own.start])], np.uint8)
-            gathered[own] = pieces(data, size)[rows.begins[own]].view(np.uint8).reshape(-1, size)
+    gathered = np.empty((len(rows), size), np.uint8)
+    edges = np.flatnonzero(np.diff(rows["chunk"], prepend=-1, append=-1))
+    for begin, end in pairwise(edges.tolist() if size else ()):
+        data = np.frombuffer(records[int(rows["chunk"][begin])], np.uint8)
+        own = pieces(data, size)[rows["begin"][begin:end]]
+        gathered[begin:end] = own.view(np.uint8).reshape(-1, size)
     return gathered

@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from tsobs_ros.bag.container import (
     RECOVER_HINT,
-    Bytes,
-    Integers,
     RecordError,
     Records,
+    Rows,
     Span,
     Summary,
     read_span,
@@ -69,37 +68,6 @@ class DecodedMessage(NamedTuple):
     message: Any
     log_time: int
     publish_time: int
-
-
-class Rows(NamedTuple):
-    """Messages in order.
-
-    Attributes:
-        topics: Number of the topic of each, shape (n,).
-        log_times: [ns], shape (n,).
-        publish_times: [ns], shape (n,).
-        chunks: Key of the records that each is in, shape (n,).
-        begins: First byte of its data there, shape (n,).
-        sizes: Size of its data, shape (n,).
-    """
-
-    topics: Integers
-    log_times: Integers
-    publish_times: Integers
-    chunks: Integers
-    begins: Integers
-    sizes: Integers
-
-    @classmethod
-    def of(cls, parts: Sequence["Rows"]) -> "Rows":
-        """Return the messages of some parts, one behind the other."""
-        if not parts:
-            return cls(*(np.zeros(0, np.int64) for _ in cls._fields))
-        return cls(*map(np.concatenate, zip(*parts, strict=True)))
-
-    def take(self, places: NDArray[Any] | slice) -> "Rows":
-        """Return some of the messages, or all of them in another order."""
-        return Rows(*(column[places] for column in self))
 
 
 class BagReader:
@@ -185,8 +153,8 @@ class BagReader:
     ) -> Iterator[tuple[Rows, dict[int, bytes]]]:
         """Yield the messages of some topics as `messages` does, as rows.
 
-        Rows have the places of their topics in the names that are given. With them come the records
-        that they are in, by their keys.
+        The channels of rows are the places of their topics in the names that are given. With them
+        come the records that they are in, by their keys.
 
         Raises:
             BagReadError: As for `messages`.
@@ -215,28 +183,26 @@ class BagReader:
             assert span is not None
             rows, data = self._load(span, key, numbers, start, end)
             horizon = _LAST if following is None else min(following.start, _LAST)
-            if len(rows.sizes):
+            if len(rows):
                 records[key] = data
-                heappush(waiting, (int(rows.log_times[0]), key, rows))
-                sizes[key] = len(data) + _OBJECT_SIZE * len(rows.sizes)
+                heappush(waiting, (int(rows["log_time"][0]), key, rows))
+                sizes[key] = len(data) + _OBJECT_SIZE * len(rows)
                 held += sizes[key]
             due: list[tuple[int, int, Rows]] = []
             spent = []
             while waiting and waiting[0][0] < horizon:
                 _, one, rows = heappop(waiting)
-                count = int(np.searchsorted(rows.log_times, horizon))
-                due.append((spans[one].rank, spans[one].offset, rows.take(slice(count))))
-                if count < len(rows.sizes):
-                    rest = rows.take(slice(count, None))
-                    heappush(waiting, (int(rest.log_times[0]), one, rest))
+                count = int(np.searchsorted(rows["log_time"], horizon))
+                due.append((spans[one].rank, spans[one].offset, rows[:count]))
+                if count < len(rows):
+                    rest = rows[count:]
+                    heappush(waiting, (int(rest["log_time"][0]), one, rest))
                 else:
                     spent.append(one)
             due.sort(key=itemgetter(0, 1))  # equal times in order of recording
-            found = Rows.of([rows for *_, rows in due])
-            if len(due) > 1:
-                found = found.take(np.argsort(found.log_times, kind="stable"))
             if due:
-                yield found, records
+                found = np.concatenate([rows for *_, rows in due])
+                yield found[np.argsort(found["log_time"], kind="stable")], records
             for one in spent:
                 del records[one]
                 held -= sizes.pop(one)
@@ -246,7 +212,12 @@ class BagReader:
                 raise BagReadError(f"{self.path}: {text}")
 
     def _load(
-        self, span: Span, key: int, numbers: list[Integers], start: int | None, end: int | None
+        self,
+        span: Span,
+        key: int,
+        numbers: list[NDArray[np.int64]],
+        start: int | None,
+        end: int | None,
     ) -> tuple[Rows, bytes]:
         """Return the messages of a span that are wanted, in order of log time, and its records."""
         with self.damage(span):
@@ -254,20 +225,18 @@ class BagReader:
                 data, is_checked = read_span(stream, span)
             found = split_records(data)
             self.check(span, found)
-        of_topic = numbers[span.rank][found.channels]
-        wanted = of_topic >= 0
+        rows = found.rows
+        rows["channel"], rows["chunk"] = numbers[span.rank][rows["channel"]], key
+        wanted = rows["channel"] >= 0
         if start is not None:
-            wanted &= found.log_times >= start
+            wanted &= rows["log_time"] >= start
         if end is not None:
-            wanted &= found.log_times < end
-        places = np.flatnonzero(wanted)
-        places = places[np.argsort(found.log_times[places], kind="stable")]
-        self.unchecked += 0 if is_checked else len(places)
-        log_times, publish_times, begins, sizes = (each[places] for each in found[2:])
-        keys = np.full(len(places), key)
-        return Rows(of_topic[places], log_times, publish_times, keys, begins, sizes), data
+            wanted &= rows["log_time"] < end
+        rows = rows[wanted]
+        self.unchecked += 0 if is_checked else len(rows)
+        return rows[np.argsort(rows["log_time"], kind="stable")], data
 
-    def _numbers(self, topics: Sequence[str]) -> list[Integers]:
+    def _numbers(self, topics: Sequence[str]) -> list[NDArray[np.int64]]:
         """Return the place of each channel's topic, by file; -1 of those that are not wanted."""
         place = {name: number for number, name in enumerate(topics)}
         found = []
@@ -282,9 +251,7 @@ class BagReader:
     ) -> Iterator[BagMessage]:
         named = [(name, self.topics[name].type) for name in topics]
         new = tuple.__new__  # twice as fast as the class itself
-        for topic, log_time, publish_time, key, begin, size in zip(
-            *(column.tolist() for column in rows), strict=True
-        ):
+        for topic, log_time, publish_time, begin, size, key in rows.tolist():
             data = records[key][begin : begin + size]
             yield new(BagMessage, (*named[topic], data, log_time, publish_time))
 
@@ -301,10 +268,10 @@ class BagReader:
     def check(self, span: Span, found: Records) -> None:
         """Raise `RecordError` unless channels and log times in a part are as the file states."""
         known = self.summaries[span.rank].channels
-        for id_ in np.unique(found.channels).tolist():
+        for id_ in np.unique(found.rows["channel"]).tolist():
             if id_ not in known:
                 raise RecordError(f"a message is of channel {id_}, which is not described")
-        times = found.log_times
+        times = found.rows["log_time"]
         if len(times) and not span.start <= int(times.min()) <= int(times.max()) <= span.end:
             raise RecordError("the index states other times")
 
@@ -338,8 +305,8 @@ class BagReader:
             if not any(matters(span, topic) for topic in self._topics_of(span) & last.keys()):
                 continue
             rows, data = self._load(span, 0, numbers, None, time_ns)
-            for number in np.unique(rows.topics).tolist():
-                own = rows.take(np.flatnonzero(rows.topics == number)[-depth:])
+            for number in np.unique(rows["channel"]).tolist():
+                own = rows[rows["channel"] == number][-depth:]
                 both = [*self._messages(names, own, {0: data}), *last[names[number]]]
                 last[names[number]] = sorted(both, key=itemgetter(3))[-depth:]
             held = (_OBJECT_SIZE + len(m.data) for each in last.values() for m in each)
@@ -457,6 +424,6 @@ class BagReader:
             self.topics[topic.name] = replace(known, count=known.count + count)
 
 
-def pieces(data: Bytes, size: int) -> NDArray[np.void]:
+def pieces(data: NDArray[np.uint8], size: int) -> NDArray[np.void]:
     """Return the `size` bytes that begin at each place of some data, which are not copied."""
     return np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))

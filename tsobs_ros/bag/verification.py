@@ -17,13 +17,13 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Schema
+from numpy.typing import NDArray
 
 from tsobs_ros.bag.cdr import MessageLayout, UnknownLayoutError
 from tsobs_ros.bag.container import (
     INDEX_HEAD,
     MESSAGE,
     RECOVER_HINT,
-    Integers,
     RecordError,
     Records,
     Summary,
@@ -261,7 +261,7 @@ class _File:
         self._chunks: dict[int, tuple[int, int, int, dict[int, int]]] = {}
         self._last = 0
         # The entries that the message indexes behind the last chunk should have, by channel.
-        self._entries: dict[int, Integers] | None = {}
+        self._entries: dict[int, NDArray[np.int64]] | None = {}
 
     def check(self, progress: Progress) -> None:
         """Read the file once, from its start to its end."""
@@ -307,7 +307,7 @@ class _File:
                     text = f"a record of kind {description[0]:#04x} in it is malformed"
                     self._error(f"at byte {part.at}: {text}", rule="record")
             self._check_messages(part.content)
-            self.unchecked += 0 if part.is_checked else len(part.content.sizes)
+            self.unchecked += 0 if part.is_checked else len(part.content.rows)
             if isinstance(part.record, Chunk):
                 self._check_chunk(part, part.record, part.content)
         elif part.record is not None:
@@ -318,15 +318,15 @@ class _File:
                 self._check_index(part.at, data, stream.read(part.size - len(data)))
 
     def _check_chunk(self, part: Part, chunk: Chunk, content: Records) -> None:
-        times = content.log_times.view("u8")
+        times = content.rows["log_time"].view("u8")
         stated = chunk.message_start_time, chunk.message_end_time
         actual = (int(times.min()), int(times.max())) if len(times) else (0, 0)
         self._expect(f"the log times of the chunk at byte {part.at}", stated, actual)
         self._check_indexed()
         self._chunks[part.at], self._last = (part.size, *stated, {}), part.at
-        entries = np.stack((content.log_times, content.begins - MESSAGE.size), axis=1)
-        channels = np.unique(content.channels).tolist()
-        self._entries = {id_: entries[content.channels == id_] for id_ in channels}
+        entries = np.stack((times.view("i8"), content.rows["begin"] - MESSAGE.size), axis=1)
+        of_each = content.rows["channel"]
+        self._entries = {id_: entries[of_each == id_] for id_ in np.unique(of_each).tolist()}
 
     def _check_indexed(self) -> None:
         for id_ in self._entries or ():
@@ -390,23 +390,22 @@ class _File:
             self._error(str(error), topic)
 
     def _check_messages(self, content: Records) -> None:
-        times = content.log_times.view("u8")
+        channels, times = content.rows["channel"], content.rows["log_time"].view("u8")
         if len(times):
             self.start = min(self.start, int(times.min()))
             self.end = max(self.end, int(times.max()))
-        for id_, count in zip(*np.unique(content.channels, return_counts=True), strict=True):
-            self.counts[int(id_)] += int(count)
-            if (channel := self.channels.get(int(id_))) is None:
+        for id_ in np.unique(channels).tolist():
+            own = content.rows[channels == id_]
+            self.counts[id_] += len(own)
+            if (channel := self.channels.get(id_)) is None:
                 self._error(f"a message is of channel {id_}, which is not there before it")
                 continue
-            own = content.channels == id_
-            if min(content.log_times[own].min(), content.publish_times[own].min()) < 0:
+            if min(own["log_time"].min(), own["publish_time"].min()) < 0:
                 self._error("a time does not fit 63 bits", channel.topic)
             if layout := self._layouts.get(channel.schema_id):
-                columns = (each[own].tolist() for each in (content.begins, content.sizes, times))
-                for begin, size, time in zip(*columns, strict=True):
+                for _, time, _, data in Records(content.data, own).messages():
                     try:
-                        layout.check(content.data[begin : begin + size])
+                        layout.check(data)
                     except MessageError as error:
                         text = f"the message at {time} ns is not whole: {error}"
                         self._error(text, channel.topic, "data")
@@ -456,7 +455,7 @@ class _File:
         self._remarks.add(self.path.name, text)
 
 
-def _in_order(entries: np.ndarray[Any, np.dtype[np.int64]]) -> np.ndarray[Any, np.dtype[np.int64]]:
+def _in_order(entries: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the entries of a message index by log time and place: each writer has its order."""
     return entries[np.lexsort(entries.T[::-1])]
 

@@ -229,7 +229,7 @@ class FileWalker:
         self._bytes_left -= min(chunk.uncompressed_size, MAX_SIZE) if chunk.compression else 0
         if self._bytes_left >= 0:
             content = split_records(chunk_records(chunk))
-            self._records_left -= len(content.sizes)
+            self._records_left -= len(content.rows)
             for count, description in enumerate(content.descriptions()):
                 # They take ten times as long as messages.
                 is_known = description[0] in _IN_CHUNKS or description[0] >= 0x80
@@ -239,7 +239,7 @@ class FileWalker:
             raise RecordError(
                 "the chunks decompress to too much for a file of this size; --trusted reads them"
             )
-        times = content.log_times.view("u8")
+        times = content.rows["log_time"].view("u8")
         if not chunk.uncompressed_crc and len(times):
             first, last = int(times.min()), int(times.max())
             if first < chunk.message_start_time or last > chunk.message_end_time:

@@ -15,7 +15,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from tsobs_ros import __version__
-from tsobs_ros.bag.container import MESSAGE, RECORD, Records
+from tsobs_ros.bag.container import MESSAGE, RECORD, ROW, Records
 from tsobs_ros.bag.copying import RecordedChunk
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter
@@ -230,15 +230,15 @@ class BagWriter:
             return
         picked = chunk.pick(ids)
         by_new = {ids[id_]: topic for id_, topic in topics.items()}
-        if len(picked.sizes):
+        if len(picked.rows):
             self._write_records(picked, by_new, lambda: self._file.add_chunk(picked))
 
     def _write_records(
         self, records: Records, topics: Mapping[int, str], write: Callable[[], None]
     ) -> None:
         """Write records at once, or one by one if files have limits or anything is wrong."""
-        found, counts = np.unique(records.channels, return_counts=True)
-        times = records.log_times, records.publish_times
+        found, counts = np.unique(records.rows["channel"], return_counts=True)
+        times = (records.rows[name] for name in ("log_time", "publish_time"))
         is_right = all(each.min() >= 0 and each.max() < EMPTY_START_NS for each in times)
         if self._closed or self._is_limited or not is_right or min(topics) <= 0:
             for id_, log_time, publish_time, data in records.messages():
@@ -439,27 +439,25 @@ def packed(series: Sequence[tuple[int, MessageSeries]]) -> Records:
     Args:
         series: Messages, with their channels.
     """
-    log_times = np.concatenate([one.log_times for _, one in series])
-    publish_times = np.concatenate([one.publish_times for _, one in series])
-    sizes = np.concatenate([np.full(len(one.data), one.data.shape[1]) for _, one in series])
-    channels = np.concatenate([np.full(len(one.data), channel) for channel, one in series])
-    order = np.argsort(log_times, kind="stable")
-    begins = np.cumsum(MESSAGE.size + sizes[order]) - sizes[order]
-    place = np.empty(len(order), np.int64)
-    place[order] = begins - MESSAGE.size
-    records = np.empty(int(begins[-1] + sizes[order[-1]]), np.uint8)
-    at = 0
-    for channel, one in series:
-        count, size = one.data.shape
-        rows = np.empty(count, _record_type(size))
-        head = MESSAGE.pack(Opcode.MESSAGE, rows.itemsize - RECORD.size, max(0, channel), 0, 0, 0)
-        rows["head"] = np.frombuffer(head, np.uint8)[:15]
-        rows["log_time"], rows["publish_time"] = one.log_times, one.publish_times
-        rows["data"] = one.data
-        pieces(records, rows.itemsize)[place[at : at + count]] = rows.view(f"V{rows.itemsize}")
-        at += count
-    times = log_times[order], publish_times[order]
-    return Records(records.tobytes(), channels[order], *times, begins, sizes[order])
+    rows = np.zeros(sum(len(one.data) for _, one in series), ROW)
+    ends = np.cumsum([len(one.data) for _, one in series])
+    for (channel, one), own in zip(series, np.split(rows, ends[:-1]), strict=True):
+        own["channel"], own["size"] = channel, one.data.shape[1]
+        own["log_time"], own["publish_time"] = one.log_times, one.publish_times
+    order = np.argsort(rows["log_time"], kind="stable")
+    rows = rows[order]
+    rows["begin"] = np.cumsum(MESSAGE.size + rows["size"]) - rows["size"]
+    places = np.empty(len(order), np.int64)
+    places[order] = rows["begin"] - MESSAGE.size
+    data = np.empty(int(rows["begin"][-1] + rows["size"][-1]), np.uint8)
+    for (channel, one), own_places in zip(series, np.split(places, ends[:-1]), strict=True):
+        made = np.empty(len(one.data), _record_type(one.data.shape[1]))
+        head = MESSAGE.pack(Opcode.MESSAGE, made.itemsize - RECORD.size, max(0, channel), 0, 0, 0)
+        made["head"] = np.frombuffer(head, np.uint8)[:15]
+        made["log_time"], made["publish_time"] = one.log_times, one.publish_times
+        made["data"] = one.data
+        pieces(data, made.itemsize)[own_places] = made.view(f"V{made.itemsize}")
+    return Records(data.tobytes(), rows)
 
 
 def _record_type(size: int) -> np.dtype[Any]:
