@@ -69,7 +69,7 @@ NOT_RUN = {
     "source .venv/bin/activate": "made by make",
     "ros2 lifecycle set /observer ": "ros2 itself; test_managed.py calls its services",
     "POLICY=": "ros2 itself",
-    "ros2 security ": "Ubuntu's ROS; test_policy.py compares the policy with the nodes",
+    "ros2 security ": "Ubuntu's ROS; test_interface.py compares the policy with the nodes",
     "export ROS_SECURITY_": "Fast DDS of the wheels has no security",
     "tsobs demo --duration 60 ": "minutes; demo runs on another page",
     "python3 -m pip ": "the network",

@@ -5,7 +5,6 @@
 `manage("/name")` drives one in a process of its own.
 """
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.serialization import serialize_message
+from staging import call
 from staging.stage import Stage
 from std_msgs.msg import String
 
@@ -39,25 +39,9 @@ class Manager:
         self._name = node if isinstance(node, str) else node.get_fully_qualified_name()
         self.own = ros.node("manager")
 
-    def call(self, srv_type: type, service: str, request: Any) -> Any:
+    def call(self, srv_type: type, service: str, request: Any = None) -> Any:
         """Call a service of the node."""
-        name = f"{self._name}/{service}"
-        client = self.own.create_client(srv_type, name)
-        self._ros.spin_until(client.service_is_ready, what=f"the service {name}")
-        future = client.call_async(request)
-        # A client knows its service before that knows the client, and an answer that comes in
-        # between is lost for good; to ask for the state again does no harm.
-        if srv_type is GetState and not self._is_answered(future):
-            future = client.call_async(request)
-        self._ros.spin_until(future.done, what=f"the answer of {name}")
-        self.own.destroy_client(client)
-        return future.result()
-
-    def _is_answered(self, future: Any) -> bool:
-        """Return whether an answer comes within a few seconds."""
-        deadline = time.monotonic() + 3.0
-        self._ros.spin_until(lambda: future.done() or time.monotonic() > deadline)
-        return bool(future.done())
+        return call(self._ros, self.own, srv_type, f"{self._name}/{service}", request)
 
     def change(self, *labels: str) -> bool:
         """Ask for transitions one after the other until one fails; say whether none did."""
@@ -71,7 +55,7 @@ class Manager:
     @property
     def state(self) -> str:
         """The node's state."""
-        return str(self.call(GetState, "get_state", GetState.Request()).current_state.label)
+        return str(self.call(GetState, "get_state").current_state.label)
 
     @property
     def entities(self) -> tuple[int, ...]:

@@ -6,7 +6,6 @@ import gc
 import random
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
+from staging import start
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -193,13 +193,11 @@ def any_node(
     """Start any of the package's nodes with parameters."""
     monkeypatch.chdir(tmp_path)  # bags get dated names in there
 
-    def start(name: str, **parameters: Any) -> Any:
+    def start_any(name: str, **parameters: Any) -> Any:
         given = {**parameters, **({"bag": str(small_bag)} if name == "player" else {})}
-        overrides = [Parameter(each, value=value) for each, value in given.items()]
-        create = import_module(f"tsobs_ros.nodes.{name}").create
-        return manage(ros.add(create(context=ros.context, parameter_overrides=overrides)))
+        return manage(start(ros, name, **given))
 
-    return start
+    return start_any
 
 
 @pytest.mark.parametrize("name", NODES)

@@ -9,22 +9,20 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
+from staging import start
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tsobs_ros.design.file import load_design_file
 from tsobs_ros.design.published import record_text
-from tsobs_ros.nodes.visualizer import create
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 DATA = Path(__file__).resolve().parents[1] / "estimation" / "data"
 BOTH = DATA / "both_encoders.design.yaml"
 MEASUREMENTS = "/sensors/joints"
 Scene = Mapping[tuple[str, int], Marker]
-
 BLUE, ORANGE, RED, GREY = (0, 114, 178), (230, 159, 0), (213, 94, 0), (82, 96, 109)
 
 
@@ -102,8 +100,7 @@ def has(*wanted: tuple[str, int]) -> Callable[[Scene], bool]:
 
 @pytest.fixture
 def publisher(ros: Any) -> Publisher:
-    parameters = [Parameter("rate", value=100.0), Parameter("link_length", value=2.0)]
-    ros.add(create(context=ros.context, parameter_overrides=parameters))
+    start(ros, "visualizer", rate=100.0, link_length=2.0)
     return Publisher(ros)
 
 

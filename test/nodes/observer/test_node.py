@@ -297,7 +297,7 @@ def test_estimates_may_come_with_the_measurements_instead_of_the_ticks(stage: St
 
 def test_on_the_systems_clock_in_a_namespace_it_ticks_all_by_itself(stage: Stage) -> None:
     observer = stage.add("/left", use_sim_time=False)
-    watcher = stage.watchers["/left"]
+    watcher = stage.watcher
     stamp = stage.node.get_clock().now().nanoseconds
     stage.sensor.publish(ARM.message(stamp))
 
@@ -313,5 +313,5 @@ def test_on_the_systems_clock_in_a_namespace_it_ticks_all_by_itself(stage: Stage
     timing = values(found["left/observer: timing"])
     assert float(timing["achieved rate [Hz]"]) > 0.0
     assert 0.0 < float(timing["latency p50 [ms]"]) <= float(timing["latency p99 [ms]"])
-    assert stage.call(Trigger, "/left/observer/reset", Trigger.Request()).success
+    assert stage.call(Trigger, "/left/observer/reset").success
     assert observer.joints[0].tracker.used == 0

@@ -2,40 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer's parameters: refused with a reason, or taken over all at once."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from staging import start
 from std_msgs.msg import String
 
 from tsobs_ros.design.published import read_record
-from tsobs_ros.errors import ParameterError
 from tsobs_ros.methods import ObserverSettings
-from tsobs_ros.nodes.observer import Observer, create
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 SHIPPED, FIXED = config_path(SHIPPED_DESIGN), str(config_path(FIXED_DESIGN))
 
 
-@pytest.fixture
-def make(ros: Any) -> Callable[..., Observer]:
-    """Start an observer with parameters."""
-
-    def start(**parameters: Any) -> Observer:
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        node: Observer = ros.add(create(context=ros.context, parameter_overrides=overrides))
-        return node
-
-    return start
-
-
 def test_senseless_or_structural_changes_are_refused_with_a_reason(
-    make: Callable[..., Observer],
+    ros: Any,
 ) -> None:
-    node = make()
+    node = start(ros, "observer")
     for name, value, reason in (
         ("design", "other.yaml", "read-only"),
         ("when_stale", "loud", "must be one of"),
@@ -50,28 +35,10 @@ def test_senseless_or_structural_changes_are_refused_with_a_reason(
         assert node.get_parameter(name).value == before
 
 
-@pytest.mark.parametrize(
-    ("overrides", "reason"),
-    [
-        ({"joints": [""]}, "joints: expected names"),
-        ({"joints": ["hip", "knee", "hip"]}, "joints: expected names, each once"),
-        ({"gain_mode": "certain"}, "gain_mode"),
-        ({"joints": ["a", "b", "c"], "torque_warn": [1.0, 2.0]}, "each of the 3 joints, a single"),
-    ],
-)
-def test_senseless_overrides_are_refused(
-    make: Callable[..., Observer], overrides: dict[str, Any], reason: str
-) -> None:
-    with pytest.raises(ParameterError, match=reason):
-        make(**overrides)
-
-
-def test_a_request_changes_all_joints_or_nothing(
-    make: Callable[..., Observer], tmp_path: Path
-) -> None:
+def test_a_request_changes_all_joints_or_nothing(ros: Any, tmp_path: Path) -> None:
     own = tmp_path / "own.design.yaml"
     own.write_text(SHIPPED.read_text(encoding="utf-8"), encoding="utf-8")
-    node = make(joints=["hip", "knee"], joint_designs=[str(own), ""])
+    node = start(ros, "observer", joints=["hip", "knee"], joint_designs=[str(own), ""])
     assert [joint.loaded.name for joint in node.joints] == [str(own), str(SHIPPED)]
     wanted = {"supervision.gate": 4.0, "fault.hold": 1.0, "coast_after": -1.0}
     parameters = [Parameter(name, value=value) for name, value in wanted.items()]
@@ -89,10 +56,10 @@ def test_a_request_changes_all_joints_or_nothing(
         assert joint.tracker.estimator.model["gate"].tolist() == [4.0]
 
 
-def test_what_runs_is_published_for_those_who_come_later(
-    make: Callable[..., Observer], ros: Any
-) -> None:
-    node = make(joints=["hip", "knee"], joint_designs=[FIXED, ""], settle_time=1.5)
+def test_what_runs_is_published_for_those_who_come_later(ros: Any) -> None:
+    node = start(
+        ros, "observer", joints=["hip", "knee"], joint_designs=[FIXED, ""], settle_time=1.5
+    )
     ros.spin_until(lambda: node.active)
     assert node.set_parameters([Parameter("supervision.gate", value=4.0)])[0].successful
     listener, received = ros.node("listener"), list[Any]()

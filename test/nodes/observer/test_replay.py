@@ -12,19 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rclpy.parameter import Parameter
+from staging import by_topic, estimated_again, start
 from staging.arm import Arm
 from staging.stage import BEGIN, OUTPUTS, PERIOD, TOPIC, Event, Stage, good
 from std_srvs.srv import SetBool, Trigger
 
-from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateDecoder
-from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
-from tsobs_ros.methods import ObserverSettings
-from tsobs_ros.nodes import recorder
-from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
-from tsobs_ros.replay.source import BagSource
 
 RESTARTS, HEALTH, RAN = "/observer/restarts", "/observer/health", "/observer/design"
 TICKS = "/observer/ticks"
@@ -37,13 +31,7 @@ class Scene:
     def __init__(self, stage: Stage, manage: Callable[[Any], Any], output: Path) -> None:
         self.stage, self._manage = stage, manage
         topics = [TOPIC, RESTARTS, HEALTH, TICKS, *(f"/observer/{name}" for name in OUTPUTS)]
-        overrides = {"output": str(output), "topics": topics}
-        self._recorder = stage.ros.add(
-            recorder.create(
-                context=stage.ros.context,
-                parameter_overrides=[Parameter(n, value=v) for n, v in overrides.items()],
-            )
-        )
+        self._recorder = start(stage.ros, "recorder", output=str(output), topics=topics)
         stage.wait_until(lambda: stage.sensor.get_subscription_count() > 0, "the recorder")
         self.sent = Counter[str]()
         stage.step(BEGIN - PERIOD)
@@ -63,7 +51,7 @@ class Scene:
     def end(self) -> None:
         """End the observer."""
         self.sent.update(f"/observer/{one.topic}" for one in self.stage.watcher.published)
-        self.stage.remove("")
+        self.stage.remove()
 
     def play(self, count: int, outliers: int = 0) -> None:
         """Send samples, the last ones of them far off."""
@@ -86,7 +74,7 @@ class Scene:
 
     def change(self, label: str) -> None:
         """Ask the observer for a transition."""
-        assert self._manage(self.stage.observers[""]).change(label)
+        assert self._manage(self.stage.observer).change(label)
 
     def recorded(self) -> Path:
         """Return the finished bag."""
@@ -108,25 +96,6 @@ class Scene:
 @pytest.fixture
 def scene(stage: Stage, manage: Callable[[Any], Any], tmp_path: Path) -> Scene:
     return Scene(stage, manage, tmp_path / "bag")
-
-
-def estimated(bag: Path, design: Design, output: Path) -> Run:
-    source = BagSource(bag)
-    observer = Observer(
-        "observer", ObserverSettings(), (DesignFile.of(design),) * len(source.joints)
-    )
-    (run,) = make_runs(source, [observer], rate=None, as_live=True)
-    run_all(source, [run], output)
-    return run
-
-
-def observed(bag: Path) -> dict[str, list[bytes]]:
-    """Return the messages of the observer's topics, each in the order of publishing."""
-    found: dict[str, list[bytes]] = {}
-    for one in sorted(BagReader(bag).messages(), key=lambda message: message.publish_time):
-        if one.topic != TOPIC:
-            found.setdefault(one.topic, []).append(one.data)
-    return found
 
 
 def test_what_an_observer_did_not_receive_is_left_out_and_all_the_rest_reproduced(
@@ -155,18 +124,20 @@ def test_what_an_observer_did_not_receive_is_left_out_and_all_the_rest_reproduce
     scene.end()
     scene.play(40)
     bag = scene.recorded()
-    restarts = map(JointStateDecoder(), observed(bag)[RESTARTS])
+    expected = by_topic(bag)
+    restarts = map(JointStateDecoder(), expected[RESTARTS])
     assert [each.position[0] for each in restarts] == [0, 1, 2, 3, 0, 1]
 
     again = tmp_path / "again"
-    agreement = estimated(bag, design, again).agreement()
+    agreement = estimated_again(bag, again, design).agreement()
 
     assert agreement is not None
     assert agreement.complete, agreement.text()
     assert agreement.recorded == 420
     assert agreement.not_received >= 210
-    expected, came = observed(bag), observed(again)
-    del came[RAN]  # is not recorded here
+    came = by_topic(again)
+    # The measurements are those that were used; the design is not recorded here.
+    del expected[TOPIC], came[TOPIC], came[RAN]
     assert came == expected
 
 
@@ -194,7 +165,7 @@ def test_joints_of_late_doubled_and_unusable_messages_are_reproduced(
     scene.end()
     bag = scene.recorded()
 
-    run = estimated(bag, design, tmp_path / "again")
+    run = estimated_again(bag, tmp_path / "again", design)
 
     agreement = run.agreement()
     assert agreement is not None
@@ -203,8 +174,8 @@ def test_joints_of_late_doubled_and_unusable_messages_are_reproduced(
     assert (agreement.not_received, agreement.not_recorded, agreement.lost_ticks) == (0, 0, 0)
     assert run.loop.rewinds > 0
     assert {reason.value for reason in run.loop.rejected} >= {"duplicate stamp", "non-finite"}
-    expected, came = observed(bag), observed(tmp_path / "again")
+    expected, came = by_topic(bag), by_topic(tmp_path / "again")
     for topic in expected:
         # Of one tick, messages of single joints and checksums may be in another order.
-        if topic != TICKS:
+        if topic not in (TICKS, TOPIC):
             assert sorted(came[topic]) == sorted(expected[topic]), topic

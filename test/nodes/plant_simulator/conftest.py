@@ -6,15 +6,15 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from staging import call, start
 from staging.stamps import to_nanoseconds, to_stamp
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from tsobs_ros.nodes.plant_simulator import PlantSimulatorNode, create
+from tsobs_ros.nodes.plant_simulator import PlantSimulatorNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.simulation.plant import Plant, Sample
 
@@ -46,7 +46,6 @@ class Listener:
         ):
             self.node.create_subscription(JointState, topic, self._keeper(kept), qos)
         self.commands = self.node.create_publisher(Float64MultiArray, "joint_torque_command", 10)
-        self.resets = self.node.create_client(Trigger, "plant_simulator/reset")
 
     def listen_to_clock(self) -> None:
         self.node.create_subscription(
@@ -56,9 +55,8 @@ class Listener:
     def start(self, **overrides: Any) -> PlantSimulatorNode:
         """Start a simulator which waits for this listener."""
         given = {"wait_for_subscribers": 1, **overrides}
-        parameters = [Parameter(name.replace("__", "."), value=v) for name, v in given.items()]
-        node = create(context=self.ros.context, parameter_overrides=parameters)
-        return self.ros.add(node)
+        node: PlantSimulatorNode = start(self.ros, "plant_simulator", **given)
+        return node
 
     def wait_for(self, kept: list[Any], more: int) -> None:
         wanted = len(kept) + more
@@ -72,10 +70,7 @@ class Listener:
         self.commands.publish(Float64MultiArray(data=list(values)))
 
     def reset(self) -> Any:
-        self.wait_until(self.resets.service_is_ready, "the reset service")
-        future = self.resets.call_async(Trigger.Request())
-        self.wait_until(future.done, "the reset")
-        return future.result()
+        return call(self.ros, self.node, Trigger, "plant_simulator/reset")
 
     def start_simulated(self, **overrides: Any) -> PlantSimulatorNode:
         """Start a simulator on a /clock that `show` drives."""
@@ -124,12 +119,6 @@ class Listener:
 
 
 @pytest.fixture
-def listen(ros: Any) -> Callable[[], Listener]:
-    """Make a listener when the test wants one."""
-    return lambda: Listener(ros)
-
-
-@pytest.fixture
-def listener(listen: Callable[[], Listener]) -> Listener:
+def listener(ros: Any) -> Listener:
     """Give a listener that is there from the beginning."""
-    return listen()
+    return Listener(ros)

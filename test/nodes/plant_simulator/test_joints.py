@@ -3,17 +3,20 @@
 """Several joints, each an arm or a T–S system of its design file, in the same messages."""
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from staging import start
 
 from tsobs_ros.errors import ParameterError
-from tsobs_ros.nodes.plant_simulator import create
+from tsobs_ros.nodes import observer, plant_simulator
 from tsobs_ros.nodes.plant_simulator.node import plants_of
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
+from tsobs_ros.paper.examples import example_1, example_2
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 BOTH = """
@@ -26,6 +29,7 @@ outputs:
   - {measures: link_velocity, measurement_std: 0.05}
 torque_disturbance: {link: [{kind: gauss_markov, std: 2.0, time_constant: 0.5}]}
 """
+
 PERIOD, START = 5_000_000, 100_000_000
 
 
@@ -141,27 +145,71 @@ def test_a_joint_is_commanded_and_disturbed_by_itself_while_running(
 
 
 @pytest.mark.parametrize(
-    ("change", "reason"),
+    ("name", "value", "reason"),
     [
-        (lambda p: p.update(joint_designs=["a.yaml"]), "joint_designs: expected one for each of"),
-        (lambda p: p.update(joint_designs=["", "a.yaml", ""]), "a.yaml"),
-        (lambda p: p.update(joints=["a", "a", "b"]), "joints: expected names, each once"),
-        (lambda p: p.update(signals=["elbow/torque: ramp"]), r"signals\[0\]': elbow/torque: kind"),
-        (lambda p: p.update(signals=["- a"]), r"signals\[0\]': expected one 'name: value'"),
-        (
-            lambda p: p.update(signals=["elbow/link_torque: {kind: ramp, slope: 1.0}"]),
-            r"signals\[0\]': elbow/link_torque: .*slope",
-        ),
-        (lambda p: p.update(affected=["elbow/link"]), r"affected\[0\]': expected one of"),
-        (lambda p: p.update(joint_mismatch=["pendulum/g: 0.1"]), r"joint_mismatch\[0\]"),
-        (lambda p: p.update(initial_state=[0.1]), r"initial_state: expected 4 \+ 4 \+ 2 numbers"),
-        (lambda p: p.update({"payload.joints": ["pendulum"]}), "payload.joints: expected arms"),
+        ("joint_designs", ["a.yaml"], "joint_designs: expected one for each of"),
+        ("joint_designs", ["", "a.yaml", ""], "a.yaml"),
+        ("joints", ["a", "a", "b"], "joints: expected names, each once"),
+        ("signals", ["elbow/torque: ramp"], r"signals\[0\]': elbow/torque: kind"),
+        ("signals", ["- a"], r"signals\[0\]': expected one 'name: value'"),
+        ("signals", ["elbow/link_torque: {kind: ramp, slope: 1.0}"], r"elbow/link_torque: .*slope"),
+        ("affected", ["elbow/link"], r"affected\[0\]': expected one of"),
+        ("joint_mismatch", ["pendulum/g: 0.1"], r"joint_mismatch\[0\]"),
+        ("initial_state", [0.1], r"initial_state: expected 4 \+ 4 \+ 2 numbers"),
+        ("payload.joints", ["pendulum"], "payload.joints: expected arms"),
     ],
 )
 def test_what_names_no_joint_or_signal_is_refused(
-    ros: Any, joints: dict[str, Any], change: Callable[[dict[str, Any]], None], reason: str
+    ros: Any, joints: dict[str, Any], name: str, value: list[str], reason: str
 ) -> None:
-    change(joints)
-    overrides = [Parameter(name, value=value) for name, value in joints.items()]
     with pytest.raises(ParameterError, match=reason):
-        create(context=ros.context, parameter_overrides=overrides)
+        start(ros, "plant_simulator", **joints | {name: value})
+
+
+RATE, SECONDS, SETTLED = 250.0, 11.0, 9.0
+
+# Driven time starts at 1 s.
+BEGIN, END = 1_000_000_000, 12_000_000_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "example"), [(1, example_1()), (2, example_2())])
+def test_the_published_observer_follows_the_published_plant(
+    listener: Any, number: int, example: Any
+) -> None:
+    ros, estimates = listener.ros, []
+    listener.node.create_subscription(JointState, "observer/joint_states", estimates.append, 5000)
+    files = [
+        *("--params-file", str(config_path(f"paper_example_{number}.nodes.yaml"))),
+        *("-p", f"design:={config_path(f'paper_example_{number}.design.yaml')}"),
+    ]
+    clock = ["-p", "publish_clock:=true", "-p", "real_time_factor:=2.0"]
+    wait = ["-p", "wait_for_subscribers:=2", "-p", f"duration:={SECONDS}"]
+    simulated = ["-p", "use_sim_time:=true", "-p", "publish_on:=measurement"]
+    for module, extra in ((observer, simulated), (plant_simulator, [*clock, *wait])):
+        arguments = ["--ros-args", *files, *extra]
+        ros.add(module.create(context=ros.context, cli_args=arguments))
+    truth = (listener.states, listener.disturbances)
+    ros.spin_until(
+        lambda: all(each and each[-1].stamp == END for each in truth), 60.0, "the end of the run"
+    )
+    times = np.arange(round(SECONDS * RATE) + 1) / RATE
+    # The first samples may have come before all subscriptions were matched.
+    for each in listener.disturbances:
+        row = example.disturbance(times)[round((each.stamp - BEGIN) * RATE / 1e9)]
+        np.testing.assert_allclose(each.message.position, row, atol=1e-10)
+    true_times = [(each.stamp - BEGIN) / 1e9 for each in listener.states]
+    states = np.array([each.message.position for each in listener.states])
+    for each in listener.measurements[::50]:
+        assert list(each.message.name) == ["u", "y1", "y2", "y3"]
+    errors = []
+    for message in estimates:
+        stamp = message.header.stamp
+        time = (stamp.sec * 1_000_000_000 + stamp.nanosec - BEGIN) / 1e9
+        if SETTLED < time < SECONDS:
+            assert list(message.name) == ["x1", "x2", "x3"]
+            true = [np.interp(time, true_times, column) for column in states.T]
+            errors.append(np.array(message.position) - true)
+    assert errors
+    # What the printed uncertainty leaves of the error, about twice the RMS of docs/method.md.
+    assert np.abs(errors).max() < 0.05

@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 from player.bags import START
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
+from staging import start
 from staging.stamps import to_nanoseconds
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from tsobs_ros.nodes.player import Player, create
+from tsobs_ros.nodes.player import Player
 
 
 class Listener:
@@ -76,14 +76,13 @@ def listener(ros: Any) -> Listener:
 def play(ros: Any) -> Callable[..., Player]:
     """Give what starts players in the test's graph."""
 
-    def start(path: Path, **parameters: Any) -> Player:
-        overrides = [Parameter(k, value=v) for k, v in {"bag": str(path), **parameters}.items()]
-        return ros.add(create(context=ros.context, parameter_overrides=overrides))
+    def start_player(path: Path, **parameters: Any) -> Player:
+        return start(ros, "player", **{"bag": str(path), **parameters})
 
-    return start
+    return start_player
 
 
 @pytest.fixture
 def call(manage: Any) -> Callable[[str], Any]:
     """Give what calls one of the player's services and returns the answer."""
-    return lambda name: manage("/player").call(Trigger, name, Trigger.Request())
+    return lambda name: manage("/player").call(Trigger, name)

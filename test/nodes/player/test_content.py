@@ -7,14 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 from player.bags import LATCHED, MS, START, STRING, Entry, data_of, regular, texts, write_bag
-from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+from staging import start
 
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.nodes.recorder import create as create_recorder
+from tsobs_ros.errors import BagReadError, ParameterError
+from tsobs_ros.nodes.player.topics import offered_qos
 
 Play = Callable[..., Any]
 
@@ -58,9 +61,7 @@ def test_what_was_recorded_played_and_recorded_again_is_the_same(
         Entry("/a", 60.5, "Größe θ̂ ≤ 1 😀" * 1000),
     ]
     first = BagReader(write_bag(tmp_path / "first", entries, offers))
-    values = {"output": str(tmp_path / "second"), "topics": list(first.topics)}
-    overrides = [Parameter(key, value=value) for key, value in values.items()]
-    recorder = ros.add(create_recorder(context=ros.context, parameter_overrides=overrides))
+    recorder = start(ros, "recorder", output=str(tmp_path / "second"), topics=list(first.topics))
     player = play(first.path, wait_for_subscribers=3)
     ros.spin_until(lambda: player.finished, what="the end")
     ros.spin_until(
@@ -129,3 +130,102 @@ def test_what_cannot_be_published_is_left_out_with_a_warning(
     (warning,) = [line for line in capfd.readouterr().err.splitlines() if "[WARN]" in line]
     assert "not playing /strange: " in warning
     assert reason in warning
+
+
+BEST_EFFORT = QosProfile(reliability="best_effort")
+LATE = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+RELIABLE = ("reliable", "volatile", 1000)
+
+
+@pytest.mark.parametrize(
+    ("profiles", "expected"),
+    [
+        ([], RELIABLE),
+        ([QosProfile()], RELIABLE),
+        ([BEST_EFFORT, BEST_EFFORT], ("best_effort", "volatile", 1000)),
+        ([BEST_EFFORT, QosProfile()], RELIABLE),
+        ([LATCHED, QosProfile()], RELIABLE),
+        # Each of them may have latched as many as a default publisher keeps.
+        ([LATCHED], ("reliable", "transient_local", 10)),
+        ([LATCHED] * 3, ("reliable", "transient_local", 30)),
+        ([replace(LATCHED, history="keep_last", depth=d) for d in (1, 4)],
+         ("reliable", "transient_local", 5)),
+        ([replace(LATCHED, history="keep_all")], ("reliable", "transient_local", 1000)),
+        ([QosProfile(history="keep_last", depth=1)], RELIABLE),
+        ([QosProfile(reliability="best_available", durability="unknown")], RELIABLE),
+        ([QosProfile(reliability="system_default", liveliness="manual_by_node")], RELIABLE),
+    ],
+)  # fmt: skip
+def test_what_all_publishers_offered_is_offered(
+    profiles: list[QosProfile], expected: tuple[str, str, int]
+) -> None:
+    qos = offered_qos(tuple(profiles), 1000)
+    assert qos.history.name == "KEEP_LAST"
+    assert (qos.reliability.name.lower(), qos.durability.name.lower(), qos.depth) == expected
+
+
+@pytest.fixture
+def latched_bag(tmp_path: Path) -> Path:
+    """Give a bag with 3 messages latched at 0, 20 and 60 ms, and a0 … a9, one every 10 ms."""
+    entries = [Entry("/latched", at, f"l{at}") for at in (0, 20, 60)]
+    offers = {
+        "/latched": [QosProfile(history="keep_last", depth=1, durability="transient_local")],
+    }
+    return write_bag(tmp_path / "bag", [*entries, *regular(10)], offers)
+
+
+def test_what_was_latched_before_the_start_is_published_first_even_in_a_pause(
+    ros: Any, play: Play, listener: Any, call: Any, latched_bag: Path
+) -> None:
+    player = play(latched_bag, start_paused=True, start_offset=0.05)
+    ros.spin_until(lambda: player.messages == 1, what="the latched message's publication")
+    listener.listen("/latched", qos=LATE)  # late subscribers get what is latched, too
+    ros.spin_until(lambda: listener.texts("/latched") == ["l20"], what="the latched message")
+
+    listener.listen("/a")
+    call("resume")
+    listener.hear_out(player)
+    assert listener.texts("/latched") == ["l20", "l60"]
+    assert listener.texts("/a") == texts(5, 10)
+
+
+def test_the_first_messages_are_not_lost_to_a_subscriber_that_is_just_being_discovered(
+    play: Play, listener: Any, tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / "bag", regular(50, 0.5), {"/a": [BEST_EFFORT]})
+    player = play(bag)
+    qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+    listener.listen("/a", qos=qos)
+
+    listener.hear_out(player)
+    assert listener.texts() == texts(0, 50)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        ({"bag": ""}, "parameter 'bag' must name a bag folder or an .mcap file"),
+        ({"rate": 0.001}, "parameter 'rate' must be at least 0.01"),
+        ({"rate": 101}, "parameter 'rate' must be at least 0.01 and at most 100"),
+        ({"topics": ["/c"]}, "parameter 'topics': no topic /c; the bag has /a, /b"),
+        ({"exclude_regex": "."}, "the parameters leave no topic to play; the bag has /a, /b"),
+        ({"regex": "("}, "parameter 'regex': not a regular expression"),
+        ({"start_offset": 0.05}, "'start_offset' must be at most 0.04 s, the bag's length"),
+        ({"position": 0.05}, "'position' must be at most 0.04 s, the bag's length"),
+    ],
+)
+def test_senseless_parameters_are_refused(
+    play: Play, tmp_path: Path, parameters: dict[str, Any], reason: str
+) -> None:
+    bag = write_bag(tmp_path / "bag", [*regular(5), Entry("/b", 7, "b")])
+
+    with pytest.raises(ParameterError, match=reason):
+        play(bag, **parameters)
+
+
+def test_a_bag_without_an_end_is_refused(play: Play, tmp_path: Path) -> None:
+    file = write_bag(tmp_path / "bag", regular(5)) / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:-100])
+
+    with pytest.raises(BagReadError, match=r"bag_0.mcap: the file has no end"):
+        play(tmp_path / "bag")

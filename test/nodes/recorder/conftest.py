@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
+from staging import start
 from std_msgs.msg import String
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.nodes.recorder import Recorder, create
+from tsobs_ros.nodes.recorder import Recorder
 
 
 class Recording:
@@ -27,10 +27,7 @@ class Recording:
     def start(self, namespace: str | None = None, **parameters: Any) -> Recorder:
         """Start a recorder with parameters, to `tmp_path/bag` unless they name another bag."""
         values = {"output": str(self._folder / "bag"), **parameters}
-        overrides = [Parameter(name, value=value) for name, value in values.items()]
-        return self._ros.add(
-            create(context=self._ros.context, parameter_overrides=overrides, namespace=namespace)
-        )
+        return start(self._ros, "recorder", options={"namespace": namespace}, **values)
 
     def publish(self, recorder: Recorder, publisher: Any, messages: Sequence[Any]) -> None:
         """Publish once the publisher is matched, and wait until all is recorded or discarded."""

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Observers in the process of a test, under a time that only the test lets pass.
+"""An observer in the process of a test, under a time that only the test lets pass.
 
 Nothing waits and nothing races: what is published in one process is in every queue of it when
 `publish` returns, time is where the test has put it, and a step ends when all ticks that it made
@@ -9,8 +9,7 @@ due are done.
 
 import math
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,18 +17,18 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from numpy.typing import NDArray
 from rclpy.clock import ClockType
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
+from staging import call, start
 from staging.arm import Arm
 from staging.stamps import to_nanoseconds, to_stamp
 from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.design.signals import Place
-from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
+from tsobs_ros.estimation.records import Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.nodes.observer import Observer, create
+from tsobs_ros.nodes.observer import Observer
 from tsobs_ros.nodes.wire import DrainedSubscription
 from tsobs_ros.series import NANOSECONDS
 
@@ -49,24 +48,15 @@ _SENSOR_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class Event(NamedTuple):
-    """A message or its CDR bytes, and when it is sent [ns]; None: by the stage's sensor."""
+    """A message or its CDR bytes, and when it is sent [ns]."""
 
     at: int
     message: Any
-    publisher: Any = None
 
 
 def good(arm: Arm, begin: int, seconds: float) -> list[Event]:
     """Return the samples of the good sensor, sent as they are taken."""
     return [Event(stamp, arm.message(stamp)) for stamp in arm.stamps(begin, seconds)]
-
-
-class Counts(NamedTuple):
-    """A node's counts of its samples."""
-
-    received: int
-    used: int
-    rejected: Mapping[RejectReason, int]
 
 
 class Published(NamedTuple):
@@ -155,77 +145,50 @@ class Watcher:
 
 
 class Stage:
-    """Observers, a sensor and the time.
+    """An observer, a sensor and the time.
 
     Attributes:
         now: The simulated time [ns].
-        observers: By namespace.
-        watchers: Readers of the observers' topics, by namespace.
+        observer: The observer, once it was started.
+        watcher: The reader of its topics.
         sensor: The publisher of measurements.
     """
+
+    observer: Observer
+    watcher: Watcher
 
     def __init__(self, ros: Any) -> None:
         self.ros = ros
         self.now = 0
-        self.observers: dict[str, Observer] = {}
-        self.watchers: dict[str, Watcher] = {}
         self.node = ros.node("stage")
-        self.sensor = self.publisher(_SENSOR_QOS)
+        self.sensor = self.node.create_publisher(JointState, TOPIC, _SENSOR_QOS)
         self._clock = self.node.create_publisher(Clock, "/clock", 100)
         self._diagnostics: list[tuple[int, DiagnosticArray]] = []
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 100)
 
-    @property
-    def watcher(self) -> Watcher:
-        """The reader of the observer without a namespace."""
-        return self.watchers[""]
-
-    def publisher(self, qos: QoSProfile) -> Any:
-        """Return a publisher of measurements, matched with the observers there are."""
-        publisher = self.node.create_publisher(JointState, TOPIC, qos)
-        self._wait_for_match(publisher)
-        return publisher
-
     def add(self, namespace: str = "", **parameters: Any) -> Observer:
-        """Start an observer and wait until everything is connected; it has the time there is."""
-        self.watchers[namespace] = Watcher(self.node, f"{namespace}/observer")
+        """Start the observer and wait until everything is connected; it has the time there is."""
+        self.watcher = Watcher(self.node, f"{namespace}/observer")
+        remap = ["--ros-args", "-r", f"joint_measurements:={TOPIC}"]
+        options = {"namespace": namespace, "cli_args": remap}
         given = {"use_sim_time": True, **parameters}
-        observer = self.observers[namespace] = self.ros.add(
-            create(
-                context=self.ros.context,
-                namespace=namespace,
-                cli_args=["--ros-args", "-r", f"joint_measurements:={TOPIC}"],
-                parameter_overrides=[
-                    Parameter(name.replace("__", "."), value=value) for name, value in given.items()
-                ],
-            )
-        )
-        if observer.configured:
-            self.match(namespace)
+        self.observer = start(self.ros, "observer", options=options, **given)
+        self.wait_until(lambda: self.watcher.matched, "matching of the outputs")
+        inputs = [self.sensor, *([self._clock] if given["use_sim_time"] else [])]
+        self.wait_until(lambda: all(each.get_subscription_count() for each in inputs), "matching")
         if self.now:
             self.step(self.now)
-        return observer
+        return self.observer
 
-    def match(self, namespace: str = "") -> None:
-        """Wait until an observer that is configured is connected."""
-        self.wait_until(lambda: self.watchers[namespace].matched, "matching of the outputs")
-        if self.observers[namespace].get_parameter("use_sim_time").value:
-            self._wait_for_match(self._clock)
-        self._wait_for_match(self.sensor)
+    def remove(self) -> None:
+        """End the observer and its reader."""
+        self.watcher.close()
+        self.ros.remove(self.observer)
+        del self.observer
 
-    def remove(self, namespace: str) -> None:
-        """End an observer and its reader."""
-        self.watchers.pop(namespace).close()
-        self.ros.remove(self.observers.pop(namespace))
-
-    def call(self, kind: Any, name: str, request: Any) -> Any:
+    def call(self, kind: Any, name: str, request: Any = None) -> Any:
         """Call a service and return its answer."""
-        client = self.node.create_client(kind, name)
-        self.wait_until(client.service_is_ready, f"the service {name}")
-        future = client.call_async(request)
-        self.wait_until(future.done, f"the answer of {name}")
-        self.node.destroy_client(client)
-        return future.result()
+        return call(self.ros, self.node, kind, name, request)
 
     def play(self, events: Iterable[Event], until: int | None = None, period: int = PERIOD) -> None:
         """Send events as their time comes, time going on by a period at a time, to `until` [ns].
@@ -247,29 +210,22 @@ class Stage:
     def step(self, now: int, batch: Iterable[Event] = ()) -> None:
         """Send a batch, set the time, and let everybody do what is then due."""
         for event in batch:
-            (event.publisher or self.sensor).publish(event.message)
-        if now < self.now:
-            for watcher in self.watchers.values():
-                watcher.time_went_back()
+            self.sensor.publish(event.message)
+        there = hasattr(self, "observer")
+        if there and now < self.now:
+            self.watcher.time_went_back()
         self.now = now
         self._clock.publish(Clock(clock=to_stamp(now)))
-        self.wait_until(self._settled, f"the ticks of {now}")
-        for watcher in self.watchers.values():
-            watcher.read()
+        if there:
+            self.wait_until(self._settled, f"the ticks of {now}")
+            self.watcher.read()
 
     def take_all(self, period: int = PERIOD) -> None:
-        """Let time pass until the observers have taken all that waits, some at each tick."""
+        """Let time pass until the observer has taken all that waits, some at each tick."""
         before = -1
-        while (received := sum(each.received for each in self.observers.values())) != before:
-            before = received
+        while self.observer.received != before:
+            before = self.observer.received
             self.step(self.now + period)
-
-    def counts(self, namespace: str = "") -> Counts:
-        """Return an observer's counts, without the second's wait for its diagnostics."""
-        observer = self.observers[namespace]
-        trackers = [joint.tracker for joint in observer.joints]
-        rejected = sum((tracker.rejected for tracker in trackers), Counter())
-        return Counts(observer.received, sum(tracker.used for tracker in trackers), rejected)
 
     def statuses(self) -> dict[str, DiagnosticStatus]:
         """Return the statuses that are published next, by their names."""
@@ -287,23 +243,10 @@ class Stage:
         self._diagnostics.append((info["source_timestamp"], message))
 
     def _settled(self) -> bool:
-        return all(
-            observer.get_clock().now().nanoseconds == self.now and not _has_work(observer)
-            for observer in self.observers.values()
-        )
-
-    def _wait_for_match(self, publisher: Any) -> None:
-        wanted = len(self.observers)
-        self.wait_until(lambda: publisher.get_subscription_count() >= wanted, "matching")
-
-
-def _has_work(observer: Any) -> bool:
-    """Return whether a tick is due: an executor returns when a due timer's callback is done."""
-    return any(
-        timer.is_ready()
-        for timer in observer.timers
-        if timer.clock.clock_type == ClockType.ROS_TIME
-    )
+        """Return whether no tick is due: an executor returns when a due timer's work is done."""
+        own = (each for each in self.observer.timers if each.clock.clock_type == ClockType.ROS_TIME)
+        now = self.observer.get_clock().now().nanoseconds
+        return now == self.now and not any(each.is_ready() for each in own)
 
 
 def values(status: DiagnosticStatus) -> dict[str, str]:

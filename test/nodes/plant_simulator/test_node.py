@@ -1,0 +1,222 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The simulator publishes its core's numbers bit for bit, at exact stamps, by any clock."""
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+from textwrap import indent
+from typing import Any
+
+from rclpy.parameter import Parameter
+from staging import start
+
+from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
+from tsobs_ros.simulation.integrator import Friction
+from tsobs_ros.simulation.plant import SimulatedOutput
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import Constant, Pulses
+
+PERIOD = 5_000_000
+SECOND = 1_000_000_000
+
+
+def test_a_command_moves_the_arm_until_its_timeout(listener: Any) -> None:
+    listener.start(command_timeout=0.1)
+    listener.wait_for(listener.measurements, 10)
+    listener.command(2.5)
+    efforts = lambda: [item.message.effort[0] for item in listener.measurements]  # noqa: E731
+    listener.wait_until(lambda: 2.5 in efforts() and efforts()[-1] != 2.5, "the command's timeout")
+    assert efforts().count(2.5) <= 20
+    first = efforts().index(2.5)
+    stamps = [item.stamp for item in listener.measurements if item.message.effort[0] == 2.5]
+    assert stamps[-1] - stamps[0] == 19 * PERIOD or len(stamps) < 20
+    samples = listener.core(5000)
+    # The same arm until the sample that applied the command, another one after it.
+    assert listener.places(listener.measurements[: first + 1], samples)[-1] >= 10
+    known = {sample.measurement.item() for sample in samples}
+    assert listener.measurements[-1].message.position[0] not in known
+
+
+def test_reset_starts_as_fresh_while_stamps_go_on(listener: Any) -> None:
+    # Time that the node drives itself: the wall clock may stand still for a second on a busy
+    # machine, and then the stamps restart.
+    listener.start(seed=5, disturbance__kind="gauss_markov", publish_clock=True)
+    listener.wait_for(listener.measurements, 100)
+    listener.command(4.0)
+    listener.wait_until(
+        lambda: any(item.message.effort[0] == 4.0 for item in listener.measurements),
+        "the command's effect",
+    )
+    answer = listener.reset()
+    assert answer.success
+    assert answer.message == "restarted with seed 5"
+    disturbance = PlantSimulatorParameters().disturbance
+    samples = listener.core(5000, seed=5, disturbance=type(disturbance)(kind="gauss_markov"))
+    early = {sample.measurement.item() for sample in samples[:30]}
+    restarted = lambda: [  # noqa: E731
+        place
+        for place in range(100, len(listener.measurements))
+        if listener.measurements[place].message.position[0] in early
+    ]
+    listener.wait_until(lambda: bool(restarted()), "the restart")
+    listener.wait_for(listener.measurements, 50)
+    found = listener.places(listener.measurements[restarted()[0] :], samples)
+    assert found == sorted(set(found))
+    steps = {
+        (item.stamp - listener.measurements[0].stamp) % PERIOD for item in listener.measurements
+    }
+    assert steps == {0}
+
+
+def test_duration_finishes_the_node_after_its_last_sample(listener: Any) -> None:
+    node = listener.start(duration=0.5)
+    assert not node.finished
+    listener.wait_until(lambda: node.finished, "the end of the duration")
+    last = listener.core(101)[-1].physical[0].item()
+    listener.wait_until(
+        lambda: bool(listener.states) and listener.states[-1].message.position[0] == last,
+        "the last sample",
+    )
+    listener.reset()
+    assert not node.finished
+    listener.wait_until(lambda: node.finished, "the end after the reset")
+
+
+def test_without_subscribers_it_starts_after_the_timeout(ros: Any) -> None:
+    node = start(ros, "plant_simulator", wait_for_subscribers=2, wait_timeout=0.3, duration=0.1)
+    ros.spin_until(lambda: node.finished, 20.0, "a run without subscribers")
+
+
+def test_driven_clock_starts_at_one_second_and_leads_the_samples(listener: Any) -> None:
+    listener.listen_to_clock()
+    listener.start(publish_clock=True, real_time_factor=4.0, duration=2.0)
+    final = SECOND + 400 * PERIOD
+    listener.wait_until(
+        lambda: bool(listener.clock) and listener.clock[-1] == final, "the last clock"
+    )
+    assert all((time - SECOND) % PERIOD == 0 for time in listener.clock)
+    assert listener.clock == sorted(set(listener.clock))
+    found = listener.places(listener.measurements, listener.core(401))
+    assert [item.stamp for item in listener.measurements] == [SECOND + k * PERIOD for k in found]
+
+
+def test_external_clock_is_followed_and_a_jump_back_restarts(listener: Any) -> None:
+    listener.start_simulated()
+    samples = listener.core(1000)
+
+    def advance(first: int, count: int) -> list[Any]:
+        """Publish the clock in steps of 12 ms, no multiple of the period; return what came."""
+        already = len(listener.states)
+        for now in range(first, first + count * 12_000_000, 12_000_000):
+            listener.show(now)
+        listener.wait_until(lambda: 0 <= now - listener.states[-1].stamp < PERIOD, "the last one")
+        return listener.states[already:]
+
+    assert not listener.states  # before there is a time
+    listener.show_and_sample(50 * SECOND)
+    advance(50 * SECOND, 80)
+    came = listener.indices(listener.states, samples)
+    assert came == list(range(190))
+    assert [item.stamp for item in listener.states] == [50 * SECOND + k * PERIOD for k in came]
+
+    again = advance(20 * SECOND, 20)
+    assert listener.indices(again, samples) == list(range(46))
+    assert [item.stamp for item in again] == [20 * SECOND + k * PERIOD for k in range(46)]
+
+
+def test_after_a_pause_the_arm_goes_on_from_there_with_present_stamps(
+    ros: Any, listener: Any, manage: Callable[[Any], Any]
+) -> None:
+    manager = manage(listener.start())
+    listener.wait_for(listener.states, 20)
+    assert manager.change("deactivate")
+    listener.command(5.0)  # not for an arm that stands still
+    arrived = ros.hear_out(listener.states)
+    paused_at = listener.states[-1].stamp
+    ros.spin_for(0.5)
+    assert len(listener.states) == arrived
+    assert manager.change("activate")
+    listener.wait_for(listener.states, 30)
+
+    found = listener.indices(listener.states, listener.core(5000))
+    assert found == list(range(found[0], found[0] + len(found)))
+    stamps = [item.stamp for item in listener.states]
+    assert max(b - a for a, b in itertools.pairwise(stamps)) > SECOND // 2
+    assert stamps[-1] > paused_at + SECOND // 2
+
+
+def test_a_driven_clock_stands_still_with_the_arm(
+    ros: Any, listener: Any, manage: Callable[[Any], Any]
+) -> None:
+    listener.listen_to_clock()
+    manager = manage(listener.start(publish_clock=True))
+    listener.wait_for(listener.clock, 20)
+    assert manager.change("deactivate")
+    paused_at = ros.hear_out(listener.clock)
+    ros.spin_for(0.1)
+    assert len(listener.clock) == paused_at
+    assert manager.change("activate")
+    listener.wait_for(listener.clock, 20)
+    assert {b - a for a, b in itertools.pairwise(listener.clock)} == {PERIOD}
+
+
+def test_faults_are_injected_by_parameters_while_running(listener: Any) -> None:
+    node = listener.start()
+    listener.wait_for(listener.disturbances, 20)
+    (result,) = node.set_parameters([Parameter("disturbance.kind", value="bias_step")])
+    assert result.successful
+    listener.wait_until(lambda: listener.disturbances[-1].message.position[0] == 0.1, "the bias")
+    node.set_parameters([Parameter("disturbance.bias_step.amplitude", value=-0.3)])
+    listener.wait_until(
+        lambda: listener.disturbances[-1].message.position[0] == -0.3, "the other bias"
+    )
+    (refused,) = node.set_parameters([Parameter("disturbance.kind", value="offset")])
+    assert "got 'offset'" in refused.reason
+    node.set_parameters([Parameter("disturbance.kind", value="none")])
+    listener.wait_until(lambda: listener.disturbances[-1].message.position[0] == 0.0, "the end")
+    values = [item.message.position[0] for item in listener.disturbances]
+    assert set(values) == {0.0, 0.1, -0.3}
+    # Neither the motion nor the white noise knows of the fault.
+    index = {s.physical[0].item(): s for s in listener.core(5000)}
+    assert all(item.message.position[0] in index for item in listener.states)
+
+
+GIVEN = """
+noise_std: 0.05
+latency: 0.015
+resolution: 0.006
+friction: {link_viscous: 0.1, link_coulomb: 0.05, motor_viscous: 0.3, motor_coulomb: 0.15}
+excitation: {kind: constant, amplitude: 4.5}
+disturbance:
+  kind: pulses
+  pulses: {amplitude: 0.4, start: 3.0, duration: 0.7, interval: 6.0}
+noise: {time_constant: 0.04, degrees_of_freedom: 3, burst_interval: 7.0, burst_duration: 1.2,
+        burst_factor: 5.0}
+outliers: {probability: 0.02, size: 3.0, uniform: true}
+dropouts: {interval: 9.0, duration: 0.3}
+effort_error: {amplitude: 50.0, start: 2.0, duration: 0.01, interval: 4.0}
+"""
+
+
+def test_parameters_describe_arms_sensors_and_torques_that_no_design_foresees(
+    ros: Any, tmp_path: Path
+) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text(f"/**:\n  ros__parameters:\n{indent(GIVEN, '    ')}")
+    arguments = ["--ros-args", "--params-file", str(file)]
+    node = start(ros, "plant_simulator", options={"cli_args": arguments})
+    (scenario,) = node.parameters.scenarios().values()
+    sensor = Sensor(
+        noise_std=0.05, outlier_probability=0.02, outlier_size=3.0, dropout_interval=9.0,
+        dropout_duration=0.3, outlier_is_uniform=True, noise_time_constant=0.04, noise_degrees=3,
+        burst_interval=7.0, burst_duration=1.2, burst_factor=5.0, latency=0.015, resolution=0.006,
+    )  # fmt: skip
+    assert scenario.signals.outputs == (
+        SimulatedOutput("link_angle", sensor, (Pulses(0.4, 3.0, 0.7, 6.0),)),
+    )
+    assert scenario.friction == Friction(0.1, 0.05, 0.3, 0.15)
+    assert scenario.excitation == Constant(4.5)
+    assert scenario.torque_error == (Pulses(50.0, 2.0, 0.01, 4.0),)
+    (default,) = PlantSimulatorParameters().scenarios().values()
+    assert default.torque_error == ()
