@@ -8,9 +8,8 @@ in the order of recording, or at a fixed rate.
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -119,27 +118,32 @@ class Windows:
         """Yield windows whose ticks are at samples, or at a rate, in the order of recording."""
         waiting: Records = None
         highest = latest = 0
-        clock = _RateClock(self._rate) if self._rate else None
+        clock = _RateClock(self._rate, self._size or 2**62) if self._rate else None
         for samples, _, horizon in parts:
             waiting = samples if waiting is None else joined([waiting, samples])
-            stamps, is_last = waiting.stamps, horizon == math.inf
+            is_last, taken = horizon == math.inf, 0
             # Whether time restarts at a message shows in the next ones.
             count = len(waiting) if is_last else max(0, len(waiting) - _HELD)
-            begins = [begin for begin in restarts(stamps, highest) if begin < count]
-            arrivals = np.empty(count, np.int64)
-            times = waiting.log_times if self._source.same_clock else stamps
-            for number, (begin, end) in enumerate(pairwise([0, *begins, count])):
+            begins = [begin for begin in restarts(waiting.stamps, highest) if begin < count]
+            for number, end in enumerate([*begins, count]):
+                own, following = waiting[taken:end], waiting.log_times[end:]
                 if number:
                     highest = latest = 0
-                arrivals[begin:end] = np.maximum.accumulate(np.append(latest, times[begin:end]))[1:]
-                highest = int(stamps[begin:end].max(initial=highest))
-                latest = int(arrivals[begin:end].max(initial=latest))
-            taken, waiting = waiting[:count], waiting[count:]
-            following = float(waiting.log_times.min()) if len(waiting) else math.inf
-            if clock is None:
-                yield Window(taken, _at_samples(taken, arrivals, begins), {}, following, True)
-            else:
-                yield from clock.windows(taken, arrivals, begins, self._size, is_last=is_last)
+                times = own.log_times if self._source.same_clock else own.stamps
+                arrivals = np.maximum.accumulate(np.append(latest, times))[1:]
+                if clock is not None:
+                    if number:
+                        clock.restart()
+                    ends = is_last or number < len(begins)
+                    used = yield from clock.windows(own, arrivals, ends=ends)
+                else:
+                    used, next_ = len(own), float(following.min()) if len(following) else math.inf
+                    ticks = _at_samples(own, arrivals, reset=number > 0)
+                    yield Window(own, ticks, {}, next_, True)
+                highest = int(own.stamps[:used].max(initial=highest))
+                latest = int(arrivals[:used].max(initial=latest))
+                taken += used
+            waiting = waiting[taken:]
 
     def _of_tick_log(self, parts: Iterator[Part]) -> Iterator[Window]:
         """Yield windows with the ticks of the recorded observer."""
@@ -169,20 +173,17 @@ def _together(windows: list[Window]) -> Window:
         for one, begin in zip(windows, begins.tolist(), strict=False):
             one.ticks.known += begin
         samples, ticks = ([getattr(one, name) for one in windows] for name in ("samples", "ticks"))
-        return Window(joined(samples), joined(ticks))
+        return Window(joined(samples), joined(ticks), at_samples=windows[0].at_samples)
     return windows[0]
 
 
-def _at_samples(samples: Records, arrivals: Times, begins: list[int]) -> Records:
+def _at_samples(samples: Records, arrivals: Times, *, reset: bool) -> Records:
     """Return a tick for each message; messages in a row with the same stamp share one."""
     last = np.append(samples.stamps[1:] != samples.stamps[:-1], len(samples) > 0)
-    for begin in begins:
-        last[begin - 1 : begin] = True
-    messages = np.flatnonzero(last)
-    resets = np.zeros(len(messages), np.int64)
-    resets[np.searchsorted(messages, begins)] = 1
-    stamps, times = samples.stamps[messages], samples.log_times[messages]
-    return _ticks(stamps, arrivals[messages], messages + 1, resets, True, times, times)
+    places = np.flatnonzero(last)
+    resets = reset * (np.arange(len(places)) == 0)
+    stamps, times = samples.stamps[places], samples.log_times[places]
+    return _ticks(stamps, arrivals[places], places + 1, resets, True, times, times)
 
 
 def _ticks(*columns: Any) -> Records:
@@ -194,66 +195,53 @@ class _RateClock:
     """Ticks at a fixed rate on the clock of the recording, from the first arrival on.
 
     Args:
-        rate: Ticks a second [Hz].
+        rate: Ticks per second [Hz].
+        limit: Largest number of ticks in a window.
     """
 
-    def __init__(self, rate: float) -> None:
-        self._period = NANOSECONDS / rate
+    def __init__(self, rate: float, limit: int) -> None:
+        self._period, self._limit = NANOSECONDS / rate, limit
         self._begin: int | None = None
         self._made = self._reset = self._latest = self._delay = 0
-        self._rest: tuple[Records, Times] | None = None
+
+    def restart(self) -> None:
+        """Begin again with the next arrival."""
+        self._begin, self._made, self._reset = None, 0, 1
 
     def windows(
-        self, samples: Records, arrivals: Times, begins: list[int], size: int | None, *,
-        is_last: bool,
-    ) -> Iterator[Window]:  # fmt: skip
-        """Yield windows up to the last arrival, or restart; what no tick takes comes later."""
-        for number, (begin, end) in enumerate(pairwise([0, *begins, len(samples)])):
-            if number:
-                self._begin, self._made, self._reset = None, 0, 1
-            ends = is_last or number < len(begins)
-            own = slice(begin, end)
-            yield from self._of_pass(samples[own], arrivals[own], size or 2**62, ends=ends)
+        self, samples: Records, arrivals: Times, *, ends: bool
+    ) -> Generator[Window, None, int]:
+        """Yield windows up to the last arrival; return how many samples they take, at an end all.
 
-    def _of_pass(
-        self, samples: Records, arrivals: Times, limit: int, *, ends: bool
-    ) -> Iterator[Window]:
-        if self._rest is not None:
-            rest, arrived = self._rest
-            samples, arrivals = joined([rest, samples]), np.append(arrived, arrivals)
-            self._rest = None
+        More samples may yet arrive at the time of the last one if this is no end.
+        """
         if not len(arrivals):
-            return
+            return 0
         if self._begin is None:
             self._begin = int(arrivals[0])
-        # More samples may yet arrive at the time of the last one.
-        until = int(arrivals[-1]) + ends
-        count, taken = math.ceil((until - self._begin) / self._period), 0
+        count, taken = math.ceil((int(arrivals[-1]) + ends - self._begin) / self._period), 0
         delays = np.append(self._delay, samples.log_times - arrivals)
         while self._made < count:
-            places = np.arange(self._made, min(count, self._made + limit))
+            places = np.arange(self._made, min(count, self._made + self._limit))
             stamps = self._begin + np.round(places * self._period).astype(np.int64)
             known = np.searchsorted(arrivals, stamps, side="right")
-            times = stamps + delays[known]
-            yield self._window(samples[taken:], stamps, known - taken, times)
+            yield self._window(samples[taken:], stamps, known - taken, stamps + delays[known])
             self._made, taken = self._made + len(stamps), int(known[-1])
-        self._delay = int(delays[taken])
-        rest = samples[taken:]
-        if ends and len(rest):
+        if ends and taken < len(samples):
             # What no tick takes is used all the same.
-            stamps, known = arrivals[-1:], np.array([len(rest)])
-            yield self._window(rest, stamps, known, rest.log_times[-1:], estimated=False)
-        elif len(rest):
-            self._rest = rest, arrivals[taken:]
+            rest = samples[taken:]
+            known = np.array([len(rest)])
+            yield self._window(rest, arrivals[-1:], known, rest.log_times[-1:], estimated=False)
+            taken = len(samples)
+        self._delay = int(delays[taken])
+        return taken
 
     def _window(
-        self, samples: Records, stamps: Times, known: NDArray[np.int64], times: Times, *,
-        estimated: bool = True,
-    ) -> Window:  # fmt: skip
-        resets = np.zeros(len(stamps), np.int64)
-        resets[0], self._reset = self._reset, 0
+        self, samples: Records, stamps: Times, known: Times, times: Times, estimated: bool = True
+    ) -> Window:
+        resets = self._reset * (np.arange(len(stamps)) == 0)
         times = np.maximum.accumulate(np.append(self._latest, times))[1:]
-        self._latest = int(times[-1])
+        self._reset, self._latest = 0, int(times[-1])
         ticks = _ticks(stamps, stamps, known, resets, estimated, times, times)
         return Window(_in_order(samples[: int(known[-1])], known), ticks, {}, self._latest)
 
