@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The designs of a recorded observer, and the choice between them and those that are named."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -121,21 +121,24 @@ def choose_designs(
         BagReadError: The bag's own design is none.
     """
     own = dict(argument.split("=", 1) for argument in given if "=" in argument)
-    shared = [argument for argument in given if "=" not in argument]
+    shared: list[str | None] = [argument for argument in given if "=" not in argument]
     if unknown := sorted(set(own) - set(joints)):
         raise DesignFileError(
             f"--design {unknown[0]}={own[unknown[0]]}: no such joint; joints: {', '.join(joints)}"
         )
     if own and len(shared) > 1:
         raise DesignFileError(
-            f"--design: expected at most one file for the joints without their own, got "
-            f"{', '.join(shared)}"
+            "--design: expected at most one file for the joints without their own, got "
+            f"{', '.join(map(str, shared))}"
         )
     loaded: dict[str, DesignFile] = {}
 
-    def load(joint: str, path: str) -> DesignFile:
-        file = loaded[path] if path in loaded else load_design_file(path)
-        loaded[path] = file
+    def load(joint: str, path: str | None) -> DesignFile:
+        if path is None:
+            return _recorded(bag, ran, joint, loaded)
+        if path not in loaded:
+            loaded[path] = load_design_file(path)
+        file = loaded[path]
         for each in ran.designs.get(joint, ()):
             if not (others_allowed or each.sha256 == file.sha256):
                 raise DesignFileError(
@@ -145,22 +148,13 @@ def choose_designs(
                 )
         return file
 
-    def recorded(joint: str) -> DesignFile:
-        return _recorded(bag, ran, joint, loaded)
-
-    if own or not shared:
-        files = {
-            joint: load(joint, own.get(joint, *shared))
-            if joint in own or shared
-            else recorded(joint)
-            for joint in joints
-        }
-        return {"own": tuple(files.values())}
     found: dict[str, tuple[DesignFile, ...]] = {}
-    for path in shared:
-        stem = Path(path).name.split(".")[0].replace("-", "_").replace(" ", "_")
-        name = stem if stem not in found else f"{stem}_{len(found) + 1}"
-        found[name] = tuple(load(joint, path) for joint in joints)
+    for path in shared or [None]:
+        name = "own"
+        if path is not None and not own:
+            stem = Path(path).name.split(".")[0].replace("-", "_").replace(" ", "_")
+            name = stem if stem not in found else f"{stem}_{len(found) + 1}"
+        found[name] = tuple(load(joint, own.get(joint, path)) for joint in joints)
     return found
 
 
@@ -171,16 +165,13 @@ def _recorded(
     if not ran.designs:
         return load_design_file(config_path(SHIPPED_DESIGN))
     designs = ran.designs.get(joint, ())
-    if not designs:
-        raise DesignFileError(
-            f"{bag}: its observer ran no design for {joint}, but for {', '.join(ran.designs)}; "
-            f"name one with --design {joint}=FILE"
-        )
-    if len(designs) > 1:
-        raise DesignFileError(
-            f"{bag}: its observer ran {' and then '.join(map(str, designs))} for {joint}; name one "
-            f"with --design FILE --other-design"
-        )
+    if len(designs) != 1:
+        which = f"no design for {joint}, but for {', '.join(ran.designs)}"
+        option = f"--design {joint}=FILE"
+        if designs:
+            which = f"{' and then '.join(map(str, designs))} for {joint}"
+            option = "--design FILE --other-design"
+        raise DesignFileError(f"{bag}: its observer ran {which}; name one with {option}")
     (one,) = designs
     if one.text not in loaded:
         try:
@@ -209,20 +200,11 @@ def _of_records(reader: BagReader, topic: str) -> RecordedObserver:
             f"note: parameters of the observer were changed while it ran: "
             f"{', '.join(dict.fromkeys(changed))}; the first values are used"
         )
-    pairs = (
-        (joint, RanDesign(one.file, checksum(one.text), one.text))
-        for record in (first, *others)
-        for one in record.designs
-        for joint in one.joints
-    )
-    return RecordedObserver(
-        topic, _by_joint(pairs), first.parameters, first.measurements, tuple(remarks)
-    )
-
-
-def _by_joint(pairs: Iterable[tuple[str, RanDesign]]) -> dict[str, tuple[RanDesign, ...]]:
-    """Return the designs of each joint, one checksum once."""
-    found: dict[str, dict[str, RanDesign]] = {}
-    for joint, ran in pairs:
-        found.setdefault(joint, {}).setdefault(ran.sha256, ran)
-    return {joint: tuple(each.values()) for joint, each in found.items()}
+    designs: dict[str, dict[str, RanDesign]] = {}
+    for record in (first, *others):
+        for one in record.designs:
+            design = RanDesign(one.file, checksum(one.text), one.text)
+            for joint in one.joints:
+                designs.setdefault(joint, {}).setdefault(design.sha256, design)
+    by_joint = {joint: tuple(each.values()) for joint, each in designs.items()}
+    return RecordedObserver(topic, by_joint, first.parameters, first.measurements, tuple(remarks))

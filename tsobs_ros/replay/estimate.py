@@ -10,12 +10,11 @@ import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +25,10 @@ from tsobs_ros.bag.container import MAGIC
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.joint_series import RawMessages, Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
-from tsobs_ros.bag.message_series import Message, MessageSeries
+from tsobs_ros.bag.message_series import MessageSeries
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.tick_log import DEFINITION, TICK_LOG, encode_ticks
-from tsobs_ros.bag.writer import whole_bag
+from tsobs_ros.bag.writer import BagWriter, whole_bag
 from tsobs_ros.checks import Flags
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text
@@ -37,7 +36,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagWriteError, LogError, ModelError
 from tsobs_ros.estimation.health import judge_rate
 from tsobs_ros.estimation.records import HEALTH
-from tsobs_ros.methods import ObserverSettings, make_tracker
+from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.health import EventFinder, Health, HealthSum, JointEvent
 from tsobs_ros.replay.live import COMPARED, Agreement, LiveComparison
@@ -49,7 +48,6 @@ from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.replay.windows import Window, Windows
 
 _OF_BAGS = (".mcap", ".yaml", ".db3")
-_LATCHED = QosProfile(durability="transient_local", depth=1)
 _STRING = MessageDefinition(STRING, "string data\n", "")
 _TICK_LOG = MessageDefinition(TICK_LOG, DEFINITION, "")
 
@@ -119,7 +117,6 @@ class Run:
         estimates: Number of ticks with an estimate.
         window: The last window.
         table: The estimates and innovations of this window.
-        topics: The topics of JointStates that there may be messages of.
     """
 
     window: Window
@@ -129,57 +126,57 @@ class Run:
         self.observer, self.windows = observer, windows
         self.estimates = 0
         self._source = source
-        estimators: dict[int, Any] = {}
-        trackers = []
-        for design in observer.designs:
-            one = make_tracker(design, observer.settings, estimators.get(id(design)))
-            estimators[id(design)] = one.estimator
-            trackers.append(one)
+        settings, each = observer.settings, {id(design): design for design in observer.designs}
+        made = {key: make_estimator(design, settings) for key, design in each.items()}
+        trackers = [make_tracker(one, settings, made[id(one)]) for one in observer.designs]
         self.loop = Loop(trackers, observer.settings.stale_after)
         self.signals = source.signals_of([design.request for design in observer.designs])
         self._prefix = f"{source.namespace}/{observer.name}/"
-        each = zip(source.joints, self.signals, observer.designs, trackers, strict=True)
-        self._encoder = EstimateEncoder(
-            self._prefix,
-            [
-                places_of(
-                    joint,
-                    own,
-                    alone=len(source.joints) == 1,
-                    learnt=observer.settings.learnt(design),
-                    rated="disturbance_rate" not in tracker.estimator.lacking,
-                )
-                for joint, own, design, tracker in each
-            ],
-        )
-        self.topics = self._encoder.topics
+        places = [
+            places_of(
+                joint,
+                own,
+                alone=len(source.joints) == 1,
+                learnt=settings.learnt(design),
+                rated="disturbance_rate" not in made[id(design)].lacking,
+            )
+            for joint, own, design in zip(
+                source.joints, self.signals, observer.designs, strict=True
+            )
+        ]
+        self._encoder = EstimateEncoder(self._prefix, places)
         self._parameters_due, self._health_due = _Due(), _Due()
         self._comparison = LiveComparison(windows.counts) if windows.as_live else None
         self._health = {joint: HealthSum() for joint in source.joints}
         self._events = EventFinder(
-            source.joints,
-            source.topic,
-            observer.settings.stale_after,
-            same_clock=source.same_clock,
+            source.joints, source.topic, settings.stale_after, same_clock=source.same_clock
         )
         # Numbers of restarts: until now, and before the last health; and of ticks since the last.
         self._restarts, self._restarts_before, self._ticks = 0, 0, 0
         self._is_first = True
 
-    def record(self) -> list[Message]:
-        """Return the message of what it runs."""
+    def begin(self, writer: BagWriter, definition: MessageDefinition) -> None:
+        """Write into a new bag what it runs.
+
+        Args:
+            writer: The bag; the topics of the messages are added to it.
+            definition: Of JointStates.
+        """
+        for name in self._encoder.topics:
+            writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)
+        for end, known, qos in (
+            (topics.DESIGN, _STRING, QosProfile(durability="transient_local", depth=1)),
+            (topics.TICKS, _TICK_LOG, QosProfile()),
+        ):
+            with suppress(BagWriteError):  # there need not be a ROS
+                known = find_definition(known.type)
+            writer.add_topic(self._prefix + end, known.type, [qos], definition=known)
         observer, source = self.observer, self._source
         parameters = observer.settings.as_parameters()
         text = record_text(source.topic, source.joints, observer.files, parameters)
         begin, _ = source.span
-        return [(self._prefix + topics.DESIGN, STRING, encode_text(text), begin, begin)]
-
-    def own_topics(self) -> list[tuple[str, str, QosProfile, MessageDefinition]]:
-        """Return name, type, QoS and definition of its topics that are no JointStates."""
-        return [
-            (self._prefix + topics.DESIGN, STRING, _LATCHED, _definition(_STRING)),
-            (self._prefix + topics.TICKS, TICK_LOG, QosProfile(), _definition(_TICK_LOG)),
-        ]
+        data = encode_text(text)
+        writer.write_all([(self._prefix + topics.DESIGN, STRING, data, begin, begin)])
 
     def run(self, window: Window, *, encode: bool) -> list[MessageSeries]:
         """Run the observer over a window, and return the messages.
@@ -338,13 +335,6 @@ class _Due:
         return np.array(due, np.intp)
 
 
-def _definition(known: MessageDefinition) -> MessageDefinition:
-    try:
-        return find_definition(known.type)
-    except BagWriteError:  # there need not be a ROS
-        return known
-
-
 def is_log(path: Path) -> bool:
     """Return whether a path is of a file that is none of a bag's.
 
@@ -473,11 +463,7 @@ def _new_bag(
     definition = next(own, None) or find_definition(JOINT_STATE)
     with whole_bag(output, custom_data={"estimated from": str(source.path)}) as writer:
         bag = EstimateBag(source, writer, estimates_only=estimates_only)
+        # First of all, so that it comes first among the messages of its time.
         for run in runs:
-            for name in run.topics:
-                writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)
-        for name, type_, qos, known in chain.from_iterable(run.own_topics() for run in runs):
-            writer.add_topic(name, type_, [qos], definition=known)
-        # First of all, so that they come first among the messages of their time.
-        writer.write_all([message for run in runs for message in run.record()])
+            run.begin(writer, definition)
         yield bag

@@ -52,12 +52,14 @@ _NAMES: Mapping[str, tuple[str, ...]] = {
 """Names of columns by quantity, without capitals; of a joint with `.JOINT` behind them."""
 
 
-class _Cell(NamedTuple):
-    """A column of numbers: its unit and that one's size, and its place in the samples."""
+class _Signal(NamedTuple):
+    """A number that a design measures: names in errors, options and titles, unit, and place."""
 
-    column: LogColumn
+    label: str
+    keys: Sequence[str]
+    titles: Sequence[str]
+    quantity: str
     unit: str
-    factor: float
     field: str
     joint: int
     place: int
@@ -65,6 +67,15 @@ class _Cell(NamedTuple):
     def of(self, samples: Records) -> Array:
         """Return its numbers in samples, to read and to write, shape (n,)."""
         return np.asarray(samples[self.field])[:, self.joint, self.place]
+
+
+class _Cell(NamedTuple):
+    """A column of a signal: its unit, and that one's size."""
+
+    signal: _Signal
+    column: LogColumn
+    unit: str
+    factor: float
 
 
 class LogSource(Source):
@@ -135,35 +146,42 @@ class LogSource(Source):
 
     def _choose(self) -> None:
         """Find the columns and what their numbers mean."""
-        self._require_known()
+        signals = [
+            list(self._signals_of_arm(joint, one.output_names))
+            if isinstance(one, ArmRequest)
+            else list(self._signals_of_system(joint, one))
+            for joint, one in enumerate(self._requests)
+        ]
+        self._require_known([one for own in signals for one in own])
         if not self._file.has_titles and not self._wanted:
             raise LogError(
                 "the first line has numbers and no titles: put a line such as 'time [s],angle "
                 "[rad],torque [N m]' before it, or give the columns' numbers: --columns "
                 "time=1,angle=2,torque=3"
             )
-        self._time = self._find("time", ["time"], _NAMES["time"])
-        self._time_unit = self._unit("time", self._time)
+        time = self._search("time", ["time"], _NAMES["time"])
+        if time is None:
+            raise self._missing("time")
+        self._time, self._time_unit = time, self._unit("time", time)
         self._cells: list[_Cell] = []
-        for joint, request in enumerate(self._requests):
-            if isinstance(request, ArmRequest):
-                self._choose_of_arm(joint, request.output_names)
-            else:
-                self._choose_of_system(joint, request)
-        self._places = [self._time.place, *(cell.column.place for cell in self._cells)]
+        for joint, own in zip(self.joints, signals, strict=True):
+            columns = [self._search(one.label, one.keys, one.titles, joint) for one in own]
+            for one, column in zip(own, columns, strict=True):
+                if column is not None:
+                    self._cells.append(_Cell(one, column, *self._unit_of(one, column)))
+                elif one.quantity != "torque":
+                    raise self._missing(one.label, joint if joint != _ONLY else "")
+            torques = [column for one, column in zip(own, columns, strict=True)
+                       if one.quantity == "torque"]  # fmt: skip
+            if torques and not any(torques) and self._torque_needed:
+                zero = ", or take it for 0: --param assume_zero_torque=true"
+                raise self._missing("torque", joint, zero)
+        self._places = [time.place, *(cell.column.place for cell in self._cells)]
 
-    def _require_known(self) -> None:
+    def _require_known(self, signals: Sequence[_Signal]) -> None:
         """Raise `LogError` if an option is for something that is not measured."""
-        names, quantities = {"time": None}, {"time": None}
-        for one in self._requests:
-            if isinstance(one, ArmRequest):
-                kinds = [name.partition("_")[2] for name in one.output_names]
-                names |= dict.fromkeys(kind for kind in kinds if kinds.count(kind) == 1)
-                names |= dict.fromkeys((*one.output_names, "torque"))
-                quantities |= dict.fromkeys((*kinds, "torque"))
-            else:
-                names |= dict.fromkeys(one.output_names + one.input_names)
-                quantities |= dict.fromkeys(one.output_names + one.input_names)
+        names = dict.fromkeys(["time", *(key for one in signals for key in one.keys)])
+        quantities = dict.fromkeys(["time", *(one.quantity or one.label for one in signals)])
         for option, keys, known in (
             ("--columns", [key.partition(".")[0] for key in self._wanted], list(names)),
             ("--units", list(self._units), list(quantities)),
@@ -173,7 +191,8 @@ class LogSource(Source):
                     expected = f"{', '.join(known[:-1])} or {known[-1]}"
                     raise LogError(f"{option}: expected {expected}, got {key!r}")
 
-    def _choose_of_arm(self, joint: int, outputs: Sequence[str]) -> None:
+    def _signals_of_arm(self, joint: int, outputs: Sequence[str]) -> Iterator[_Signal]:
+        """Yield its outputs, then its torque and that of the motor's entry, the first there is."""
         name = self.joints[joint]
         # Titles need not name the only joint.
         plain = len(self.joints) == 1 and len(self._named) <= 1
@@ -181,59 +200,37 @@ class LogSource(Source):
         for place, output in enumerate(outputs):
             side, _, kind = output.partition("_")
             alone = sum(one.endswith(kind) for one in outputs) == 1
-            keys = [output, kind] if alone else [output]
             of_side = len(sides) == 1 or side == "link"
             entry = name if of_side else f"{name}_motor"
-            names = [f"{output}.{name}", *(f"{one}.{entry}" for one in _NAMES[kind])]
+            titles = [f"{output}.{name}", *(f"{one}.{entry}" for one in _NAMES[kind])]
             if plain:
-                names += [output, *(_NAMES[kind] if of_side else ())]
-            column = self._find(output if len(outputs) > 1 else kind, keys, names, name)
-            self._add(column, kind, ("y", joint, place))
-        names = [f"{one}.{name}" for one in _NAMES["torque"]] + list(_NAMES["torque"]) * plain
-        motor = [f"{one}.{name}_motor" for one in _NAMES["torque"]]
-        torques = (
-            self._search("torque", ["torque"], names, name),
-            self._search("torque", [], motor),
-        )
-        found = [one for one in torques if one is not None]
-        if not found and self._torque_needed:
-            raise LogError(
-                f"no column is called torque of {name}; name it: --columns torque=…, or take it "
-                f"for 0: --param assume_zero_torque=true; {self._file.described}"
-            )
-        for column in found:
-            self._add(column, "torque", ("u", joint, 0))
+                titles += [output, *(_NAMES[kind] if of_side else ())]
+            label = output if len(outputs) > 1 else kind
+            keys = [kind, output] if alone else [output]
+            yield _Signal(label, keys, titles, kind, "", "y", joint, place)
+        for keys, titles in (
+            (["torque"], [f"{one}.{name}" for one in _NAMES["torque"]]),
+            ([], [f"{one}.{name}_motor" for one in _NAMES["torque"]]),
+        ):
+            titles += _NAMES["torque"] if keys and plain else ()
+            yield _Signal("torque", keys, titles, "torque", "", "u", joint, 0)
 
-    def _choose_of_system(self, joint: int, request: TSRequest) -> None:
+    def _signals_of_system(self, joint: int, request: TSRequest) -> Iterator[_Signal]:
         system = self.joints[joint]
         for field, names, units in (
             ("y", request.output_names, request.output_units),
             ("u", request.input_names, request.input_units),
         ):
             for place, (name, unit) in enumerate(zip(names, units, strict=True)):
-                own = (f"{system}/{name}", f"position.{system}/{name}", name, f"position.{name}")
-                column = self._find(name, [name], own, system)
-                given = column.unit or self._units.get(name, "")
-                # An exported JointState's units are those of a joint.
-                exported = column.name.startswith("position.")
-                if unit and given and not exported and _plain(given) != _plain(unit):
-                    raise LogError(
-                        f"column {column.title!r}: its unit is {given!r}, but {name} of the design "
-                        f"is in {unit!r}"
-                    )
-                self._cells.append(_Cell(column, unit, 1.0, field, joint, place))
+                titles = (f"{system}/{name}", f"position.{system}/{name}", name, f"position.{name}")
+                yield _Signal(name, [name], titles, "", unit, field, joint, place)
 
-    def _find(
-        self, what: str, keys: Sequence[str], names: Sequence[str], joint: str = ""
-    ) -> LogColumn:
-        found = self._search(what, keys, names, joint)
-        if found is None:
-            of = f" of {joint}" if joint and joint != _ONLY else ""
-            raise LogError(
-                f"no column is called {what}{of}; name it: --columns {what}=…; "
-                f"{self._file.described}"
-            )
-        return found
+    def _missing(self, what: str, joint: str = "", instead: str = "") -> LogError:
+        of = f" of {joint}" if joint else ""
+        return LogError(
+            f"no column is called {what}{of}; name it: --columns {what}=…{instead}; "
+            f"{self._file.described}"
+        )
 
     def _search(
         self, what: str, keys: Sequence[str], names: Sequence[str], joint: str = ""
@@ -268,9 +265,20 @@ class LogSource(Source):
             )
         return unit_of(quantity, stated or given) or next(iter(UNITS[quantity]))
 
-    def _add(self, column: LogColumn, quantity: str, where: tuple[str, int, int]) -> None:
-        unit = self._unit(quantity, column)
-        self._cells.append(_Cell(column, unit, UNITS[quantity][unit], *where))
+    def _unit_of(self, signal: _Signal, column: LogColumn) -> tuple[str, float]:
+        """Return the unit of a signal's column, and its size."""
+        if signal.quantity:
+            unit = self._unit(signal.quantity, column)
+            return unit, UNITS[signal.quantity][unit]
+        given = column.unit or self._units.get(signal.label, "")
+        # An exported JointState's units are those of a joint.
+        exported = column.name.startswith("position.")
+        if signal.unit and given and not exported and _plain(given) != _plain(signal.unit):
+            raise LogError(
+                f"column {column.title!r}: its unit is {given!r}, but {signal.label} of the design "
+                f"is in {signal.unit!r}"
+            )
+        return signal.unit, 1.0
 
     def _survey(self) -> None:
         """Read the whole log for what must be known before the first line is used."""
@@ -328,11 +336,11 @@ class LogSource(Source):
             # Inputs without a column are 0.
             samples.y, samples.u, samples.complete, samples.refused = np.nan, 0.0, True, 0
             for cell in self._cells:
-                cell.of(samples)[:] = np.nan
+                cell.signal.of(samples)[:] = np.nan
             for number, cell in enumerate(self._cells, 1):
                 values = np.array(self._numbers(block, number, cell)) * cell.factor
                 # A second column has what the first one lacks.
-                own = cell.of(samples)
+                own = cell.signal.of(samples)
                 own[:] = np.where(np.isnan(own), values, own)
             yield samples
 
