@@ -465,10 +465,10 @@ def _outputs(
         given_std = [noise_std] * len(stds) if np.ndim(noise_std) == 0 else noise_std
         stds = as_matrix("noise_std", given_std, (len(stds),))
     return tuple(
-        SimulatedOutput(
-            output.measures,
-            Sensor(noise_std=float(std)),
-            _components(given.get(output.measures, "none")),
+        replace(
+            output,
+            sensor=Sensor(noise_std=float(std)),
+            disturbance=_components(given.get(output.measures, "none")),
         )
         for output, std in zip(outputs, stds, strict=True)
     )

@@ -102,6 +102,10 @@ def compare_scenarios(
             "scenarios: expected a design with the link angle as its only output and without "
             f"torque disturbance, got {', '.join(request.output_names)}"
         )
+    if delay := request.sensors[0].delay:
+        raise ModelError(
+            f"scenarios: expected a design without a delay, got outputs[0].delay {delay}"
+        )
     contenders, remarks = {}, []
     for name in methods:
         chosen = contender(settings or ObserverSettings(), name)
@@ -136,6 +140,7 @@ def fitted(scenario: Scenario, design: Design) -> Scenario:
         rate=request.rate * scenario.rate / Scenario().rate,
         process_noise=request.process_noise,
         sensor=replace(scenario.sensor, noise_std=noise),
+        torque=request.torque,
     )
 
 

@@ -244,9 +244,9 @@ def _make_rival(request: ArmRequest, settings: ObserverSettings) -> Estimator:
         )
     common = (request.period, request.measurement_std)
     if settings.method == "paper":
-        return paper_observer(request.arm, *common)
+        return paper_observer(request.arm, *common, request.torque)
     make = getattr(baselines, settings.method)
-    estimator: Estimator = make(request.arm, settings.theta, *common)
+    estimator: Estimator = make(request.arm, settings.theta, *common, request.torque)
     return estimator
 
 

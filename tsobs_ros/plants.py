@@ -61,9 +61,12 @@ def _of_arm(request: ArmRequest, mismatch: Mapping[str, float]) -> Scenario:
         rate=request.rate,
         process_noise=request.process_noise,
         outputs=tuple(
-            SimulatedOutput(output.measures, Sensor(noise_std=output.measurement_std))
+            SimulatedOutput(
+                output.measures, Sensor(noise_std=output.measurement_std), delay=output.delay
+            )
             for output in request.sensors
         ),
+        torque=request.torque,
     )
 
 

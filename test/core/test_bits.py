@@ -26,12 +26,14 @@ ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """
 import other_build
 import hashlib, os, sys
+from dataclasses import replace
 from pathlib import Path
 import numpy as np
 import tsobs_ros as ts
 from tsobs_ros.estimation.estimator import certified_estimator
 from tsobs_ros.estimation.options import CertifiedGain
 from tsobs_ros.methods import METHODS, make_estimator
+from tsobs_ros.model.torque_path import TorquePath
 
 from tsobs_ros.core import native
 
@@ -68,6 +70,9 @@ for file in ("elastic_joint_fixed.design.yaml", "elastic_joint.design.yaml"):
         show(f"arrays {method}", found)
         (found,) = ts.estimate_bag(folder / "bag", design, settings=settings).joints.values()
         show(f"bag {method}", found)
+late = replace(design, request=replace(request, torque=TorquePath(0.9, 0.5, 0.0117)))
+show("late torque", ts.estimate(late, *np.load(folder / "arrays.npy")))
+show("simulated late torque", ts.simulate(late, duration=0.5, seed=3))
 disturbed = {"mismatch": {"stiffness": 0.2}, "disturbance": "bias_step+sinusoid"}
 show("simulation", ts.simulate(duration=0.5, seed=3, **disturbed))
 """

@@ -23,6 +23,7 @@ from tsobs_ros.core.records import record_type
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output
 from tsobs_ros.estimation.records import Measurement
+from tsobs_ros.model.torque_path import TorquePath
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -76,7 +77,13 @@ def two_outputs() -> Design:
     return ts.synthesise(ArmRequest(outputs=outputs))
 
 
+def late_torque() -> Design:
+    design = ts.load_design(config_path(SHIPPED_DESIGN))
+    return replace(design, request=replace(design.arm_request, torque=TorquePath(0.9, 0.5, 0.0117)))
+
+
 DESIGNS: dict[str, Callable[[], Design]] = {
+    "late torque": late_torque,
     "adaptive": lambda: ts.load_design(config_path(SHIPPED_DESIGN)),
     "fixed": lambda: ts.load_design(config_path(FIXED_DESIGN)),
     "two outputs": two_outputs,

@@ -126,11 +126,18 @@ def test_the_shipped_design_is_proved_with_its_margins(shipped: Design) -> None:
             uncertainty={"motor_inverse_inertia": 0.1},
             certify_uncertainty=True,
         ),
+        ArmRequest(
+            outputs=(
+                Output("motor_angle", 0.001, delay=0.004),
+                Output("link_angle", 0.01, (BIAS,)),
+            ),
+        ),
     ],
     ids=[
         "stiff with a tone",
         "two encoders and a contact",
         "no gravity",
+        "a late encoder",
     ],
 )
 def test_designs_of_every_sort_are_proved(request_: ArmRequest) -> None:

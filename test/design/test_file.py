@@ -25,6 +25,7 @@ from tsobs_ros.design.request import (
     DisturbanceTerm,
     Output,
     TorqueDisturbance,
+    TorquePath,
     TSRequest,
 )
 from tsobs_ros.errors import CertificateError, DesignFileError, ModelError
@@ -53,6 +54,8 @@ REQUESTS = [
         process_noise=ProcessNoise(1e-5, 0.0),
         initial_std=(0.1, 0.2, 0.3, 1.0 / 3.0),
     ),
+    ArmRequest(torque=TorquePath(gain=0.9, offset=-0.1 / 3.0, delay=0.1)),
+    ArmRequest(torque=TorquePath(offset=1.0), outputs=[Output("link_angle", 1e-3, delay=0.02 / 3)]),
 ]
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 SOLVER = SolverReport("Clarabel", "0.1: é", "optimal", 12, 1.0 / 3.0, 1e-4)
@@ -214,11 +217,24 @@ def test_request_and_design_are_not_mistaken_for_each_other(name: str, tmp_path:
 
 A_B = ("system", "rules", 0, "A")
 OUTPUTS, LINK = ("design", "outputs"), ("design", "torque_disturbance")
+TORQUE = ("design", "torque")
 OUTPUT = {"measures": "motor_angle", "measurement_std": 0.001}
 ARM = [
     (OUTPUTS, [{**OUTPUT, "measures": "elbow"}], r"outputs\[0\].measures: expected one of link_an"),
     (OUTPUTS, [OUTPUT, dict(OUTPUT)], r"outputs\[1\]: motor_angle is listed already"),
     (OUTPUTS, [{"measures": "motor_angle"}], r"outputs\[0\].measurement_std: missing"),
+    (OUTPUTS, [{**OUTPUT, "delay": -0.1}], r"outputs\[0\].delay: expected .* at least 0, got -0.1"),
+    (OUTPUTS, [{**OUTPUT, "delay": 0.101}], r"outputs\[0\].delay: .* 20 periods, 0.1 s, got 0.101"),
+    (
+        OUTPUTS,
+        [{**OUTPUT, "measures": "link_velocity", "delay": 0.001}],
+        r"outputs\[0\].delay: expected 0 for link_velocity, as only angles can be late, got 0.001",
+    ),
+    (TORQUE, {"gain": 0.0}, "design.torque.gain: expected a finite number above 0, got 0.0"),
+    (TORQUE, {"offset": math.nan}, "design.torque.offset: expected a finite number, got nan"),
+    (TORQUE, {"delay": -1e-3}, "design.torque.delay: .* of at least 0, got -0.001"),
+    (TORQUE, {"delay": 2.0}, "torque.delay: .* 20 periods, 0.1 s, got 2.0 s; .* would be 0.002 s"),
+    (TORQUE, {"lag": 1e-3}, "design.torque: unknown entry 'lag', expected some of gain, offset, d"),
     (LINK, {"elbow": []}, "torque_disturbance: unknown entry 'elbow'"),
     (LINK, {"link": [{"kind": "arbitrary"}]}, r"torque_disturbance.link\[0\]: expected a torque"),
     (("format",), ..., "format: expected 'tsobs_ros design' or 'tsobs_ros T-S design', got None"),

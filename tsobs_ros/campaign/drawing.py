@@ -208,7 +208,8 @@ def scenario_like(base: Scenario, name: str) -> Scenario:
         process_noise=base.process_noise,
         sensor=Sensor(),
         disturbance=(),
-        outputs=(SimulatedOutput(first.measures, sensor, known.disturbance), *others),
+        outputs=(replace(first, sensor=sensor, disturbance=known.disturbance), *others),
+        torque=base.torque,
     )
 
 
@@ -228,7 +229,7 @@ def _outputs(
             components += [entry.signal for entry in entries.disturbance]
         with within("sensor"):
             sensor = decode(numbers, Sensor)
-        found.append(SimulatedOutput(asked.measures, sensor, tuple(components)))
+        found.append(replace(output, sensor=sensor, disturbance=tuple(components)))
     return tuple(found)
 
 

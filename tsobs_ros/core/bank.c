@@ -28,7 +28,7 @@ int sizes_are_sound(const int64_t *numbers)
 {
     const estimator_sizes s = sizes_of(numbers);
     for (long i = 0; i < ESTIMATOR_SIZES; i++) {
-        if (numbers[i] < 0 || numbers[i] > (i < 8 ? 1000 : 1000000000)) {
+        if (numbers[i] < 0 || numbers[i] > (i < 9 ? 1000 : 1000000000)) {
             return 0;
         }
     }
@@ -63,7 +63,7 @@ int model_view(double *memory, size_t length, model *view)
                    && *view->period >= SHORTEST && isfinite(*view->period)
                    && (*view->supervised == 0 || s->hypotheses > 1)
                    && (*view->design_flow.kind != KIND_ARM || s->plant >= 4)
-                   && !(*view->torque_limit > 0.0 && s->m < 1)
+                   && !((*view->torque_limit > 0.0 || s->past > 0) && s->m < 1)
                    && state_is_sound(view, &initial)
                ? 0
                : -1;
@@ -100,21 +100,87 @@ void copy_state(const model *m, const double *from, double *to)
 
 /* --- torques --- */
 
+/* A command is a step: a torque acts from `delay` after its sample until `delay` after the next one.
+ * A prediction is by the mean of these steps over each of its own, whose effect on velocities is
+ * that of the steps themselves. */
+
+/* Return the torque at the motor once a command has arrived there. */
+static double at_motor(const model *m, double command)
+{
+    /* Subtracted, so that an offset of zero changes no bit, the sign of a zero included. */
+    return *m->torque_gain * command - (0.0 - *m->torque_offset);
+}
+
+double mean_torque(const model *m, const state *at, double ahead, double duration)
+{
+    /* Ages, as of now, of the commands that act from the beginning to the end of that time. The
+     * newest is in force for ever, and the oldest that is remembered always was. */
+    const double oldest = *m->torque_delay - ahead, youngest = oldest - duration;
+    double mean = at->past[0], from = youngest;
+    for (long i = 0; i < m->s.past && from < oldest; i++) {
+        const double *torque = at->past + 2 * i, age = torque[1];
+        const double until = i + 1 < m->s.past ? minimum(age, oldest) : oldest;
+        if (until > from) {
+            mean += (until - from) / duration * (torque[0] - at->past[0]);
+            from = until;
+        }
+    }
+    return mean;
+}
+
+void hold_inputs(const model *m, state *at, const double *u)
+{
+    const long past = (long)m->s.past;
+    double torque;
+    for (long i = 0; i < m->s.m; i++) {
+        at->held[i] = u[i];
+    }
+    if (m->s.m > 0) {
+        at->held[0] = at_motor(m, u[0]);
+    }
+    if (past == 0) {
+        return;
+    }
+    torque = at->held[0];
+    if (isinf(at->past[1])) { /* the first one always was */
+        for (long i = 0; i < past; i++) {
+            at->past[2 * i] = torque;
+            at->past[2 * i + 1] = 0.0;
+        }
+    } else if (torque != at->past[0]) { /* else the newest goes on */
+        memmove(at->past + 2, at->past, 2 * (size_t)(past - 1) * sizeof *at->past);
+        at->past[0] = torque;
+        at->past[1] = 0.0;
+    }
+    at->held[0] = mean_torque(m, at, 0.0, *m->period);
+}
+
+/* Let time pass for the torques that are on their way. */
+static void age_torques(const model *m, state *at, double duration)
+{
+    for (long i = 0; i < m->s.past; i++) {
+        at->past[2 * i + 1] += duration;
+    }
+    if (m->s.past > 0 && !isinf(at->past[1])) {
+        at->held[0] = mean_torque(m, at, 0.0, *m->period);
+    }
+}
+
 void take_torque(const model *m, state *at, const double *u)
 {
     if (*m->torque_limit > 0.0) {
         /* A first torque has none before it: its age is infinite. Late samples and those of two
          * sensors may be as close as can be. */
         const double elapsed = larger(*at->torque_age, *m->period);
+        const double before = m->s.past > 0 ? at->past[0] : at->held[0];
         if (!isfinite(u[0]) || !(fabs(u[0]) <= *m->torque_limit)
-            || fabs(u[0] - at->held[0]) > *m->torque_rate_limit * elapsed) {
+            || fabs(at_motor(m, u[0]) - before)
+                   > *m->torque_gain * *m->torque_rate_limit * elapsed) {
             *at->torque_unknown = 1;
             return;
         }
     }
-    for (long i = 0; i < m->s.m; i++) {
-        at->held[i] = u[i];
-    }
+    hold_inputs(m, at, u);
     *at->torque_unknown = 0;
     *at->torque_age = 0.0;
 }
@@ -437,7 +503,10 @@ static void open_fork(
         for (long i = 0; i < m->s.plant; i++) {
             /* As far as the sample is away, so that the disturbance stays what it was. */
             const double by = m->C[output * width + i];
-            const double seen = by != 0.0 ? fabs(innovation / by) : 0.0;
+            /* An angle that is late has its velocity in it, but that is not what is away. */
+            const int is_late = i % 2 == 1 && m->C[output * width + i - 1] != 0.0
+                                && *m->design_flow.kind == KIND_ARM;
+            const double seen = by != 0.0 && !is_late ? fabs(innovation / by) : 0.0;
             const double std = maximum(m->domain[i], seen);
             P[i * width + i] += std * std;
         }
@@ -747,9 +816,7 @@ void correct(const model *m, state *at, const double *y, correction *effect)
 
 /* The certified bound serves the whole interval to the next regular sample, and with `late_factor`
  * a period beyond. */
-void predict(
-    const model *m, state *at, const double *u, double duration, int between_samples,
-    work *scratch)
+void predict(const model *m, state *at, double duration, int between_samples, work *scratch)
 {
     const double shortest = between_samples ? 0.0 : *m->shortest;
     const int known = *at->torque_unknown == 0;
@@ -780,7 +847,7 @@ void predict(
         if (in_gap && *at->in_gap == 0) {
             open_torque(m, at, &h, 1);
         }
-        predict_hypothesis(m, at, &h, u, duration, simple, forgotten, scratch);
+        predict_hypothesis(m, at, &h, duration, simple, forgotten, scratch);
         if (!simple && !between_samples && !in_gap && *m->gain_mode == GAIN_CERTIFIED
             && *h.kind == AS_DESIGNED && *h.settling <= 0.0
             && is_below(
@@ -791,6 +858,7 @@ void predict(
     }
     *at->in_gap = in_gap;
     if (!between_samples) {
+        age_torques(m, at, duration);
         *at->torque_age += duration;
         *at->since += duration;
         *at->age += duration;

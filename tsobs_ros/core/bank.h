@@ -47,6 +47,12 @@ static inline int counts(const model *m, const hypothesis *h)
     return *h->live != 0 && *h->score >= -0.8 * m->constants[FLOOR];
 }
 
+/* --- bank.c: torques --- */
+
+/* Return the mean of the torque at the motor over a time that begins `ahead` from now; there are past
+ * ones. */
+double mean_torque(const model *m, const state *at, double ahead, double duration);
+
 /* --- filter.c: one hypothesis --- */
 
 /* Return the states in use: the design's, and of the auxiliary ones those that can differ from 0. */
@@ -71,11 +77,11 @@ double correct_hypothesis(
 double correct_by(
     const model *m, const state *at, hypothesis *h, long output, int adapt, correction *effect);
 
-/* Predict over a time; `forgotten`: variance that an unknown torque gains in a second, below 0 if
+/* Predict over a time with held inputs; `forgotten`: variance that an unknown torque gains in a second, below 0 if
  * the torque is known. */
 void predict_hypothesis(
-    const model *m, const state *at, hypothesis *h, const double *u, double duration,
-    int simple, double forgotten, work *scratch);
+    const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
+    work *scratch);
 
 /* Forget the auxiliary states from a place on. */
 void clear_auxiliary(const model *m, hypothesis *h, long first);

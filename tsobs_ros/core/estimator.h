@@ -94,7 +94,7 @@ enum { BANK_CONSTANTS(BANK_CONSTANT_NAME) CONSTANTS };
 enum { TONES = 13 }; /* frequencies at which innovations are listened to */
 
 /* Sizes of an estimator, the first numbers of its model record, as 64-bit integers. */
-#define ESTIMATOR_SIZES 10
+#define ESTIMATOR_SIZES 11
 typedef struct {
     int64_t n;          /* augmented states of the design */
     int64_t width;      /* these and the auxiliary ones: length of rows */
@@ -104,6 +104,7 @@ typedef struct {
     int64_t k;          /* learnt parameters */
     int64_t t;          /* torques that are estimated */
     int64_t hypotheses; /* 1, or STANDING + FORKS */
+    int64_t past;       /* torques that are remembered, 0 if none is late at the motor */
     int64_t flow_size;  /* numbers of the flow, */
     int64_t scratch;    /* and of the scratch that it needs */
 } estimator_sizes;
@@ -112,7 +113,8 @@ typedef struct {
 static inline estimator_sizes sizes_of(const int64_t *numbers)
 {
     const estimator_sizes s = {numbers[0], numbers[1], numbers[2], numbers[3], numbers[4],
-                               numbers[5], numbers[6], numbers[7], numbers[8], numbers[9]};
+                               numbers[5], numbers[6], numbers[7], numbers[8], numbers[9],
+                               numbers[10]};
     return s;
 }
 int sizes_are_sound(const int64_t *numbers);
@@ -197,9 +199,11 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
 /* All that an estimator remembers.
  *
  * stamp, y, u: of the newest sample [ns], a missing output is NaN. sample: the newest of each
- * output. held: inputs in use, those of the newest sample with plausible ones; torque_age: time
- * since that [s]; torque_unknown: whether it is not the newest. late: whether it is read after the
- * stamp at which the next sample was due.
+ * output. held: inputs in use, those of the newest sample with plausible ones, of an arm the torque
+ * at the motor over the coming period. past: torques on their way there, the newest first, each with
+ * the time since it was commanded [s], which is infinite before the first. torque_age: time since the
+ * newest plausible torque [s]; torque_unknown: whether that is not the newest sample's. late: whether
+ * it is read after the stamp at which the next sample was due.
  *
  * hypotheses: the filters, zeros where there is none. best: place of the likeliest. awake: time for which all are considered
  * [s]. sensors: of the outputs. noise_scale: the largest of theirs. since: time since the last
@@ -211,6 +215,7 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(VECTOR, sample, s->p, 1)                            \
     F(VECTOR, u, s->m, 1)                                 \
     F(VECTOR, held, s->m, 1)                              \
+    F(MATRIX, past, s->past, 2)                           \
     F(NUMBER, torque_age, 1, 1)                           \
     F(COUNT, torque_unknown, 1, 1)                        \
     F(COUNT, late, 1, 1)                                  \
@@ -299,7 +304,8 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
  * period to longest: of samples [s]. late_factor: of the certificate's bound for a period after the
  * next sample was due. torque_rate: 1 sigma of the rate of a torque that is unknown [N m/s], 0 if
  * it is held. torque_limit, torque_rate_limit: of plausible torques; torque_spread: 1 sigma of a
- * torque of which nothing is known. force: 1 sigma of an unknown
+ * torque of which nothing is known. torque_gain to torque_delay: of the torque at an arm's motor,
+ * gain u(t - delay) + offset [-], [N m], [s]. force: 1 sigma of an unknown
  * force, 0 without a hypothesis of one. C to innovation_covariance: outputs and gains, in physical
  * units from `scale` on. domain: 1 sigma of the plant's states where nothing is known of them.
  * limits, theta_deviation: of the parameters. stuck_samples: repetitions of a stuck sensor. */
@@ -312,6 +318,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(COUNT, k, 1, 1)                              \
     F(COUNT, t, 1, 1)                              \
     F(COUNT, hypothesis_count, 1, 1)               \
+    F(COUNT, past_count, 1, 1)                     \
     F(COUNT, flow_size, 1, 1)                      \
     F(COUNT, scratch, 1, 1)                        \
     F(VECTOR, flow, s->flow_size, 1)               \
@@ -325,6 +332,9 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(NUMBER, torque_limit, 1, 1)                  \
     F(NUMBER, torque_rate_limit, 1, 1)             \
     F(NUMBER, torque_spread, 1, 1)                 \
+    F(NUMBER, torque_gain, 1, 1)                   \
+    F(NUMBER, torque_offset, 1, 1)                 \
+    F(NUMBER, torque_delay, 1, 1)                  \
     F(NUMBER, force, 1, 1)                         \
     F(COUNT, gain_mode, 1, 1)                      \
     F(MATRIX, C, s->p, s->width)                   \
@@ -396,13 +406,15 @@ static inline hypothesis hypothesis_of(const model *m, const state *at, long pla
  * measurement's stamp, and not corrected yet. */
 void take_torque(const model *m, state *at, const double *u);
 
+/* Hold inputs from now on, whatever they are. */
+void hold_inputs(const model *m, state *at, const double *u);
+
 /* Use one measurement, NaN of an output that is missing. */
 void correct(const model *m, state *at, const double *y, correction *effect);
 
 /* Predict over a time of at least 0 [s] with held inputs. between_samples: whether the time ends
  * before the next sample and the result is only read. */
-void predict(
-    const model *m, state *at, const double *u, double duration, int between_samples, work *scratch);
+void predict(const model *m, state *at, double duration, int between_samples, work *scratch);
 
 /* Write the estimate and its bounds; return whether all are finite. */
 int read_out(const model *m, const state *at, const estimate *said, work *scratch);

@@ -559,20 +559,17 @@ static void forget_slowly(const model *m, hypothesis *h, double duration)
     }
 }
 
-void predict_hypothesis(
-    const model *m, const state *at, hypothesis *h, const double *u, double duration,
-    int simple, double forgotten, work *scratch)
+/* Move estimate and covariance over a time with an input. */
+static void move_estimate(
+    const model *m, const state *at, hypothesis *h, const double *u, double duration, int simple,
+    double forgotten, work *scratch)
 {
-    const long n = (long)m->s.n, plant = (long)m->s.plant, width = (long)m->s.width;
+    const long width = (long)m->s.width;
     const flow *f = &m->design_flow;
-    if (simple) {
+    if (simple || states_in_use(m, h) == (long)m->s.n) {
         flow_advance(
-            f, h->x, h->upsilon, NULL, width, NULL, h->theta, at->sample, u, duration,
-            scratch->flow);
-    } else if (states_in_use(m, h) == n) {
-        flow_advance(
-            f, h->x, h->upsilon, h->covariance, width, NULL, h->theta, at->sample, u, duration,
-            scratch->flow);
+            f, h->x, h->upsilon, simple ? NULL : h->covariance, width, NULL, h->theta, at->sample, u,
+            duration, scratch->flow);
     } else {
         double rest;
         const int64_t whole = cut_into_steps(duration, *m->period, &rest);
@@ -582,6 +579,33 @@ void predict_hypothesis(
         if (rest > 0.0) {
             step_with_auxiliary(m, at, h, u, rest, forgotten, scratch);
         }
+    }
+}
+
+/* Do so period by period, each with the torque that reaches the motor in it. */
+static void move_by_torques(
+    const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
+    work *scratch)
+{
+    double rest;
+    const int64_t whole = cut_into_steps(duration, *m->period, &rest);
+    for (int64_t step = 0; step < whole + (rest > 0.0); step++) {
+        const double time = step < whole ? *m->period : rest;
+        const double torque = mean_torque(m, at, (double)step * *m->period, time);
+        move_estimate(m, at, h, &torque, time, simple, forgotten, scratch);
+    }
+}
+
+void predict_hypothesis(
+    const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
+    work *scratch)
+{
+    const long n = (long)m->s.n, plant = (long)m->s.plant, width = (long)m->s.width;
+    const flow *f = &m->design_flow;
+    if (m->s.past > 0 && isfinite(at->past[1])) {
+        move_by_torques(m, at, h, duration, simple, forgotten, scratch);
+    } else {
+        move_estimate(m, at, h, at->held, duration, simple, forgotten, scratch);
     }
     if (*h->kind == IMPERFECT && !simple) {
         const double more

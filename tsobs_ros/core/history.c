@@ -215,7 +215,7 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
         } else {
             const double duration = (double)(stamp - *last.stamp) / NANOSECONDS;
             copy_state(&t->m, numbers_at(t, *h->length - 1), numbers);
-            predict(&t->m, &at, last.held, duration, 0, &t->scratch);
+            predict(&t->m, &at, duration, 0, &t->scratch);
         }
     }
     correct_or_start(t, numbers, &at, y, u, starts, &restarts, &failures);
@@ -328,7 +328,6 @@ static void coast(tracker *t, int64_t place, double duration)
 {
     history *h = &t->h;
     const double period = *t->m.period;
-    const double *held = state_at(t, place).held;
     const int64_t whole = duration > 2.0 * period ? (int64_t)floor(duration / period) : 0;
     const int is_memorable = place == *h->length - 1;
     int64_t taken = 0;
@@ -346,7 +345,7 @@ static void coast(tracker *t, int64_t place, double duration)
     while (taken < whole) {
         /* First two at once, so that it is no regular step for the estimator. */
         const int64_t periods = taken == 0 ? 2 : 1;
-        predict(&t->m, &shown, held, (double)periods * period, 0, &t->scratch);
+        predict(&t->m, &shown, (double)periods * period, 0, &t->scratch);
         taken += periods;
     }
     if (whole > 0 && is_memorable) {
@@ -356,7 +355,7 @@ static void coast(tracker *t, int64_t place, double duration)
     }
     rest = duration - (double)whole * period;
     if (rest > 0.0) {
-        predict(&t->m, &shown, held, rest, 1, &t->scratch);
+        predict(&t->m, &shown, rest, 1, &t->scratch);
     }
 }
 

@@ -106,8 +106,8 @@ BIND(estimator_predict, "dDdfiD", "model states u duration between_samples work"
     work_bind(&scratch, &m.s, t[5].is.doubles);
     for (int64_t i = 0; i < count; i++) {
         state at = state_at(&m, t, i);
-        predict(&m, &at, t[2].is.doubles + i * m.s.m, t[3].is.number, t[4].is.integer != 0,
-                &scratch);
+        hold_inputs(&m, &at, t[2].is.doubles + i * m.s.m);
+        predict(&m, &at, t[3].is.number, t[4].is.integer != 0, &scratch);
     }
     Py_RETURN_NONE;
 }
@@ -141,7 +141,7 @@ static void observe_one(
     estimate said;
     for (int64_t sample = 0; sample < samples; sample++) {
         if (sample > 0) {
-            predict(m, at, at->held, duration, 0, scratch);
+            predict(m, at, duration, 0, scratch);
         }
         take_torque(m, at, u + sample * inputs);
         if (has_finite(y + sample * p, (long)p)) {

@@ -196,9 +196,11 @@ def _arm_parts(request: ArmRequest) -> _Parts:
         motor, link = rational(torque.H)
         drift[MOTOR_VELOCITY, n:], drift[LINK_VELOCITY, n:] = k / (j1 * j2) * motor, link / j1
     output, scale = rational(flow.output_matrix), [Fraction(1)] * 2 + [j1 / k] * 2
-    for row, name in zip(output, request.output_names, strict=True):
-        place = QUANTITIES.index(name)
+    for row, each in zip(output, request.sensors, strict=True):
+        place = QUANTITIES.index(each.measures)
         row[place] = scale[place]
+        if each.delay:
+            row[place + 1] = -Fraction(each.delay) * scale[place]
     std = rational([each.measurement_std for each in request.sensors])
     kicks = list(_kicks(request, len(drift)))
     return _Parts(drift, density, output, std, Fraction(1), kicks)

@@ -17,9 +17,15 @@ import numpy as np
 from tsobs_ros.checks import Array, as_matrix, meant, shown
 from tsobs_ros.design.names import NO_LABELS, Labels
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TSRequest
+from tsobs_ros.design.request import (
+    ArmRequest,
+    DisturbanceTerm,
+    TorqueDisturbance,
+    TSRequest,
+)
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
+from tsobs_ros.model.torque_path import DIRECT
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import system_uncertainty
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -84,8 +90,13 @@ def design_text(design: Design) -> str:
         entries = data["design"]
         for name in ("disturbance", "measurement_std") if request.outputs else ("outputs",):
             del entries[name]
-        if torques := entries.pop("torque_disturbance"):
-            entries["torque_disturbance"] = torques
+        for name, default in (
+            ("torque_disturbance", TorqueDisturbance()),
+            ("torque", DIRECT),
+        ):
+            entry = entries.pop(name)
+            if getattr(request, name) != default:
+                entries[name] = entry
     return yaml_text(_HEADERS[kind], data)
 
 

@@ -204,6 +204,10 @@ class Request(ABC):
         """
 
     @abstractmethod
+    def at_rate(self, rate: float) -> Self:
+        """Return the request for the error systems of another rate [Hz], without delays."""
+
+    @abstractmethod
     def starts(self) -> Sequence[VertexSystem]:
         """Return systems whose Kalman filters are first guesses, the best first."""
 

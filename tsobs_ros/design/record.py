@@ -3,7 +3,7 @@
 """A finished design: the request, the matrices that answer it, and who computed them."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -118,7 +118,7 @@ class Design:
         root = np.linalg.cholesky(self.covariance_bound)
         worst = 1.0
         for share in (0.25, 0.5, 0.75, 1.0):  # of a period that the sample is late
-            problem = replace(self.request, rate=self.request.rate / share)
+            problem = self.request.at_rate(self.request.rate / share)
             for vertex in problem.vertices():
                 moved = np.linalg.solve(root, vertex.transition @ root)
                 half = np.linalg.solve(root, vertex.noise)

@@ -11,7 +11,7 @@ error exactly. Without them only the blend of the rules is proved, and `TSReques
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import Any, ClassVar, Self
@@ -36,12 +36,20 @@ from tsobs_ros.model import disturbance as disturbances
 from tsobs_ros.model.arm import LINK_ANGLE, QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
+from tsobs_ros.model.torque_path import DIRECT, TorquePath, require_delay
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
 from tsobs_ros.model.vertices import VertexSystem, linear_directions
 
-__all__ = ["ArmRequest", "DisturbanceTerm", "Output", "TSRequest", "TorqueDisturbance"]
+__all__ = [
+    "ArmRequest",
+    "DisturbanceTerm",
+    "Output",
+    "TSRequest",
+    "TorqueDisturbance",
+    "TorquePath",
+]
 
 NO_LIMIT = 1e9
 """A torque [N m], or rate of it [N m/s], from which on any is plausible."""
@@ -58,14 +66,19 @@ class Output:
         measures: What it measures, one of `QUANTITIES` (rad, rad/s).
         measurement_std: 1σ of one sample's noise [rad, rad/s].
         disturbance: Terms whose sum disturbs it.
+        delay: How late an angle is measured, y(t) = q(t − delay) ≈ q − delay · q̇ [s].
 
     Raises:
         ModelError: The quantity is unknown, or a value is out of range.
     """
 
+    OMIT_EMPTY: ClassVar[bool] = True
+    """A delay of 0 is left out of files."""
+
     measures: str
     measurement_std: float
     disturbance: Sequence[DisturbanceTerm] = CLEAN
+    delay: float = 0.0
 
     def __post_init__(self) -> None:
         if self.measures not in QUANTITIES:
@@ -75,6 +88,7 @@ class Output:
         std = positive("measurement_std", self.measurement_std)
         require_squares("measurement_std", [std])
         object.__setattr__(self, "measurement_std", std)
+        object.__setattr__(self, "delay", non_negative("delay", self.delay))
         object.__setattr__(self, "disturbance", tuple(self.disturbance))
         require_terms("disturbance", self.disturbance)
 
@@ -143,6 +157,8 @@ class ArmRequest(Request):
             first's.
         outputs: What is measured; () for the link angle alone, see `sensors`.
         torque_disturbance: Unknown torques at motor and link.
+        torque: How the known torque reaches the motor. The certificate does not depend on it, since
+            a known input moves truth and estimate alike.
         rate: Measurement rate [Hz].
         x_max: Half width of the domain |q₁| ≤ x_max the certificate is for [rad], up to π.
         decay_rate: Certified rate ρ at which eᵀPe shrinks without noise, as e^{−2ρt} [1/s].
@@ -165,6 +181,7 @@ class ArmRequest(Request):
     measurement_std: float = 0.028
     outputs: Sequence[Output] = ()
     torque_disturbance: TorqueDisturbance = TorqueDisturbance()
+    torque: TorquePath = DIRECT
     rate: float = 200.0
     x_max: float = 0.75
     decay_rate: float = 0.0
@@ -206,6 +223,9 @@ class ArmRequest(Request):
         require_squares("measurement_std", [self.measurement_std])
         require_squares("initial_std", self.initial_std)
         require_terms("disturbance", self.disturbance)
+        require_delay("torque.delay", self.torque.delay, self.period)
+        for place, output in enumerate(self.outputs):
+            require_delay(f"outputs[{place}].delay", output.delay, self.period)
         self._require_no_alias()
         uncertain = self.uncertainty_model
         if self.certify_uncertainty:
@@ -223,7 +243,9 @@ class ArmRequest(Request):
                     f"{name}: expected in outputs, one an output, got {shown(given)} besides them"
                 )
             self._take(**{name: own})
-        self.arm.measured([output.measures for output in self.outputs])
+        self.arm.measured(
+            [output.measures for output in self.outputs], [output.delay for output in self.outputs]
+        )
 
     @cached_property
     def sensors(self) -> tuple[Output, ...]:
@@ -266,6 +288,8 @@ class ArmRequest(Request):
             self.period,
             self.output_names,
             self.torque_disturbance.model,
+            self.torque,
+            [output.delay for output in self.sensors],
         )
 
     @cached_property
@@ -341,6 +365,8 @@ class ArmRequest(Request):
             details["outputs"] = self.output_names
         if models := self.torque_disturbance.by_side:
             details["torque_disturbance"] = {side: model.label for side, model in models.items()}
+        if self.torque != DIRECT:
+            details["torque"] = asdict(self.torque)
         return details
 
     @property
@@ -363,6 +389,11 @@ class ArmRequest(Request):
     def starts(self) -> list[VertexSystem]:
         middle = sum(self.slope_range) / 2
         return [self.flow.vertices(slope, slope)[0] for slope in (middle, 1.0)]
+
+    def at_rate(self, rate: float) -> Self:
+        # Delays of few periods are many short ones, and move no error.
+        outputs = tuple(replace(output, delay=0.0) for output in self.outputs)
+        return replace(self, rate=rate, torque=DIRECT, outputs=outputs)
 
     def with_terms(self, place: int, terms: Terms) -> Self:
         if place >= len(self.sensors):
@@ -611,6 +642,9 @@ class TSRequest(Request):
         singles = [("the mean of the vertices", matrices.mean(axis=0))]
         singles += zip(names, matrices, strict=True)
         return [self.flow.vertices(matrix[np.newaxis], [name])[0] for name, matrix in singles]
+
+    def at_rate(self, rate: float) -> Self:
+        return replace(self, rate=rate)
 
     def with_terms(self, place: int, terms: Terms) -> Self:
         each = [channel.terms for channel in self.channels]

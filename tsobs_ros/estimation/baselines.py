@@ -41,6 +41,7 @@ from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.matrices import product
 from tsobs_ros.model.prediction import Flow, FlowSizes, fill_matrix, flow_type
+from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.model.uncertainty import Uncertainty
 
 _POLE_RATIOS = (1.0, 1.1, 1.2, 1.3, 1.4)
@@ -57,7 +58,11 @@ THETA_STD, THETA_WANDER = 0.2, 1e-6
 
 
 def high_gain(
-    arm: ElasticJointArm, theta: float, period: float, measurement_std: float
+    arm: ElasticJointArm,
+    theta: float,
+    period: float,
+    measurement_std: float,
+    torque: TorquePath = DIRECT,
 ) -> Estimator:
     """Return the proportional high-gain observer (PO).
 
@@ -66,19 +71,22 @@ def high_gain(
         theta: θ [rad/s].
         period: Nominal sampling period [s].
         measurement_std: 1σ of a sample [rad], the only known part of an innovation's size.
+        torque: How torques reach the motor.
 
     Raises:
         ModelError: A number is not finite and above zero.
     """
     K = high_gain_matrix(arm, theta)
-    C = arm.output_matrix
-    return _of_arm(
-        arm, arm.spring_matrix - product(K, C), K, arm.input_matrix, theta, period, measurement_std
-    )
+    F = arm.spring_matrix - product(K, arm.output_matrix)
+    return _of_arm(arm, F, K, arm.input_matrix, theta, period, measurement_std, torque)
 
 
 def proportional_integral(
-    arm: ElasticJointArm, theta: float, period: float, measurement_std: float
+    arm: ElasticJointArm,
+    theta: float,
+    period: float,
+    measurement_std: float,
+    torque: TorquePath = DIRECT,
 ) -> Estimator:
     """Return the proportional-integral observer (PIO); see `high_gain`."""
     K = proportional_integral_matrix(arm, theta)
@@ -86,7 +94,7 @@ def proportional_integral(
     F[:4, :4], F[:4, 4:] = arm.spring_matrix, K[1:]
     F[4:, :4], F[4:, 4:], Y[4] = -arm.output_matrix, -K[:1], 1.0
     U = np.vstack([arm.input_matrix, [[0.0]]])
-    return _of_arm(arm, F, Y, U, theta, period, measurement_std)
+    return _of_arm(arm, F, Y, U, theta, period, measurement_std, torque)
 
 
 def extended_kalman(
@@ -152,6 +160,7 @@ def integrated_estimator(
     gravity_gain: float = 0.0,
     D: Array | None = None,
     disturbance: tuple[Array, Array] | None = None,
+    torque: TorquePath = DIRECT,
 ) -> Estimator:
     """Return the estimator x̂' = Σ hᵢ(y)(Fᵢ x̂ + Yᵢ y + Uᵢ u) − g sin x̂₁ in the row of x̂₂.
 
@@ -169,6 +178,7 @@ def integrated_estimator(
         D: Sample to expected measurement, shape (p, p); zero if None.
         disturbance: State and sample to estimated disturbance, shapes (p, n) and (p, p); None if
             it is not estimated.
+        torque: How the first input reaches an arm's motor.
     """
     rules, n, p = Y.shape
     shape = Shape(n, len(scale), p, U.shape[2])
@@ -192,7 +202,7 @@ def integrated_estimator(
         ("parameters", parameters),
     ):
         fill_matrix(flow[0][name], values)
-    model = new_model(shape, period, flow)
+    model = new_model(shape, period, flow, torque=torque)
     one = model[0]
     direct = np.zeros((p, p)) if D is None else D
     for name, values in (("C", C), ("D", direct), ("R", measurement_covariance), ("scale", scale)):
@@ -251,6 +261,7 @@ def _of_arm(
     theta: float,
     period: float,
     measurement_std: float,
+    torque: TorquePath,
 ) -> Estimator:
     n, fastest = len(F), theta * _POLE_RATIOS[len(F) - 1]
     std = positive("measurement_std", measurement_std)
@@ -264,4 +275,5 @@ def _of_arm(
         scale=arm.to_physical(np.ones(4)),
         measurement_covariance=as_matrix("R", [[std * std]], (1, 1)),
         gravity_gain=arm.gravity_gain,
+        torque=torque,
     )

@@ -405,7 +405,9 @@ def model_of(
     scale = flow.to_physical(np.ones(n))
     shape = Shape(n, len(scale), p, flow.input_count, k, len(flow.torque_map))
     record = flow_record(flow, uncertainty)
-    model = records.new_model(shape, flow.period, record, auxiliary=auxiliary)
+    model = records.new_model(
+        shape, flow.period, record, auxiliary=auxiliary, torque=flow.torque_path
+    )
     one = model[0]
     one["shortest"] = (1.0 - PERIOD_TOLERANCE) * flow.period
     one["longest"] = (1.0 + PERIOD_TOLERANCE) * flow.period

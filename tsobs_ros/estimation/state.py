@@ -9,6 +9,7 @@ inputs m and parameters k. Flags are integers, 0 or 1.
 """
 
 import math
+from dataclasses import asdict
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -28,6 +29,7 @@ from tsobs_ros.estimation.records import Basis
 from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
 from tsobs_ros.model.matrices import congruent, inverse, joseph
 from tsobs_ros.model.prediction import FlowSizes, Record, fill_matrix, flow_type, scratch_size
+from tsobs_ros.model.torque_path import DIRECT, TorquePath
 
 
 class Shape(NamedTuple):
@@ -74,6 +76,7 @@ class Sizes(NamedTuple):
     k: int
     t: int
     hypotheses: int
+    past: int
     flow_size: int
     scratch: int
 
@@ -103,7 +106,14 @@ def types_of_model(model: Record) -> Types:
     return types_of(Sizes(*numbers))
 
 
-def new_model(shape: Shape, period: float, flow: Record, *, auxiliary: bool = False) -> Record:
+def new_model(
+    shape: Shape,
+    period: float,
+    flow: Record,
+    *,
+    auxiliary: bool = False,
+    torque: TorquePath = DIRECT,
+) -> Record:
     """Return a model record with sizes, flow and a period, whose other numbers are zero.
 
     Args:
@@ -112,6 +122,7 @@ def new_model(shape: Shape, period: float, flow: Record, *, auxiliary: bool = Fa
         flow: The prediction model, a record, shape (1,).
         auxiliary: Whether there are states of an unknown torque and of parts of the outputs, and
             other hypotheses than the design.
+        torque: How torques reach the motor of an arm.
 
     Returns:
         The model record, shape (1,).
@@ -125,6 +136,7 @@ def new_model(shape: Shape, period: float, flow: Record, *, auxiliary: bool = Fa
         k=shape.k,
         t=shape.t,
         hypotheses=native.HYPOTHESES if auxiliary else 1,
+        past=torque.remembered(period, shape.p),
         flow_size=flow.dtype.itemsize // 8,
         scratch=scratch_size(FlowSizes(*(int(flow[name][0]) for name in FlowSizes._fields))),
     )
@@ -133,11 +145,14 @@ def new_model(shape: Shape, period: float, flow: Record, *, auxiliary: bool = Fa
     model["flow"][0] = flow.view(np.float64)
     model["period"] = period
     model["gate"] = np.inf
+    for name, value in asdict(torque).items():
+        model[f"torque_{name}"] = value
     model["constants"] = [value for _, value, _ in native.bank_constants()]
     initial = model["initial"]
     initial["sensors"]["value"] = np.nan
     initial["sensors"]["noise_scale"] = initial["noise_scale"] = 1.0
     initial["torque_age"] = np.inf
+    initial["past"][..., 1] = np.inf
     designed = initial["hypotheses"][:, 0]
     designed["live"], designed["cause"] = 1, Basis.STARTING
     designed["inlier"] = designed["nis"] = 1.0

@@ -26,6 +26,9 @@ LINK_ANGLE, LINK_VELOCITY, MOTOR_ANGLE, MOTOR_VELOCITY = range(4)
 QUANTITIES = ("link_angle", "link_velocity", "motor_angle", "motor_velocity")
 """Names of what a sensor can measure (rad, rad/s), in the order of the states."""
 
+ANGLES = (QUANTITIES[LINK_ANGLE], QUANTITIES[MOTOR_ANGLE])
+"""Those of them whose derivative is a state, the next one."""
+
 SIDES = ("motor", "link")
 """Where a torque may disturb an arm, in the order of the torques' states."""
 
@@ -101,14 +104,15 @@ class ElasticJointArm:
         """State to measured link angle, shape (1, 4)."""
         return self.measured(("link_angle",))
 
-    def measured(self, outputs: Sequence[str]) -> Array:
+    def measured(self, outputs: Sequence[str], delays: Sequence[float] = ()) -> Array:
         """Return the matrix that takes the state to measured quantities, shape (p, 4).
 
         Args:
             outputs: Names of `QUANTITIES`.
+            delays: How late each is measured, an angle q as q − delay q̇ [s]; () if none is.
 
         Raises:
-            ModelError: A name is unknown or listed twice.
+            ModelError: A name is unknown or listed twice, or a velocity is late.
         """
         for place, name in enumerate(outputs):
             if name not in QUANTITIES:
@@ -120,7 +124,16 @@ class ElasticJointArm:
                     f"outputs[{place}]: {name} is listed already, as outputs[{outputs.index(name)}]"
                 )
         places = [QUANTITIES.index(name) for name in outputs]
-        return as_matrix("output_matrix", np.diag(self._physical_scale)[places], (len(places), 4))
+        rows = np.diag(self._physical_scale)[places]
+        for place, (row, delay) in enumerate(zip(rows, delays, strict=bool(delays))):
+            if delay:
+                if outputs[place] not in ANGLES:
+                    raise ModelError(
+                        f"outputs[{place}].delay: expected 0 for {outputs[place]}, as only angles "
+                        f"can be late, got {delay!r}"
+                    )
+                row[places[place] + 1] = -delay * row[places[place]]
+        return as_matrix("output_matrix", rows, (len(places), 4))
 
     @cached_property
     def _physical_scale(self) -> Array:

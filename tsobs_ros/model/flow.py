@@ -38,6 +38,7 @@ from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.linear_flow import LinearFlow
 from tsobs_ros.model.matrices import block_diagonal
 from tsobs_ros.model.prediction import Flow, Transition
+from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.model.uncertainty import EXTERNAL, SINE, TORQUE, Uncertainty
 from tsobs_ros.model.vertices import (
     KickCorner,
@@ -77,6 +78,8 @@ class ArmFlow(Flow):
         outputs: What is measured, names of `QUANTITIES`.
         torque_disturbance: The exosystem of torques at motor and link [N m], two channels; None if
             the arm has the known torque only.
+        torque_path: How the known torque reaches the motor.
+        delays: Delay of each output, an angle q(t − delay) ≈ q − delay q̇ [s]; () if there is none.
         linear: The flow without gravity.
         motor_torque: Augmented state to the unknown torque at the motor [N m], shape (n,).
         link_torque: Augmented state to the unknown torque at the link [N m], shape (n,).
@@ -97,11 +100,14 @@ class ArmFlow(Flow):
         period: float,
         outputs: Sequence[str] = (QUANTITIES[LINK_ANGLE],),
         torque_disturbance: DisturbanceModel | None = None,
+        torque_path: TorquePath = DIRECT,
+        delays: Sequence[float] = (),
     ) -> None:
         self.arm, self.disturbance, self.process_noise = arm, disturbance, process_noise
         self.period, self.outputs = positive("period", period), tuple(outputs)
         self.torque_disturbance = torque_disturbance
-        measured = self._placed(arm.measured(self.outputs), 0)
+        self.torque_path = torque_path
+        measured = self._placed(arm.measured(self.outputs, delays), 0)
         _require_channels("disturbance", disturbance, self.outputs)
         torques = np.zeros((2, 0))
         if torque_disturbance is not None:

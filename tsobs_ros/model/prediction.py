@@ -20,6 +20,7 @@ from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.linear_flow import LinearFlow
+from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.model.uncertainty import Uncertainty
 
 Record = np.ndarray[Any, np.dtype[Any]]
@@ -75,6 +76,7 @@ class Flow(ABC):
         disturbance: The exosystem of the outputs, whose states w follow the plant's in x̄.
         torque_disturbance: The exosystem of torques at an arm's motor and link, two channels, whose
             states follow those; None if there is none.
+        torque_path: How torques reach an arm's motor; a step is by the torque that acts there.
         period: Nominal step [s]; longer ones are taken in nominal steps and a last one.
         plant_count: Number of the plant's own states, the first ones of x̄.
         output_matrix: Augmented state to measurement C̄ = [C H], shape (p, n).
@@ -88,6 +90,7 @@ class Flow(ABC):
     kind: ClassVar[int]
     disturbance: DisturbanceModel
     torque_disturbance: DisturbanceModel | None = None
+    torque_path: TorquePath = DIRECT
     period: float
     plant_count: int
     output_matrix: Array

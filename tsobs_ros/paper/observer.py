@@ -27,6 +27,7 @@ from tsobs_ros.estimation.baselines import integrated_estimator
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.matrices import product
+from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.paper.augmentation import Augmentation
 from tsobs_ros.paper.examples import EXAMPLE_3_H, EXAMPLE_3_P, example_3
 
@@ -306,13 +307,19 @@ def printed_observer() -> AugmentedObserver:
     return AugmentedObserver(augmentation, augmentation.E_L_inverse @ EXAMPLE_3_H, M)
 
 
-def paper_observer(arm: ElasticJointArm, period: float, measurement_std: float) -> Estimator:
+def paper_observer(
+    arm: ElasticJointArm,
+    period: float,
+    measurement_std: float,
+    torque: TorquePath = DIRECT,
+) -> Estimator:
     """Return the method's observer for the arm of its Example 3, with the gains that it prints.
 
     Args:
         arm: The arm.
         period: Nominal sampling period [s].
         measurement_std: 1σ of a sample [rad], the only known part of an innovation's size.
+        torque: How torques reach the motor.
 
     Raises:
         ModelError: The arm is another one; the method prints gains for this one only.
@@ -329,6 +336,7 @@ def paper_observer(arm: ElasticJointArm, period: float, measurement_std: float) 
         period,
         scale=arm.to_physical(np.ones(observer.augmentation.state_count)),
         measurement_covariance=np.array([[positive("measurement_std", measurement_std) ** 2]]),
+        torque=torque,
     )
 
 
@@ -385,6 +393,7 @@ def _estimator(
     scale: Array,
     measurement_covariance: Array,
     scheduled: int = 0,
+    torque: TorquePath = DIRECT,
 ) -> Estimator:
     """Return the observer without adaptation; its premises are the first outputs.
 
@@ -415,4 +424,5 @@ def _estimator(
         rule_base=aug.system.rule_base,
         D=product(aug.C_bar, aug.L1),
         disturbance=(omega, aug.L1[n:]),
+        torque=torque,
     )

@@ -19,6 +19,7 @@ from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES
+from tsobs_ros.simulation.delays import AngleDelay
 from tsobs_ros.simulation.signals import recurs
 from tsobs_ros.simulation.streams import RandomStream, Source
 
@@ -140,7 +141,12 @@ class ArmMotion(Motion):
         self._steps = substeps(scenario.rate)
         bare, loaded = (_arm_record(scenario, each) for each in (Payload(), scenario.payload))
         self._arms = np.concatenate([bare, loaded])
-        self._columns = [QUANTITIES.index(output.measures) for output in scenario.signals.outputs]
+        outputs = scenario.signals.outputs
+        self._sensed = AngleDelay(
+            [QUANTITIES.index(output.measures) for output in outputs],
+            [output.delay for output in outputs],
+            scenario.rate,
+        )
         spread = RandomStream(seeds, Source.INITIAL_STATE).take(4)
         start = np.array(scenario.initial_state) + spread * np.array(scenario.initial_spread)
         self.states = scenario.arm.to_physical(start)
@@ -161,7 +167,7 @@ class ArmMotion(Motion):
             states,
             torques,
         )
-        return states, states[..., self._columns]
+        return states, self._sensed.measured(states)
 
 
 def substeps(rate: float) -> int:

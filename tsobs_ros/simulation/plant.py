@@ -10,7 +10,7 @@ same numbers, to the bit, for one plant and for a batch, sample by sample and ma
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,8 @@ from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.model.torque_path import DIRECT, TorquePath
+from tsobs_ros.simulation.delays import TorqueDelay
 from tsobs_ros.simulation.integrator import ArmMotion, Friction, Motion, Payload
 from tsobs_ros.simulation.sensor import Disturbance, Output, Sensor
 from tsobs_ros.simulation.signals import Signal, Sine, StuckSensor
@@ -67,11 +69,17 @@ class SimulatedOutput:
             name of a T–S system's output.
         sensor: Its noise, outliers and dropouts.
         disturbance: Components of its disturbance, added up.
+        delay: How late an arm's angle is measured as a design says [s]; `Sensor.latency` is what a
+            design lacks. It is not rounded to samples: the true motion is interpolated.
     """
 
     measures: str = QUANTITIES[0]
     sensor: Sensor = field(default_factory=Sensor)
     disturbance: tuple[Signal, ...] = ()
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        non_negative("delay", self.delay)
 
 
 @dataclass(frozen=True)
@@ -104,6 +112,7 @@ class PlantSignals(NamedTuple):
         input_count: Number of inputs, which can be commanded; they are the first of `inputs`.
         torques: Signals of the disturbance of each torque.
         reporting_error: What the first reported input has beyond the applied one.
+        torque: How the first input reaches the plant.
     """
 
     outputs: tuple[SimulatedOutput, ...]
@@ -111,6 +120,7 @@ class PlantSignals(NamedTuple):
     input_count: int
     torques: tuple[tuple[Signal, ...], ...] = ()
     reporting_error: tuple[Signal, ...] = ()
+    torque: TorquePath = DIRECT
 
 
 class PlantScenario(ABC):
@@ -166,6 +176,7 @@ class Scenario(PlantScenario):
         torque_disturbance: Torques besides the drive's.
         payload: What the link carries for a time.
         backlash: Play of the true arm's gear [rad], half of it to either side.
+        torque: How the commanded torque, which is the one that is reported, reaches the motor.
 
     Raises:
         ModelError: A number is not finite, of the wrong sign, a state has not four entries, or an
@@ -188,6 +199,7 @@ class Scenario(PlantScenario):
     torque_disturbance: TorqueDisturbance = field(default_factory=TorqueDisturbance)
     payload: Payload = field(default_factory=Payload)
     backlash: float = 0.0
+    torque: TorquePath = DIRECT
 
     def __post_init__(self) -> None:
         positive("rate", self.rate)
@@ -195,7 +207,9 @@ class Scenario(PlantScenario):
         non_negative("backlash", self.backlash)
         for name in ("initial_state", "initial_spread"):
             as_matrix(name, getattr(self, name), (4,))
-        self.arm.measured([output.measures for output in self.outputs])
+        self.arm.measured(
+            [output.measures for output in self.outputs], [output.delay for output in self.outputs]
+        )
         if self.outputs and (self.disturbance or self.sensor != Sensor()):
             raise ModelError(
                 "outputs: expected none beside `sensor` and `disturbance`, which are those of the "
@@ -213,7 +227,8 @@ class Scenario(PlantScenario):
         alone = SimulatedOutput(sensor=self.sensor, disturbance=self.disturbance)
         torques = (self.torque_disturbance.motor, self.torque_disturbance.link)
         outputs = self.outputs or (alone,)
-        return PlantSignals(outputs, (self.excitation,), 1, torques, self.torque_error)
+        inputs = (self.excitation,)
+        return PlantSignals(outputs, inputs, 1, torques, self.torque_error, self.torque)
 
     def motion(self, seeds: Sequence[int]) -> Motion:
         """Return the arms at the first sample, ready to move."""
@@ -233,18 +248,19 @@ class Trajectories(NamedTuple):
     Attributes:
         times: k/rate, since the start [s], shape (samples,).
         states: True states in the nominal arm's design coordinates, shape (runs, samples, 4).
-        disturbances: What each measurement has beyond the truth, its latency, noise and outliers,
-            shape (runs, samples, p). Of a stuck sensor it is the frozen value minus the true one.
+        disturbances: What each measurement has beyond the truth, its delay, latency, noise and
+            outliers, shape (runs, samples, p). Of a stuck sensor it is the frozen value minus the
+            true one, of an output with a delay that of so long ago.
         measurements: y, NaN if lost, shape (runs, samples, p).
-        torques: Torque reported from each sample to the next [N m]: the one applied, and its
+        torques: Torque reported from each sample to the next [N m]: the one commanded, and its
             error, shape (runs, samples, 1).
         physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, samples, 4).
         torque_disturbances: Torques on motor and link that the true arm (with its mismatch) would
-            need besides the reported one, without friction, payload and backlash, to accelerate as
-            it does, shape (runs, samples, 2) [N m]. They count the torque disturbance, friction,
-            the payload's inertia and weight, what the spring lacks by play, and the error of the
-            reported torque; not the mismatch, which is a matter of parameters, nor the random
-            accelerations.
+            need besides the reported one, which reaches it as the design says, without friction,
+            payload and backlash, to accelerate as it does, shape (runs, samples, 2) [N m]. They
+            count the torque disturbance, friction, the payload's inertia and weight, what the
+            spring lacks by play, and the error of the reported torque; not the mismatch, which is a
+            matter of parameters, nor the random accelerations.
     """
 
     times: Array
@@ -301,6 +317,11 @@ class Plant:
             for side, signals in enumerate(self._signals.torques)
         ]
         self._held = np.zeros((len(runs), len(self._outputs)))
+        path, errors = self._signals.torque, self._signals.reporting_error
+        self._is_direct = path == DIRECT
+        self._path = TorqueDelay(path, rate)
+        # The error of a report takes the same path in estimators.
+        self._error_paths = [TorqueDelay(replace(path, offset=0.0), rate) for _ in errors]
 
     @property
     def time(self) -> float:
@@ -405,14 +426,18 @@ class Plant:
             value = measured[output][1][:, 0]
             self._held[:, output] = np.where(np.isfinite(value), value, self._held[:, output])
             inputs[:, 0, place] = self._held[:, output]
-        states, truths = motion.move(start, inputs, torques)
+        applied = inputs
+        if not self._is_direct:
+            applied = inputs.copy()
+            applied[..., 0] = self._path.through(inputs[..., 0])
+        states, truths = motion.move(start, applied, torques)
         for number, each in enumerate(self._outputs):
             if number not in measured:
                 measured[number] = each.measure(start, np.ascontiguousarray(truths[..., number]))
         pairs = [measured[number] for number in range(len(self._outputs))]
         disturbances, measurements = (np.stack(each, axis=-1) for each in zip(*pairs, strict=True))
-        for signal in self._signals.reporting_error:
+        for signal, path in zip(self._signals.reporting_error, self._error_paths, strict=True):
             error = signal.values(times)
             inputs[..., 0] += error
-            torques[..., 0] -= error
+            torques[..., 0] -= error if self._is_direct else path.through(error[np.newaxis])
         return states, disturbances, measurements, inputs, torques

@@ -17,7 +17,7 @@ from tsobs_ros.model.arm import SIDES
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.simulation.integrator import Payload
-from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput, TorqueDisturbance
+from tsobs_ros.simulation.plant import Mismatch, Scenario, TorqueDisturbance
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Signal, signal_of
 from tsobs_ros.simulation.systems import SystemScenario
@@ -89,7 +89,7 @@ def _scenario(
         if output.measures in affected:
             sensor = parameters.sensor(sensor.noise_std)
             disturbance = parameters.disturbance.build() + disturbance
-        outputs.append(SimulatedOutput(output.measures, sensor, disturbance))
+        outputs.append(replace(output, sensor=sensor, disturbance=disturbance))
     own: dict[str, Any] = {"rate": parameters.sample_rate, "duration": parameters.duration}
     own["outputs"] = tuple(outputs)
     count = base.signals.input_count
