@@ -100,6 +100,7 @@ def output_fits(
         found.r[begin:],
         recording.u[begin:],
         states,
+        _unexplained(joint, recording, gate)[0][begin:],
     )
     return tuple(fits), traces
 
@@ -178,8 +179,8 @@ def _tones(joint: Joint, recording: Recording, gate: float) -> list[Lack]:
     return found
 
 
-def _torques(joint: Joint, recording: Recording, gate: float) -> list[Lack]:
-    """Return what a torque depends on that the model has not."""
+def _unexplained(joint: Joint, recording: Recording, gate: float) -> tuple[Array, Array]:
+    """Return the torque at the motor that a model without friction lacks, and the states."""
     request = joint.request
     size = 0.1 * request.arm.reference_torque
     quick = DisturbanceTerm("gauss_markov", {"std": size, "time_constant": 0.05})
@@ -191,12 +192,17 @@ def _torques(joint: Joint, recording: Recording, gate: float) -> list[Lack]:
         ),
         friction=(0.0, 0.0),
     )
-    flow = looking.request.flow
-    found = innovations(looking, recording, gate=gate, with_states=True)
+    states = innovations(looking, recording, gate=gate, with_states=True).states
+    torque = states @ looking.request.flow.motor_torque
+    return torque, request.arm.to_physical(states[:, :4])
+
+
+def _torques(joint: Joint, recording: Recording, gate: float) -> list[Lack]:
+    """Return what a torque depends on that the model has not."""
+    request = joint.request
     skip = min(recording.count // 10, round(1.0 / request.period))
-    states = found.states[skip:]
-    torque = states @ flow.motor_torque
-    link, link_speed, motor, motor_speed = request.arm.to_physical(states[:, :4]).T
+    torque, states = (each[skip:] for each in _unexplained(joint, recording, gate))
+    link, link_speed, motor, motor_speed = states.T
     deflection = link - motor
     slow_speed = 0.02 * float(np.abs(motor_speed).max() or 1.0)
     slack = 0.1 * float(np.abs(deflection).max() or 1.0)
@@ -239,6 +245,6 @@ def _torques(joint: Joint, recording: Recording, gate: float) -> list[Lack]:
         return []
     term = f"{{kind: gauss_markov, std: {amount:.2g}, time_constant: 0.3}}"
     entry = f"torque_disturbance: {{motor: [{term}]}}"
-    if known.motor:
+    if request.torque_disturbance.motor:
         entry = "the torque disturbance of the motor takes it up"
     return [Lack(f"{text}, up to {amount:.2g} N m", entry)]

@@ -177,6 +177,7 @@ def _found(optimum: Optimum) -> tuple[Found, ...]:
                 number.value(at),
                 number.deviation(at, std),
                 known,
+                number.deviation(at, 1.0),
             )
         )
     return tuple(found)

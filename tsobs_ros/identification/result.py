@@ -21,6 +21,7 @@ class Found(NamedTuple):
         value: The likeliest one.
         std: Its 1σ.
         known: Share of the prior's variance that the recordings took away, from 0 to 1.
+        prior_std: 1σ of the value without the recordings.
     """
 
     name: str
@@ -29,6 +30,7 @@ class Found(NamedTuple):
     value: float
     std: float
     known: float
+    prior_std: float
 
     @property
     def seen(self) -> bool:
@@ -99,6 +101,8 @@ class Traces(NamedTuple):
         residual: Innovations by their expected 1σ, shape (n, p).
         torque: Of the log [N m], shape (n,).
         state: Estimated [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (n, 4).
+        unexplained: Torque at the motor that model and log lack, friction among it [N m], shape
+            (n,).
     """
 
     time: Array
@@ -108,6 +112,7 @@ class Traces(NamedTuple):
     residual: Array
     torque: Array
     state: Array
+    unexplained: Array
 
 
 @dataclass(frozen=True)
