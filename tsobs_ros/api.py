@@ -378,6 +378,8 @@ def compare(
     *,
     methods: Sequence[str] = tuple(CONTENDERS),
     joints: Sequence[str] = (),
+    held_out: str | None = None,
+    held_out_std: float | None = None,
 ) -> Comparison:
     """Compare observers on the same bag or log, as `tsobs compare`.
 
@@ -386,9 +388,13 @@ def compare(
         design: As for `estimate_bag`.
         methods: Names of the observers; of several, those that cannot observe the arm are left out.
         joints: Names of the joints; all that were measured if empty.
+        held_out: Sensor to check estimates against, which no observer gets, as for `--held-out`:
+            `link_angle`, or with its place `link_angle=COLUMN`.
+        held_out_std: 1σ of its noise (rad, rad/s); None: estimated from its high frequencies.
 
     Raises:
-        ModelError: There is no such method, or none can observe this arm.
+        ModelError: There is no such method, none can observe this arm, or the observers measure
+            what is held out.
         BagReadError: The bag cannot be read, or does not have the measurements.
         LogError: The log cannot be read.
 
@@ -398,8 +404,13 @@ def compare(
     ['certified', 'high_gain']
     """
     from tsobs_ros.report.comparison import compare_observers
+    from tsobs_ros.report.held_out import HeldOut
 
-    return Comparison(compare_observers(*_observers(path, design, None, methods, joints)))
+    sensor = None if held_out is None else HeldOut.of(held_out, held_out_std)
+    both_sides = sensor is not None and not sensor.place
+    source, observers = _observers(path, design, None, methods, joints, both_sides)
+    sensors = [] if sensor is None else sensor.read(source, observers)
+    return Comparison(compare_observers(source, observers, sensors=sensors))
 
 
 def _observers(
@@ -408,13 +419,14 @@ def _observers(
     settings: ObserverSettings | None,
     methods: Sequence[str],
     joints: Sequence[str],
+    both_sides: bool = False,
 ) -> "tuple[Source, list[Observer]]":
     # Not needed for arrays, and slow to import.
     from tsobs_ros.replay.designs import choose_designs
     from tsobs_ros.replay.estimate import Observer, open_source, without_misfits
 
     no_torque = None if settings is None else settings.assume_zero_torque
-    source = open_source(path, joints=joints, assume_zero_torque=no_torque)
+    source = open_source(path, joints=joints, assume_zero_torque=no_torque, both_sides=both_sides)
     if design is None:
         (files,) = choose_designs(path, source.ran, source.joints).values()
     else:

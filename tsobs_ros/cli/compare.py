@@ -5,6 +5,7 @@
 import argparse
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tsobs_ros.cli.common import (
     Commands,
@@ -18,10 +19,15 @@ from tsobs_ros.cli.common import (
 from tsobs_ros.cli.estimate import METHODS, add_observer_options, estimate, given_parameters
 from tsobs_ros.errors import ParameterError, printable
 
+if TYPE_CHECKING:
+    from tsobs_ros.report.held_out import HeldOut
+
 FILES = ("compare.png", "compare.json", "compare.md")
 """What is written of a comparison on scenarios."""
 
-_OF_RECORDINGS = ("joints", "topic", "at", "rate", "columns", "units", "other_design")
+_OF_RECORDINGS = (
+    "joints", "topic", "at", "rate", "columns", "units", "other_design", "held_out", "held_out_std",
+)  # fmt: skip
 _OF_SCENARIOS = ("scenario", "seeds", "duration", "force")
 
 
@@ -35,6 +41,17 @@ def add_parser(commands: Commands) -> None:
         "--output", type=Path, metavar="PATH",
         help="of a recording: new bag of all their estimates; of scenarios: folder for "
         + ", ".join(FILES),
+    )  # fmt: skip
+    add = compare.add_argument_group("for recordings").add_argument
+    add(
+        "--held-out", metavar="QUANTITY[=PLACE]",
+        help="check estimates against a sensor that the observers do not get: link_angle, "
+        "link_velocity, motor_angle or motor_velocity; its column in a log, or in a bag its "
+        "/TOPIC, /TOPIC:ENTRY or :ENTRY (default: found by its name)",
+    )  # fmt: skip
+    add(
+        "--held-out-std", type=positive, metavar="STD",
+        help="1 sigma of that sensor's noise in rad or rad/s (default: estimated)",
     )  # fmt: skip
     add = compare.add_argument_group("for scenarios", "without a recording").add_argument
     add(
@@ -55,8 +72,19 @@ def run(options: argparse.Namespace) -> int:
         if getattr(options, name):
             raise ParameterError(f"--{name.replace('_', '-')}: is for {what}")
     if options.bag:
-        return estimate(options, options.output, skip_misfits=True)
+        return estimate(options, options.output, skip_misfits=True, held_out=_held_out(options))
     return _on_scenarios(options)
+
+
+def _held_out(options: argparse.Namespace) -> "HeldOut | None":
+    """Return the sensor to hold out, None without one."""
+    from tsobs_ros.report.held_out import HeldOut
+
+    if options.held_out is None:
+        if options.held_out_std is not None:
+            raise ParameterError("--held-out-std: is for --held-out")
+        return None
+    return HeldOut.of(options.held_out, options.held_out_std)
 
 
 def _on_scenarios(options: argparse.Namespace) -> int:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from tsobs_ros.replay.estimate import Observer, Run
     from tsobs_ros.replay.source import Source
     from tsobs_ros.report.comparison import ObserverErrors
+    from tsobs_ros.report.held_out import HeldOut
 
 # Repeated here, so that the parser needs no numpy.
 _ZERO = "assume_zero_torque"
@@ -123,10 +124,12 @@ def estimate(
     *,
     estimates_only: bool = False,
     skip_misfits: bool = False,
+    held_out: "HeldOut | None" = None,
 ) -> int:
     """Run the observers that the options name, show the result, and return the exit code.
 
-    With `skip_misfits` an observer that cannot observe the arm is left out, with a remark.
+    With `skip_misfits` an observer that cannot observe the arm is left out, with a remark. With
+    `held_out` they are measured against that sensor.
     """
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.replay.estimate import make_runs, open_source, run_all, without_misfits
@@ -143,6 +146,7 @@ def estimate(
         columns=options.columns,
         units=options.units,
         assume_zero_torque=given.assume_zero_torque if _ZERO in parameters else None,
+        both_sides=held_out is not None and not held_out.place,
     )
     observers = _observers(options, source.ran.settings().with_parameters(parameters), source)
     for one in observers:
@@ -160,7 +164,8 @@ def estimate(
             remarks += tuned
     as_live = options.rate is None and options.at != "measurements"
     runs = make_runs(source, observers, rate=options.rate, as_live=as_live, window=WINDOW)
-    scores = RunScores(source, runs) if len(runs) > 1 else None
+    sensors = [] if held_out is None else held_out.read(source, observers)
+    scores = RunScores(source, runs, None, sensors) if sensors or len(runs) > 1 else None
     with progress(source.count * len(runs), " samples", quiet=options.json) as advance:
         run_all(
             source,

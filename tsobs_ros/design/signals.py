@@ -59,7 +59,9 @@ class Signals(NamedTuple):
         return frozenset(place.name for place in self.outputs + self.inputs + self.other_inputs)
 
 
-def signals(request: ArmRequest | TSRequest, joint: str, alone: bool) -> Signals:
+def signals(
+    request: ArmRequest | TSRequest, joint: str, alone: bool, both_sides: bool = False
+) -> Signals:
     """Return the places of a joint's signals in measurements and estimates.
 
     Args:
@@ -67,12 +69,13 @@ def signals(request: ArmRequest | TSRequest, joint: str, alone: bool) -> Signals
         joint: Its name.
         alone: Whether it is the only one of its node; entries of a T–S system have the joint's
             name before theirs if not.
+        both_sides: Whether an arm has encoders on both sides, although the design may measure one.
 
     >>> signals(ArmRequest(), "elbow", alone=True).outputs
     (Place(name='elbow', field='position'),)
     """
     if isinstance(request, ArmRequest):
-        return _of_arm(request, joint)
+        return _of_arm(request, joint, both_sides)
     outputs, inputs, states = (
         tuple(name if alone else f"{joint}/{name}" for name in names)
         for names in (request.output_names, request.input_names, request.state_names)
@@ -81,10 +84,10 @@ def signals(request: ArmRequest | TSRequest, joint: str, alone: bool) -> Signals
     return Signals(*places, outputs, (), (), request.output_units)
 
 
-def _of_arm(request: ArmRequest, joint: str) -> Signals:
+def _of_arm(request: ArmRequest, joint: str, both_sides: bool) -> Signals:
     link, motor, names = f"{joint}_link", f"{joint}_motor", request.output_names
     sides = [name.partition("_")[0] for name in names]
-    both = len(set(sides)) == 2
+    both = both_sides or len(set(sides)) == 2
     fields: list[Field] = ["position" if name.endswith("angle") else "velocity" for name in names]
     return Signals(
         tuple(

@@ -358,6 +358,7 @@ def open_source(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     assume_zero_torque: bool | None = None,
+    both_sides: bool = False,
 ) -> Source:
     """Open a bag, or a log if it is a file that is none of a bag's.
 
@@ -369,6 +370,7 @@ def open_source(
         units: Of a log, see `LogSource`.
         assume_zero_torque: Take measurements without torque as torque 0; None: as the observer of
             a bag, of a log not.
+        both_sides: Of a bag, see `BagSource`.
 
     Raises:
         BagReadError: The bag cannot be read, or does not have the measurements.
@@ -379,7 +381,9 @@ def open_source(
         return LogSource(
             path, columns=columns, units=units, joints=joints, assume_zero_torque=bool(no_torque)
         )
-    return BagSource(path, topic=topic, joints=joints, assume_zero_torque=no_torque)
+    return BagSource(
+        path, topic=topic, joints=joints, assume_zero_torque=no_torque, both_sides=both_sides
+    )
 
 
 def make_runs(

@@ -19,7 +19,7 @@ from tsobs_ros.bag.message_series import MessageSeries
 from tsobs_ros.bag.metadata import QosProfile, TopicInfo
 from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.checks import Array
-from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.design.request import ArmRequest, Output, TSRequest
 from tsobs_ros.errors import LogError
 from tsobs_ros.replay.columns import (
     LATEST,
@@ -396,6 +396,39 @@ class LogSource(Source):
         samples.log_times += self.moved_by
         samples.checksums = [crc32(row) for row in self._encoded(samples)]
         return samples
+
+    def sensor(self, quantity: str, column: str = "") -> tuple["LogSource", list[str]]:
+        """Return the log as of a sensor that no design measures, and its column for each joint.
+
+        Args:
+            quantity: Name of a quantity of an arm.
+            column: Its column; empty to find it by its name.
+
+        Raises:
+            LogError: There is no such column, or the observer uses it.
+        """
+        kind, common = quantity.partition("_")[2], ("time", "torque")
+        columns = {key: name for key, name in self._wanted.items() if key.split(".")[0] in common}
+        found = LogSource(
+            self.path,
+            columns=columns | ({quantity: column} if column else {}),
+            units={key: unit for key, unit in self._units.items() if key in (*common, kind)},
+            joints=self.joints,
+            assume_zero_torque=True,
+        )
+        request = ArmRequest(outputs=[Output(quantity, ArmRequest.measurement_std)])
+        try:
+            found.observe([request] * len(self.joints))
+        except LogError as error:
+            hint = str(error).replace(f"--columns {kind}=", f"--held-out {quantity}=")
+            raise LogError(hint) from error
+        own = [cell.column for cell in found._cells if cell.signal.field == "y"]
+        if taken := [each.title for each in own if each.place in self._places]:
+            raise LogError(
+                f"{self.path}: column {taken[0]!r} is used by the observer; name that of the "
+                f"held-out sensor: --held-out {quantity}=COLUMN"
+            )
+        return found, [each.title for each in own]
 
     def messages(self) -> Iterator[BagMessage]:
         for samples, _, _ in self.parts(_BLOCK):

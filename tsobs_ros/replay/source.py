@@ -179,6 +179,7 @@ class Source(ABC):
         remarks: Notes for the user.
         guessed: Whether the joints are those of the first messages, for want of anything better.
         topics: Topics that belong with estimates: measurements, and the truth of a simulation.
+        both_sides: Whether arms have encoders on both sides, although a design may measure one.
     """
 
     path: Path
@@ -197,6 +198,7 @@ class Source(ABC):
     remarks: tuple[str, ...] = ()
     guessed = False
     topics: tuple[TopicInfo, ...] = ()
+    both_sides = False
     _requests: tuple[ArmRequest | TSRequest, ...] = ()
 
     def observe(self, requests: Sequence[ArmRequest | TSRequest]) -> None:
@@ -241,7 +243,7 @@ class Source(ABC):
     def signals_of(self, requests: Sequence[ArmRequest | TSRequest]) -> tuple[Signals, ...]:
         """Return the places of the joints' signals if they have these designs."""
         each = zip(requests, self.joints, strict=True)
-        return tuple(signals(request, joint, self.alone) for request, joint in each)
+        return tuple(signals(one, joint, self.alone, self.both_sides) for one, joint in each)
 
     @abstractmethod
     def _observe(self) -> None:
@@ -276,6 +278,8 @@ class BagSource(Source):
             the first messages have, else those of the first messages.
         observer: Name of the live observer, whose topics are read too.
         assume_zero_torque: Take messages without effort as torque 0; None: as the live observer.
+        both_sides: Take a joint with an entry of its motor for one with encoders on both sides,
+            although the design may measure one.
 
     Attributes:
         reader: The bag.
@@ -293,6 +297,7 @@ class BagSource(Source):
         joints: Sequence[str] = (),
         observer: str = "observer",
         assume_zero_torque: bool | None = None,
+        both_sides: bool = False,
     ) -> None:
         self.path = path
         self.reader = BagReader(path)
@@ -310,6 +315,8 @@ class BagSource(Source):
         self._alone = len(self.ran.designs) <= 1 and not any(
             name.startswith(f"{joint}/") for joint in self.joints for name in first
         )
+        motors = (topics.sides(joint)[1] for joint in self.joints)
+        self.both_sides = both_sides and any(motor in first for motor in motors)
         if assume_zero_torque is None:
             assume_zero_torque = self.ran.settings().assume_zero_torque
         self._assume_zero_torque = assume_zero_torque

@@ -10,6 +10,7 @@ one is the better rival: one keeps the nominal parameters, the other has them as
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,13 @@ from tsobs_ros.design.request import TSRequest
 from tsobs_ros.design.signals import Signals
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.estimation.baselines import GATE
+from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import EKFS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
 from tsobs_ros.replay.places import places_of
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.replay.windows import WINDOW
+from tsobs_ros.report.held_out import HeldOutErrors, HeldOutSensor
 from tsobs_ros.report.metrics import SIGMAS, MetricsOptions, RunMetrics, measure, root_mean
 from tsobs_ros.report.quantities import QUANTITIES, outputs_of
 from tsobs_ros.report.run import ESTIMATED, TRUE, Asked, RecordedRun, Rows, read_rows, run_of
@@ -103,6 +106,7 @@ class ObserverErrors:
         metrics: Errors against the truth if it is known, and the innovations' consistency;
             None without estimates.
         outputs: Names of the outputs, and their units.
+        held_out: Errors against a sensor that no observer gets; None without one.
     """
 
     observer: str
@@ -110,6 +114,7 @@ class ObserverErrors:
     innovation_rms: tuple[float | None, ...]
     metrics: RunMetrics | None
     outputs: tuple[tuple[str, str], ...] = (("link angle", "rad"),)
+    held_out: HeldOutErrors | None = None
 
     @property
     def normalised_rmse(self) -> float:
@@ -126,6 +131,7 @@ class ObserverErrors:
             "joint": self.joint,
             "innovation_rms": rms if len(rms) > 1 else self.innovation_rms[0],
             **({} if self.metrics is None else self.metrics.as_mapping()),
+            **({} if self.held_out is None else {"held_out": self.held_out.as_mapping()}),
         }
 
 
@@ -217,7 +223,10 @@ def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer],
 
 
 def compare_observers(
-    source: Source, observers: Sequence[Observer], options: MetricsOptions | None = None
+    source: Source,
+    observers: Sequence[Observer],
+    options: MetricsOptions | None = None,
+    sensors: Sequence[HeldOutSensor] = (),
 ) -> list[ObserverErrors]:
     """Run observers when the recorded one estimated, if there is one, and measure them.
 
@@ -225,15 +234,19 @@ def compare_observers(
         source: The measurements.
         observers: The observers.
         options: Options of the measures.
+        sensors: Of each joint one that they do not get, to measure them against.
     """
-    return _scores(source, observers, options).errors()
+    return _scores(source, observers, options, sensors).errors()
 
 
 def _scores(
-    source: Source, observers: Sequence[Observer], options: MetricsOptions | None
+    source: Source,
+    observers: Sequence[Observer],
+    options: MetricsOptions | None,
+    sensors: Sequence[HeldOutSensor] = (),
 ) -> "RunScores":
     runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
-    scores = RunScores(source, runs, options)
+    scores = RunScores(source, runs, options, sensors)
     run_all(source, runs, None, after_window=scores.add)
     return scores
 
@@ -247,17 +260,24 @@ class RunScores:
         source: The measurements.
         runs: The runs.
         options: Options of the measures.
+        sensors: Of each joint one that no run gets, to measure them against.
     """
 
     def __init__(
-        self, source: Source, runs: Sequence[Run], options: MetricsOptions | None = None
+        self,
+        source: Source,
+        runs: Sequence[Run],
+        options: MetricsOptions | None = None,
+        sensors: Sequence[HeldOutSensor] = (),
     ) -> None:
-        self._source, self._options = source, options
+        self._source, self._options, self._sensors = source, options, sensors
         self._kept = [
             (run, joint, {key: Rows(width) for key, width in _widths(run.signals[joint]).items()})
             for joint in range(len(source.joints))
             for run in runs
         ]
+        for _, _, kept in self._kept if sensors else ():
+            kept["health"] = Rows(len(HEALTH))
 
     def add(self) -> None:
         """Add what the runs have made of their window."""
@@ -265,7 +285,11 @@ class RunScores:
             _keep(run, joint, kept)
 
     def errors(self) -> list[ObserverErrors]:
-        """Return the errors of all observers, joint by joint."""
+        """Return the errors of all observers, joint by joint.
+
+        Raises:
+            LogError: Too few readings of a held-out sensor are between estimates.
+        """
         return [errors for errors, _ in self.results()]
 
     def results(self) -> Iterator[tuple[ObserverErrors, RecordedRun | None]]:
@@ -273,15 +297,23 @@ class RunScores:
         truth = self._truth()
         for one, joint, kept in self._kept:
             name, method = self._source.joints[joint], one.observer.name
-            design = one.observer.designs[joint]
-            found = {key: rows.passes() for key, rows in (kept | truth[joint]).items()}
+            design, read = one.observer.designs[joint], kept | truth[joint]
+            if self._sensors:
+                read["held_out"] = self._sensors[joint].rows
+            found = {key: rows.passes() for key, rows in read.items()}
             run = run_of(found, method, name, design.request) if found["state"] else None
+            metrics = held_out = None
+            if run is not None:
+                metrics = measure(run, metrics_options(design, self._options))
+                if self._sensors:
+                    held_out = self._sensors[joint].errors(run, metrics.windows)
             errors = ObserverErrors(
                 method,
                 name,
                 tuple(map(root_mean, kept["innovation"].read()["values"].T)),
-                None if run is None else measure(run, metrics_options(design, self._options)),
+                metrics,
                 tuple(outputs_of(design.request)),
+                held_out,
             )
             yield errors, run
 
@@ -319,6 +351,9 @@ def _keep(run: Run, joint: int, kept: Mapping[str, Rows]) -> None:
         if not found.shape[1]:
             found = np.full((len(there), widths[key]), np.nan)
         kept[key].add(ticks.stamps[there], ticks.log_times[there], found)
+    if "health" in kept:
+        found = table.values(joint, *HEALTH)[there]
+        kept["health"].add(ticks.stamps[there], ticks.log_times[there], found)
     p = widths["innovation"]
     m, innovations = widths["measurements"] - p, table.innovations[joint]
     measured = np.hstack([samples.y[:, joint, :p], samples.u[:, joint, :m]])
@@ -340,6 +375,7 @@ def render_comparison(rows: Sequence[ObserverErrors]) -> str:
         note = [_note(first)]
         if first is not None and (ekfs := [r.observer for r in own if r.observer in _EKFS]):
             note.append(_about_ekfs(ekfs, first))
+        note += dict.fromkeys(row.held_out.sensor.note for row in own if row.held_out)
         parts.append("\n".join([*title, *aligned(_cells(own, first)), "", *note]))
     return "\n\n".join(parts)
 
@@ -365,7 +401,13 @@ def _cells(rows: Sequence[ObserverErrors], first: RunMetrics | None) -> list[lis
         name = "innovation" if len(rows[0].outputs) == 1 else f"innovation of {output}"
         cells.append([name, unit, *(number_text(row.innovation_rms[place]) for row in rows)])
     nis = (None if each is None else each.nis for each in metrics)
-    return [*cells, ["innovation² / expected", "", *map(number_text, nis)]]
+    cells.append(["innovation² / expected", "", *map(number_text, nis)])
+    held_out = [row.held_out for row in rows]
+    units = [one.sensor.quantity.unit for one in held_out if one is not None]
+    for label, key, text in _HELD_OUT if units else ():
+        values = (None if one is None else attrgetter(key)(one) for one in held_out)
+        cells.append([label, units[0] if text is number_text else "", *map(text, values)])
+    return cells
 
 
 def _note(metrics: RunMetrics | None) -> str:
@@ -409,8 +451,8 @@ def metrics_cells(metrics: RunMetrics, comparison: EkfComparison | None = None) 
     """Return the cells of the same table, its head first."""
     rows = [["", "unit", "RMSE", "bound (1σ)", "RMSE/bound", f"inside {SIGMAS:g}σ"]]
     for one in metrics.quantities:
-        inside = _NOTHING if one.inside is None else f"{100.0 * one.inside:.1f} %"
-        numbers = [number_text(one.rmse), number_text(one.bound), _quotient(one.ratio), inside]
+        sizes = [number_text(one.rmse), number_text(one.bound)]
+        numbers = [*sizes, _quotient(one.ratio), _share(one.inside)]
         rows.append([one.quantity.name, one.quantity.unit, *numbers])
     rows.append(["all states, normalised", "", number_text(metrics.normalised_rmse), "", "", ""])
     if comparison is not None:
@@ -445,6 +487,22 @@ def number_text(value: float | None) -> str:
 
 def _quotient(value: float | None) -> str:
     return _NOTHING if value is None else f"{value:.2f}"
+
+
+def _share(value: float | None) -> str:
+    return _NOTHING if value is None else f"{100.0 * value:.1f} %"
+
+
+_HELD_OUT = (
+    ("held-out sensor", "with_bias.rmse", number_text),
+    (f"  inside {SIGMAS:g}σ", "with_bias.inside", _share),
+    ("  largest", "largest", number_text),
+    ("  bias", "bias", number_text),
+    ("  without bias", "without_bias.rmse", number_text),
+    (f"  without bias, inside {SIGMAS:g}σ", "without_bias.inside", _share),
+    ("  bounds claimed", "claimed", _share),
+)
+"""Rows of errors against a held-out sensor."""
 
 
 def _ratio(ours: float | None, theirs: float | None) -> float | None:

@@ -93,6 +93,10 @@ class QuantityMetrics:
         """The quantity's, for programs."""
         return self.quantity.key
 
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the numbers as plain data that JSON can hold."""
+        return {name: getattr(self, name) for name in ("rmse", "bound", "ratio", "inside")}
+
 
 Windows = tuple[tuple[float, float], ...]
 """Parts of a run as (begin, end) in seconds since its origin."""
@@ -165,11 +169,7 @@ class RunMetrics:
     def as_mapping(self) -> dict[str, Any]:
         """Return everything as plain data that JSON can hold."""
         data = asdict(self)
-        quantities = zip(self.quantities, data["quantities"], strict=True)
-        data["quantities"] = {
-            one.key: {name: values[name] for name in ("rmse", "bound", "ratio", "inside")}
-            for one, values in quantities
-        }
+        data["quantities"] = {one.key: one.as_mapping() for one in self.quantities}
         data["windows"] = [list(window) for window in self.windows]
         data["events"] = list(data["events"])
         if len(self.output_nis) <= 1:
@@ -206,7 +206,7 @@ def measure(run: RecordedRun, options: MetricsOptions | None = None) -> RunMetri
         one = run.of(quantity)
         error, known = one.error, np.isfinite(one.bounds)
         has_truth |= one.truth is not None
-        quantities.append(_quantity(quantity, error[settled], one.bounds[settled]))
+        quantities.append(quantity_metrics(quantity, error[settled], one.bounds[settled]))
         # The limit is the smallest of the run, as the bound is wide while an estimate settles.
         if known.any() and np.isfinite(error).any():
             # "Not inside" rather than "outside", so that an unknown error is not taken for small.
@@ -242,7 +242,8 @@ def root_mean(values: Array) -> float | None:
         return _bounded(math.sqrt(np.mean(np.square(finite)))) if len(finite) else None
 
 
-def _quantity(quantity: Quantity, error: Array, bound: Array) -> QuantityMetrics:
+def quantity_metrics(quantity: Quantity, error: Array, bound: Array) -> QuantityMetrics:
+    """Return the metrics of a quantity's errors and 1σ bounds, NaN if unknown, shape (n,)."""
     rmse = root_mean(error)
     if rmse is None:
         return QuantityMetrics(quantity, None, root_mean(bound), None, None)

@@ -144,6 +144,7 @@ class RecordedRun:
             not recorded.
         parameters: Learnt changes of the uncertain parameters, values (l, c); None if not recorded.
         parameter_bound: 1σ of each, values (l, c); None if not recorded.
+        held_out: Readings of a sensor that no observer got, values (r, 1); None without one.
         topic: Name of the measurements' topic.
         passes: Number of passes over the recorded time; this is the longest one.
         quantities: What the estimates are of.
@@ -167,6 +168,7 @@ class RecordedRun:
     health: Series | None = None
     parameters: Series | None = None
     parameter_bound: Series | None = None
+    held_out: Series | None = None
     topic: str = "joint_measurements"
     passes: int = 1
     quantities: tuple[Quantity, ...] = QUANTITIES

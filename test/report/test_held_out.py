@@ -1,0 +1,255 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Estimates against a sensor that no observer gets, in logs and bags of a known truth."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import tsobs_ros as ts
+from tsobs_ros.cli.main import main
+from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import Output
+
+STD = 0.003
+START = 1_700_000_000_000_000_000
+
+
+@pytest.fixture(scope="module")
+def motor_design() -> Design:
+    """An arm with an encoder on its motor."""
+    return ts.synthesise(ts.ArmRequest(outputs=[Output("motor_angle", 0.005)], uncertainty={}))
+
+
+@pytest.fixture(scope="module")
+def run(motor_design: Design) -> Any:
+    """Twenty-five seconds of it."""
+    return ts.simulate(motor_design, duration=25.0, seed=1)
+
+
+@pytest.fixture
+def design_file(motor_design: Design, tmp_path: Path) -> str:
+    """The design as a file."""
+    ts.save_design(motor_design, tmp_path / "motor.design.yaml")
+    return str(tmp_path / "motor.design.yaml")
+
+
+def link_sensor(run: Any, std: float = STD) -> np.ndarray:
+    """Return what the sensor at the link measures."""
+    return run.state[:, 0] + std * np.random.default_rng(5).standard_normal(len(run.time))
+
+
+def write_log(path: Path, run: Any, link: np.ndarray, title: str = "link_angle") -> str:
+    rows = zip(run.time, run.angle, link, run.torque, strict=True)
+    lines = [f"time [s],motor_angle,{title},torque"]
+    lines += [f"{t:.4f},{y:.8f},{held:.8f},{u:.8f}" for t, y, held, u in rows]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return str(path)
+
+
+def true_error(design: Design, run: Any) -> float:
+    """Return the RMS error of the link angle once settled."""
+    estimates = ts.estimate(design, run.time, run.angle, run.torque)
+    error = (estimates.state - run.state)[run.time > 5.0, 0]
+    return float(np.sqrt(np.mean(error**2)))
+
+
+@pytest.mark.parametrize("title", ["link_angle", "angle", "q_link [deg]"])
+def test_errors_in_a_log_are_those_against_the_truth_and_the_noise(
+    motor_design, run, design_file, tmp_path, capsys, title
+) -> None:
+    link = link_sensor(run)
+    link = np.degrees(link) if "deg" in title else link
+    log = write_log(tmp_path / "log.csv", run, link, title)
+    option = "link_angle=q_link" if "deg" in title else "link_angle"
+    command = ["compare", log, "--design", design_file, "--method", "certified", "ekf"]
+
+    assert main([*command, "--held-out", option, "--json"]) == 0
+
+    rows = json.loads(capsys.readouterr().out)["errors"]
+    assert [row["observer"] for row in rows] == ["certified", "ekf"]
+    for found in (row["held_out"] for row in rows):
+        sensor = found["sensor"]
+        assert sensor["std"] == pytest.approx(STD, rel=0.05)
+        assert (sensor["quantity"], sensor["unit"], sensor["std_is_estimated"]) == (
+            "link_angle", "rad", True,
+        )  # fmt: skip
+        assert title in sensor["source"]
+        assert found["samples"] == pytest.approx(4000, abs=5)
+        assert found["with_bias"]["inside"] > 0.98
+        assert found["largest"] >= found["with_bias"]["rmse"] > found["without_bias"]["rmse"]
+        assert abs(found["bias"]) < 0.001
+    (certified, _) = rows
+    expected = np.hypot(true_error(motor_design, run), STD)
+    assert certified["held_out"]["with_bias"]["rmse"] == pytest.approx(expected, rel=0.03)
+    assert certified["held_out"]["claimed"] == 1.0
+
+
+def test_a_wrong_stiffness_is_exposed(motor_design, design_file, tmp_path) -> None:
+    soft = ts.simulate(motor_design, duration=25.0, seed=1, mismatch={"stiffness": -0.3})
+    log = write_log(tmp_path / "log.csv", soft, link_sensor(soft))
+
+    certified, ekf = ts.compare(
+        log, design_file, methods=["certified", "ekf"], held_out="link_angle", held_out_std=STD
+    )
+
+    assert ekf.held_out is not None
+    assert ekf.held_out.with_bias.inside < 0.5
+    assert ekf.held_out.claimed == 1.0
+    assert certified.held_out is not None
+    assert certified.held_out.claimed < 0.1  # the innovations contradict the design
+
+
+def test_encoders_with_different_zeros_have_a_bias(run, design_file, tmp_path, capsys) -> None:
+    log = write_log(tmp_path / "log.csv", run, link_sensor(run) + 0.2)
+    command = ["compare", log, "--design", design_file, "--method", "certified"]
+
+    assert main([*command, "--held-out", "link_angle", "--held-out-std", "0.003"]) == 0
+
+    out = capsys.readouterr().out
+    lines = [line.split("  ") for line in out.splitlines()]
+    cells = {each[0] or each[1]: each[-1] for each in lines if len(each) > 1}
+    assert float(cells["bias"]) == pytest.approx(-0.2, abs=0.002)
+    assert float(cells["held-out sensor"]) == pytest.approx(0.2, abs=0.005)
+    assert float(cells["without bias"]) < 0.005
+    assert cells["inside 3σ"].strip() == "0.0 %"
+    assert cells["without bias, inside 3σ"].strip() == "100.0 %"
+    assert "noise of 0.003 rad (as given)" in out
+    assert "as of encoders with different zeros" in out
+
+
+@pytest.fixture
+def both_encoders(run, write_bag) -> Any:
+    """Write a bag with both encoders in one message, and the link's on a topic of its own."""
+
+    def write(gap: tuple[float, float] = (0.0, 0.0)) -> str:
+        link = link_sensor(run)
+        stamps = START + np.round(run.time * 1e9).astype(np.int64)
+        each = zip(stamps.tolist(), link.tolist(), run.angle.tolist(), run.torque, strict=True)
+        kept = (run.time < gap[0]) | (run.time >= gap[1])
+        both = [
+            (stamp, ["elbow", "elbow_motor"], [q, y], [], [float(u)] * 2)
+            for (stamp, q, y, u), there in zip(each, kept, strict=True)
+            if there
+        ]
+        # Half way between the measurements, and from another clock's grid.
+        later = stamps[:-1:2] + 2_500_000
+        own = np.interp(later, stamps, run.state[:, 0]) + STD * np.random.default_rng(6).normal(
+            size=len(later)
+        )
+        alone = [
+            (stamp, ["link"], [float(q)]) for stamp, q in zip(later.tolist(), own, strict=True)
+        ]
+        return str(write_bag({"/joint_measurements": both, "/link_encoder": alone}))
+
+    return write
+
+
+@pytest.mark.parametrize("option", ["link_angle", "link_angle=/link_encoder:link"])
+def test_a_bag_has_the_sensor_in_its_measurements_or_on_a_topic(
+    motor_design, run, both_encoders, design_file, option
+) -> None:
+    joints = [] if option == "link_angle" else ["elbow_motor"]
+
+    (found,) = ts.compare(
+        both_encoders(), design_file, methods=["certified"], joints=joints, held_out=option
+    )
+
+    assert found.held_out is not None
+    assert found.metrics is not None
+    assert found.metrics.nis == pytest.approx(1.0, abs=0.1)  # the observer got the motor's encoder
+    expected = np.hypot(true_error(motor_design, run), STD)
+    assert found.held_out.with_bias.rmse == pytest.approx(expected, rel=0.05)
+    assert found.held_out.sensor.std == pytest.approx(STD, rel=0.08)
+    assert found.held_out.samples == pytest.approx(4000 if joints == [] else 2000, abs=5)
+
+
+def test_nothing_is_interpolated_across_a_gap(both_encoders, design_file) -> None:
+    (found,) = ts.compare(
+        both_encoders((10.0, 12.0)),
+        design_file,
+        methods=["certified"],
+        joints=["elbow_motor"],
+        held_out="link_angle=/link_encoder:link",
+    )
+
+    assert found.held_out is not None
+    assert found.held_out.samples == pytest.approx(1800, abs=5)
+
+
+def test_the_truth_held_out_gives_the_errors_against_the_truth(
+    simulated, write_bag, messages_of, capsys
+) -> None:
+    bag = str(write_bag(messages_of(simulated)))
+    command = ["compare", bag, "--method", "certified", "high_gain", "--param", "theta=2.5"]
+    option = "motor_velocity=/ground_truth/joint_states"
+
+    assert main([*command, "--held-out", option, "--held-out-std", "1e-9", "--json"]) == 0
+
+    for row in json.loads(capsys.readouterr().out)["errors"]:
+        truth, held_out = row["quantities"]["motor_velocity"], row["held_out"]["with_bias"]
+        assert held_out["rmse"] == pytest.approx(truth["rmse"], rel=0.02)
+        assert (held_out["inside"] is None) == (truth["inside"] is None)
+
+
+def test_a_coarse_encoder_has_the_noise_of_its_steps(run, design_file, tmp_path) -> None:
+    step = 0.01
+    log = write_log(tmp_path / "log.csv", run, np.round(link_sensor(run, 0.0) / step) * step)
+
+    (found,) = ts.compare(log, design_file, methods=["certified"], held_out="link_angle")
+
+    assert found.held_out is not None
+    assert step / 4.0 < found.held_out.sensor.std < step / 2.0
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("link_velocity", "no column is called velocity; name it: --held-out link_velocity=…"),
+        ("link_angle=knee", "no column is called 'knee'"),
+        ("link_angle=motor_angle", "column 'motor_angle' is used by the observer"),
+        ("motor_angle", "held out: motor_angle is what the observer measures"),
+        ("knee", "held out: expected one of link_angle, link_velocity, motor_angle, motor_veloc"),
+        ("link_angle=degrees", "column 'degrees': it seems to be in degrees, -"),
+        ("link_angle=empty", "expected at least 20 readings in column 'empty', got 0"),
+        ("link_angle=early", "between settled estimates, got 0"),
+    ],
+)
+def test_a_sensor_that_cannot_be_compared_is_refused_in_one_line(
+    run, design_file, tmp_path, capsys, option, said
+) -> None:
+    log = tmp_path / "log.csv"
+    lines = ["time [s],motor_angle,link_angle,torque,degrees,empty,early"]
+    for k, (t, y, u, q) in enumerate(
+        zip(run.time, run.angle, run.torque, run.state[:, 0], strict=True)
+    ):
+        early = f"{q}" if k < 500 else ""
+        lines.append(f"{t:.4f},{y:.8f},{q:.8f},{u:.8f},{np.degrees(q):.6f},,{early}")
+    log.write_text("\n".join(lines), encoding="utf-8")
+    command = ["compare", str(log), "--design", design_file, "--method", "certified"]
+
+    assert main([*command, "--held-out", option]) == 1
+
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    assert said in line
+
+
+def test_a_bag_without_the_sensor_is_refused_in_one_line(
+    simulated, write_bag, messages_of, capsys
+) -> None:
+    bag = str(write_bag(messages_of(simulated)))
+    for option, said in (
+        ("motor_angle", "in position of elastic_joint_motor on /joint_measurements, got 0"),
+        ("motor_angle=/nowhere", "no topic /nowhere; topics: "),
+        ("motor_angle=:elastic_joint", "is what the observer measures"),
+    ):
+        assert main(["compare", bag, "--method", "certified", "--held-out", option]) == 1
+        assert said in capsys.readouterr().err
+    assert main(["compare", "--held-out", "motor_angle"]) == 1
+    assert "--held-out: is for a recording" in capsys.readouterr().err
+    assert main(["compare", bag, "--held-out-std", "0.1"]) == 1
+    assert "--held-out-std: is for --held-out" in capsys.readouterr().err

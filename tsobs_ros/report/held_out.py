@@ -1,0 +1,251 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A sensor that no observer gets, and the errors of estimates against it."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.checks import Array, Flags, positive
+from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.errors import BagReadError, LogError, ModelError
+from tsobs_ros.replay.estimate import Observer
+from tsobs_ros.replay.health import CLAIMED
+from tsobs_ros.replay.log import LogSource
+from tsobs_ros.replay.source import BagSource, Source
+from tsobs_ros.report.metrics import QuantityMetrics, Windows, inside_windows, quantity_metrics
+from tsobs_ros.report.quantities import QUANTITIES, Quantity
+from tsobs_ros.report.run import BLOCK, Asked, RecordedRun, Rows, align, read_rows
+from tsobs_ros.series import Stamps
+
+_ARM = {one.key: one for one in QUANTITIES[:4]}
+_MIN_READINGS, _MAX_READINGS = 20, 50_000
+# Estimates further apart than this many of their periods have lost some between them.
+_MAX_PERIODS = 3.5
+_NEIGHBOURS, _ROUNDED = 7, 1e-9
+
+
+class HeldOut(NamedTuple):
+    """A sensor to hold out.
+
+    Attributes:
+        quantity: Its quantity: link_angle, link_velocity, motor_angle or motor_velocity.
+        std: 1σ of its noise (rad, rad/s); None: estimated from its high frequencies.
+        place: Its column, topic or entry, as for `Source.readings`; empty to find it.
+    """
+
+    quantity: str
+    std: float | None = None
+    place: str = ""
+
+    @classmethod
+    def of(cls, text: str, std: float | None = None) -> "HeldOut":
+        """Return the sensor of a text such as `link_angle` or `link_angle=PLACE`.
+
+        Raises:
+            ModelError: There is no such quantity, or the noise is not above 0.
+        """
+        quantity, _, place = text.partition("=")
+        if quantity not in _ARM:
+            raise ModelError(f"held out: expected one of {', '.join(_ARM)}, got {quantity!r}")
+        return cls(quantity, None if std is None else positive("held_out_std", std), place)
+
+    def read(self, source: Source, observers: Sequence[Observer]) -> "list[HeldOutSensor]":
+        """Return the sensor of each joint.
+
+        Raises:
+            ModelError: An observer measures the quantity, or is of no arm.
+            BagReadError: The bag does not have the sensor.
+            LogError: The log does not, or readings are too few or seem to be in degrees.
+        """
+        quantity, requests = _ARM[self.quantity], [d.request for d in observers[0].designs]
+        source.observe(requests)
+        arms = [request for request in requests if isinstance(request, ArmRequest)]
+        if len(arms) < len(requests):
+            raise ModelError("held out: expected the design of an arm, got one of a T-S system")
+        if any(quantity.key in arm.output_names for arm in arms):
+            raise ModelError(f"held out: {quantity.key} is what the observer measures")
+        if isinstance(source, BagSource):
+            read = self._read_bag(source, arms)
+        else:
+            assert isinstance(source, LogSource)
+            read = self._read_log(source)
+        sensors = []
+        for arm, (where, rows) in zip(arms, read, strict=True):
+            found = rows.read()[:_MAX_READINGS]
+            found = found[np.isfinite(found["values"][:, 0])]
+            _require_enough(len(found), quantity, where)
+            values = found["values"][:, 0]
+            low, high = np.percentile(values, [1.0, 99.0]).tolist()
+            reach, bounded = float(arm.reach[quantity.column]), math.isfinite(arm.max_angle)
+            if bounded and 3.0 * reach < (high - low) / 2.0 <= math.degrees(reach):
+                raise LogError(
+                    f"held-out {quantity.key}, {where}: it seems to be in degrees, {low:.3g} to "
+                    f"{high:.3g} where the design is for ±{reach:.3g} {quantity.unit}; in a log, "
+                    f"write the unit into the title: {quantity.key} [deg{quantity.unit[3:]}]"
+                )
+            std = self.std or _noise_std(found["stamps"], values)
+            sensors.append(HeldOutSensor(quantity, where, std, self.std is None, rows))
+        return sensors
+
+    def _read_log(self, log: LogSource) -> list[tuple[str, Rows]]:
+        """Return the place of each joint's readings, and those."""
+        sensor, titles = log.sensor(self.quantity, self.place)
+        found = [(f"column {title!r}", Rows(1)) for title in titles]
+        for samples, _, _ in sensor.parts(BLOCK):
+            for (_, rows), values in zip(found, samples.y.swapaxes(0, 1), strict=True):
+                rows.add(samples.stamps, samples.log_times, values)
+        return found
+
+    def _read_bag(self, bag: BagSource, arms: Sequence[ArmRequest]) -> list[tuple[str, Rows]]:
+        place, (side, _, kind) = self.place, self.quantity.partition("_")
+        topic, _, entry = place.partition(":") if place[:1] in ("/", ":") else ("", "", place)
+        topic, field = topic or bag.topic, "position" if kind == "angle" else "velocity"
+        asked = {}
+        for joint, arm, own in zip(bag.joints, arms, bag.signals, strict=True):
+            names = [entry or topics.sides(joint)[side == "motor"]]
+            # In measurements the joint's name is of the side that the observer takes it for.
+            link = bag.both_sides or any("link" in name for name in arm.output_names)
+            if not entry and (topic != bag.topic or link == (side == "link")):
+                names.insert(0, joint)
+            groups = [[(name, field)] for name in names]
+            where = f"{field} of {' or '.join(names)} on {topic}"
+            if topic == bag.topic and groups[0][0] in own.outputs:
+                raise BagReadError(f"{bag.path}: {where} is what the observer measures")
+            asked[where] = Asked(topic, groups, len(groups) > 1)
+        return list(read_rows(bag.reader, asked, bag.damaged).items())
+
+
+class HeldOutSensor(NamedTuple):
+    """A joint's sensor that is held out.
+
+    Attributes:
+        quantity: What it measures.
+        source: Its column or entry.
+        std: 1σ of its noise, in the quantity's unit.
+        std_is_estimated: Whether that is estimated.
+        rows: Its readings.
+    """
+
+    quantity: Quantity
+    source: str
+    std: float
+    std_is_estimated: bool
+    rows: Rows
+
+    @property
+    def note(self) -> str:
+        """The line on the sensor and on what the errors are."""
+        origin = "estimated from its high frequencies" if self.std_is_estimated else "as given"
+        return (
+            f"held out: {self.quantity.name}, {self.source}; its noise of {self.std:.3g} "
+            f"{self.quantity.unit} ({origin}) is part of the errors and added to the bounds; the "
+            "bias is the mean of estimate − sensor, as of encoders with different zeros"
+        )
+
+    def errors(self, run: RecordedRun, windows: Windows) -> "HeldOutErrors | None":
+        """Return the errors of a run, None if its estimates are no numbers.
+
+        Estimates are interpolated linearly to the stamps of the readings, not across gaps.
+
+        Args:
+            run: With the readings and the health of the estimates.
+            windows: The settled parts.
+
+        Raises:
+            LogError: Too few readings are between settled estimates.
+        """
+        if run.held_out is None or run.health is None:
+            return None
+        settled = inside_windows(run.held_out.seconds(run.origin), windows)
+        readings = run.held_out.take(settled & np.isfinite(run.held_out.values[:, 0]))
+        one, claims = run.of(self.quantity), align(run.health, run.stamps)[:, CLAIMED]
+        series = np.column_stack([one.values, one.bounds, claims])
+        near, at_readings = _between(run.stamps, series, readings.stamps)
+        _require_enough(int(near.sum()), self.quantity, f"{self.source}, between settled estimates")
+        error = at_readings[:, 0] - readings.values[:, 0]
+        known = np.isfinite(error)
+        if not known.any():
+            return None
+        error, (_, bound, claimed) = error[known], at_readings[known].T
+        limit = np.where(claimed == 1.0, np.hypot(bound, self.std), np.nan)
+        bias = float(error.mean())
+        return HeldOutErrors(
+            self,
+            len(error),
+            float(np.isfinite(limit).mean()),
+            bias,
+            float(np.abs(error).max()),
+            quantity_metrics(self.quantity, error, limit),
+            quantity_metrics(self.quantity, error - bias, limit),
+        )
+
+
+class HeldOutErrors(NamedTuple):
+    """Errors of estimates against a held-out sensor over the settled parts, its noise included.
+
+    Attributes:
+        sensor: The sensor.
+        samples: Number of its readings between estimates.
+        claimed: Share of them for which a bound is claimed.
+        bias: Mean of estimate − sensor.
+        largest: Largest error, without its sign.
+        with_bias: Sizes of the errors; to the square of a claimed bound that of the noise is added.
+        without_bias: Sizes of the errors without their mean.
+    """
+
+    sensor: HeldOutSensor
+    samples: int
+    claimed: float
+    bias: float
+    largest: float
+    with_bias: QuantityMetrics
+    without_bias: QuantityMetrics
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return everything as plain data that JSON can hold."""
+        sensor = {key: getattr(self.sensor, key) for key in ("source", "std", "std_is_estimated")}
+        sizes = {key: getattr(self, key).as_mapping() for key in ("with_bias", "without_bias")}
+        quantity = {"quantity": self.sensor.quantity.key, "unit": self.sensor.quantity.unit}
+        return {**self._asdict(), **sizes, "sensor": quantity | sensor}
+
+
+def _require_enough(count: int, quantity: Quantity, where: str) -> None:
+    if count < _MIN_READINGS:
+        raise LogError(
+            f"held-out {quantity.key}: expected at least {_MIN_READINGS} readings in {where}, got "
+            f"{count}"
+        )
+
+
+def _noise_std(stamps: Stamps, values: Array) -> float:
+    """Return the 1σ of what no polynomial explains of neighbouring readings, or of rounding."""
+    steps = np.abs(np.diff(values))
+    rounding = float(steps[steps > _ROUNDED].min(initial=np.inf)) / math.sqrt(12.0)
+    rounding = rounding if math.isfinite(rounding) else 0.0
+    stamps, places = np.unique(stamps, return_index=True)
+    if len(stamps) < _NEIGHBOURS:
+        return rounding
+    times = sliding_window_view((stamps - stamps[0]) / np.median(np.diff(stamps)), _NEIGHBOURS)
+    # Weights of the highest divided difference.
+    apart = times[:, :, np.newaxis] - times[:, np.newaxis, :] + np.eye(_NEIGHBOURS)
+    weights = 1.0 / apart.prod(axis=2)
+    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
+    rest = np.sum(weights * sliding_window_view(values[places], _NEIGHBOURS), axis=1)
+    # The median ignores outliers; 0.6745 σ of a normal distribution.
+    return max(float(np.median(np.abs(rest))) / 0.6745, rounding)
+
+
+def _between(stamps: Stamps, values: Array, wanted: Stamps) -> tuple[Flags, Array]:
+    """Return which stamps are between others, and values of those there, NaN elsewhere."""
+    right, gaps = np.searchsorted(stamps, wanted).clip(1, len(stamps) - 1), np.diff(stamps)
+    there = (wanted >= stamps[0]) & (wanted <= stamps[-1])
+    there &= (gaps[right - 1] <= _MAX_PERIODS * np.median(gaps)) | (stamps[right] == wanted)
+    part = np.where(there, (wanted - stamps[right - 1]) / gaps[right - 1], np.nan)
+    # At an estimate's own stamp its neighbour does not count.
+    left, after = values[right - (part < 1.0)], values[right - (part == 0.0)]
+    return there, left + part[:, np.newaxis] * (after - left)
