@@ -45,27 +45,27 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tsobs_ros.api import (
-        Estimates,
-        compare,
-        estimate,
-        estimate_bag,
-        simulate,
-    )
-    from tsobs_ros.bag.reader import BagReader
-    from tsobs_ros.bag.writer import BagWriter
-    from tsobs_ros.design.file import load_design, load_request, save_design
-    from tsobs_ros.design.record import Design
-    from tsobs_ros.design.request import ArmRequest
-    from tsobs_ros.design.synthesis import synthesise
-    from tsobs_ros.errors import TsobsError
-    from tsobs_ros.estimation.records import Measurement
-    from tsobs_ros.estimation.tracker import Tracker
-    from tsobs_ros.exported import export_c
-    from tsobs_ros.identification.fit import fit
-    from tsobs_ros.methods import ObserverSettings, make_tracker
-    from tsobs_ros.model.arm import ElasticJointArm
-    from tsobs_ros.model.ts_model import TSModel
+    from tsobs_ros.api import Estimates as Estimates
+    from tsobs_ros.api import compare as compare
+    from tsobs_ros.api import estimate as estimate
+    from tsobs_ros.api import estimate_bag as estimate_bag
+    from tsobs_ros.api import simulate as simulate
+    from tsobs_ros.bag.reader import BagReader as BagReader
+    from tsobs_ros.bag.writer import BagWriter as BagWriter
+    from tsobs_ros.design.file import load_design as load_design
+    from tsobs_ros.design.file import load_request as load_request
+    from tsobs_ros.design.file import save_design as save_design
+    from tsobs_ros.design.record import Design as Design
+    from tsobs_ros.design.request import ArmRequest as ArmRequest
+    from tsobs_ros.design.synthesis import synthesise as synthesise
+    from tsobs_ros.errors import TsobsError as TsobsError
+    from tsobs_ros.estimation.records import Measurement as Measurement
+    from tsobs_ros.estimation.tracker import Tracker as Tracker
+    from tsobs_ros.exported import export_c as export_c
+    from tsobs_ros.methods import ObserverSettings as ObserverSettings
+    from tsobs_ros.methods import make_tracker as make_tracker
+    from tsobs_ros.model.arm import ElasticJointArm as ElasticJointArm
+    from tsobs_ros.model.ts_model import TSModel as TSModel
 
 __version__ = "0.7.0"
 
@@ -95,30 +95,7 @@ _HOMES = {
     "synthesise": "design.synthesis",
 }
 
-__all__ = [
-    "ArmRequest",
-    "BagReader",
-    "BagWriter",
-    "Design",
-    "ElasticJointArm",
-    "Estimates",
-    "Measurement",
-    "ObserverSettings",
-    "TSModel",
-    "Tracker",
-    "TsobsError",
-    "compare",
-    "estimate",
-    "estimate_bag",
-    "export_c",
-    "fit",
-    "load_design",
-    "load_request",
-    "make_tracker",
-    "save_design",
-    "simulate",
-    "synthesise",
-]
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> Any:

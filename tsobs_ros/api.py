@@ -18,7 +18,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator, Rows
 from tsobs_ros.estimation.history import CORRECTING, REASONS, USED
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_tracker
+from tsobs_ros.methods import CONTENDERS, ObserverSettings, make_tracker
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.replay.health import PROVED
@@ -422,26 +422,19 @@ def _observers(
     both_sides: bool = False,
 ) -> "tuple[Source, list[Observer]]":
     # Not needed for arrays, and slow to import.
-    from tsobs_ros.replay.designs import choose_designs
-    from tsobs_ros.replay.estimate import Observer, open_source, without_misfits
+    from tsobs_ros.replay.estimate import make_observers, open_source, without_misfits
 
     no_torque = None if settings is None else settings.assume_zero_torque
     source = open_source(path, joints=joints, assume_zero_torque=no_torque, both_sides=both_sides)
     if design is None:
-        (files,) = choose_designs(path, source.ran, source.joints).values()
+        designs = source.choose_designs()
     else:
         file = DesignFile.of(design) if isinstance(design, Design) else load_design_file(design)
         source.take_for_system([file.design.request])
-        files = (file,) * len(source.joints)
+        designs = {"own": (file,) * len(source.joints)}
     settings = settings or source.ran.settings()
-    single = len(methods) <= 1
-    observers = [
-        Observer("observer" if single else method, contender(settings, method), files)
-        for method in methods or (settings.method,)
-    ]
-    if not single:
-        observers, _ = without_misfits(observers)
-    return source, observers
+    observers = make_observers(designs, methods or (settings.method,), settings)
+    return source, without_misfits(observers)[0] if len(methods) > 1 else observers
 
 
 def _joint(source: "Source", run: "Run", joint: int) -> Estimates:

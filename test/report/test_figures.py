@@ -164,7 +164,7 @@ def test_gaps_are_drawn_as_gaps_and_counted(simulated) -> None:
     measurements = simulated.measurements.take(np.append(there, True))
     run = replace(simulated, measurements=measurements, **cut)
 
-    shown = picture(run, measure(run), period=0.005)
+    shown = picture(run, measure(run))
 
     plot = shown.plots[0]
     estimated = curve(plot, "estimated")

@@ -158,7 +158,7 @@ def test_diagnostics_come_to_faults_and_rates(diagnosed) -> None:
 
 def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> None:
     metrics = measure(simulated)
-    timing = picture(simulated, metrics, period=0.005).timing
+    timing = picture(simulated, metrics).timing
     health = HealthSum()
     health.add(troubled.health.values)
 

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.estimation.estimator import Estimator, Rows
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.report.metrics import SIGMAS
-from tsobs_ros.report.quantities import QUANTITIES, Quantity
 from tsobs_ros.report.run import ESTIMATED, RecordedRun
 from tsobs_ros.series import NANOSECONDS, Series
 from tsobs_ros.simulation.plant import Trajectories
@@ -105,8 +105,7 @@ def recorded(
     runs: Trajectories,
     run: int,
     estimates: Mapping[str, Array],
-    quantities: tuple[Quantity, ...] = QUANTITIES,
-    sides: tuple[str, ...] = (),
+    request: ArmRequest | None = None,
 ) -> RecordedRun:
     """Return one run of a batch as if it had been recorded.
 
@@ -114,9 +113,10 @@ def recorded(
         runs: What is true.
         run: The run.
         estimates: Of it at each sample, by the names in `ESTIMATED`; those without are NaN.
-        quantities: What is estimated.
-        sides: Of the design's torque disturbances, of "motor" and "link".
+        request: Of the design; of one encoder on the link and no torque disturbance if None.
     """
+    request = request or ArmRequest()
+    sides = request.torque_sides
     stamps, p = stamps_of(runs.times), runs.disturbances.shape[2]
     there = np.flatnonzero(np.isfinite(runs.measurements[run]).any(axis=1))
     measured = np.hstack([runs.measurements[run], runs.torques[run]])
@@ -131,7 +131,7 @@ def recorded(
         joint="run",
         measurements=Series(stamps[there], measured[there]),
         stamps=stamps,
-        quantities=quantities,
+        request=request,
         true_state=Series(stamps, runs.physical[run]),
         true_disturbance=Series(stamps, runs.disturbances[run]),
         true_torque_disturbance=Series(stamps, torques) if sides else None,

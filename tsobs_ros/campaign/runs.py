@@ -18,7 +18,6 @@ from tsobs_ros.campaign.premises import violated
 from tsobs_ros.design.file import load_design_file
 from tsobs_ros.report.comparison import metrics_options
 from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
-from tsobs_ros.report.quantities import quantities_of
 from tsobs_ros.simulation.plant import Plant
 
 PART = 100
@@ -65,7 +64,7 @@ def compute(campaign: Campaign, begin: int, end: int) -> Columns:
     design, request = campaign.file.design, campaign.file.design.arm_request
     settle_time = campaign.entries.settle_time
     settled = MetricsOptions(start_settle_time=settle_time, jump_settle_time=settle_time)
-    quantities, options = quantities_of(request), metrics_options(design, settled)
+    options = metrics_options(design, settled)
     learnt = campaign.settings.learnt(design)
     rows: list[dict[str, Any]] = []
     while begin + len(rows) < end:
@@ -74,7 +73,7 @@ def compute(campaign: Campaign, begin: int, end: int) -> Columns:
         truth = Plant(scenario, [one.seed for one in group]).run(scenario.sample_count)
         observed = observe(design, truth, campaign.settings, campaign.estimator)
         for place, drawn in enumerate(group):
-            run = recorded(truth, place, observed.of(place), quantities, request.torque_sides)
+            run = recorded(truth, place, observed.of(place), request)
             estimates, events = observed.rows[place], observed.events[place]
             reach = float(np.abs(truth.physical[place, :, 0]).max())
             rows.append(

@@ -13,8 +13,6 @@ from tsobs_ros.cli.common import Commands, add_json, complain, positive, progres
 from tsobs_ros.errors import BagWriteError, printable
 
 if TYPE_CHECKING:
-    from tsobs_ros.design.file import DesignFile
-    from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.replay.estimate import Observer, Run
     from tsobs_ros.replay.source import Source
     from tsobs_ros.report.comparison import ObserverErrors
@@ -132,7 +130,13 @@ def estimate(
     `held_out` they are measured against that sensor.
     """
     from tsobs_ros.methods import ObserverSettings
-    from tsobs_ros.replay.estimate import make_runs, open_source, run_all, without_misfits
+    from tsobs_ros.replay.estimate import (
+        make_observers,
+        make_runs,
+        open_source,
+        run_all,
+        without_misfits,
+    )
     from tsobs_ros.replay.windows import WINDOW
     from tsobs_ros.report.comparison import RunScores
 
@@ -148,7 +152,10 @@ def estimate(
         assume_zero_torque=given.assume_zero_torque if _ZERO in parameters else None,
         both_sides=held_out is not None and not held_out.place,
     )
-    observers = _observers(options, source.ran.settings().with_parameters(parameters), source)
+    settings = source.ran.settings().with_parameters(parameters)
+    designs = source.choose_designs(options.design, others_allowed=options.other_design)
+    methods = options.method or options.default_methods or (settings.method,)
+    observers = make_observers(designs, methods, settings)
     for one in observers:
         source.observe([design.request for design in one.designs])
     remarks = [*_about(source, observers), *source.remarks, *source.ran.remarks]
@@ -209,36 +216,6 @@ def given_parameters(options: argparse.Namespace) -> dict[str, Any]:
     # The other parameters decide when and where estimates are published.
     in_file = {name: value for name, value in found.items() if name in SETTING_NAMES}
     return {**in_file, **given}
-
-
-def _observers(
-    options: argparse.Namespace, settings: "ObserverSettings", source: "Source"
-) -> "list[Observer]":
-    """Return the observers that the options name, one for each design and method."""
-    from tsobs_ros.methods import contender
-    from tsobs_ros.replay.designs import choose_designs
-    from tsobs_ros.replay.estimate import Observer
-
-    def choose() -> "dict[str, tuple[DesignFile, ...]]":
-        return choose_designs(
-            source.path,
-            source.ran,
-            source.joints,
-            options.design,
-            others_allowed=options.other_design,
-        )
-
-    designs = choose()
-    if source.take_for_system([file.design.request for own in designs.values() for file in own]):
-        designs = choose()
-    methods = options.method or options.default_methods or (settings.method,)
-    observers = []
-    for stem, own in designs.items():
-        for method in methods:
-            parts = [stem] * (len(designs) > 1) + [method] * (len(methods) > 1)
-            name = "_".join(parts) or "observer"
-            observers.append(Observer(name, contender(settings, method), own))
-    return observers
 
 
 def _about(source: "Source", observers: "Sequence[Observer]") -> list[str]:

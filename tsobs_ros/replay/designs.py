@@ -103,7 +103,6 @@ def choose_designs(
     ran: RecordedObserver,
     joints: Sequence[str],
     given: Sequence[str] = (),
-    *,
     others_allowed: bool = False,
 ) -> dict[str, tuple[DesignFile, ...]]:
     """Return the designs to estimate with by the names of their files, each with one a joint.

@@ -36,7 +36,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagWriteError, LogError, ModelError
 from tsobs_ros.estimation.health import judge_rate
 from tsobs_ros.estimation.records import HEALTH
-from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
+from tsobs_ros.methods import ObserverSettings, contender, make_estimator, make_tracker
 from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.health import EventFinder, Health, HealthSum, JointEvent
 from tsobs_ros.replay.live import COMPARED, Agreement, LiveComparison
@@ -70,6 +70,32 @@ class Observer:
     def designs(self) -> tuple[Design, ...]:
         """The design of each joint."""
         return tuple(file.design for file in self.files)
+
+
+def make_observers(
+    designs: Mapping[str, tuple[DesignFile, ...]],
+    methods: Sequence[str],
+    settings: ObserverSettings,
+) -> list[Observer]:
+    """Return an observer for each design and method; names have what distinguishes them.
+
+    Args:
+        designs: As of `choose_designs`.
+        methods: Names of `methods.CONTENDERS`.
+        settings: How they are run.
+
+    Raises:
+        ModelError: There is no such method.
+    """
+    each = [(stem, method) for stem in designs for method in methods]
+    names = [
+        "_".join([stem] * (len(designs) > 1) + [method] * (len(methods) > 1)) or "observer"
+        for stem, method in each
+    ]
+    return [
+        Observer(name, contender(settings, method), designs[stem])
+        for name, (stem, method) in zip(names, each, strict=True)
+    ]
 
 
 def without_misfits(observers: Iterable[Observer]) -> tuple[list[Observer], list[str]]:

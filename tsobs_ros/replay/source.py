@@ -28,10 +28,11 @@ from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
 from tsobs_ros.bag.tick_log import TICK_LOG
 from tsobs_ros.checks import Flags
+from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError, MessageError, ModelError
-from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
+from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
 from tsobs_ros.series import NANOSECONDS
 
 MEASUREMENTS = "joint_measurements"
@@ -223,6 +224,16 @@ class Source(ABC):
         if not self._requests:
             self._requests = tuple(requests)
             self._observe()
+
+    def choose_designs(
+        self, given: Sequence[str] = (), *, others_allowed: bool = False
+    ) -> dict[str, tuple[DesignFile, ...]]:
+        """Return the designs to estimate with, as `replay.designs.choose_designs`."""
+        found = choose_designs(self.path, self.ran, self.joints, given, others_allowed)
+        requests = [file.design.request for files in found.values() for file in files]
+        if self.take_for_system(requests):
+            found = choose_designs(self.path, self.ran, self.joints, given, others_allowed)
+        return found
 
     def take_for_system(self, requests: Sequence[ArmRequest | TSRequest]) -> bool:
         """Return whether there is one T–S system instead of joints, which nothing in it names.

@@ -35,7 +35,6 @@ from tsobs_ros.report.comparison import (
 from tsobs_ros.report.diagnosed import Diagnosed, diagnose
 from tsobs_ros.report.metrics import RunMetrics, measure
 from tsobs_ros.report.panels import TimingSummary, picture
-from tsobs_ros.report.quantities import inputs_of, outputs_of
 from tsobs_ros.report.run import FoundObserver
 from tsobs_ros.report.summary import About, Summary, Table, summarise
 from tsobs_ros.series import NANOSECONDS
@@ -159,7 +158,7 @@ def make_bag_report(
     joints = tuple(one for one in found.joints if one in ran.designs) or (joint,)
     # Only the design of the joint that the report is on is in question.
     named = [f"{joint}={path}" for path in given]
-    ((*chosen,),) = choose_designs(bag, ran, joints, named, others_allowed=other_design).values()
+    ((*chosen,),) = choose_designs(bag, ran, joints, named, other_design).values()
     files = dict(zip(joints, chosen, strict=True))
     file = files[joint]
     request = file.design.request
@@ -198,10 +197,7 @@ def make_bag_report(
             run,
             metrics,
             options.innovation_stds,
-            outputs_of(request),
-            inputs=inputs_of(request),
             learnt=request.uncertainty_model.names,
-            period=1.0 / request.rate,
             diagnosed=diagnosed,
             rival=rival,
         )

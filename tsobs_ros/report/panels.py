@@ -16,7 +16,7 @@ from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.replay.health import CLAIMED, HYPOTHESIS
 from tsobs_ros.report.diagnosed import Diagnosed, FaultSpan
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics, inside_windows
-from tsobs_ros.report.quantities import Quantity
+from tsobs_ros.report.quantities import Quantity, inputs_of, measured_states, outputs_of
 from tsobs_ros.report.run import MAX_GAP, RecordedRun, align
 from tsobs_ros.series import NANOSECONDS, Series
 from tsobs_ros.style import BLUE, GREEN, MUTED, ORANGE, PURPLE, RED
@@ -180,11 +180,8 @@ def picture(
     run: RecordedRun,
     metrics: RunMetrics,
     innovation_std: Sequence[float] = (),
-    outputs: Sequence[tuple[str, str]] = (("link angle", "rad"),),
     *,
-    inputs: Sequence[tuple[str, str]] = (("applied torque", "N m"),),
     learnt: Sequence[str] = (),
-    period: float | None = None,
     diagnosed: Diagnosed | None = None,
     rival: RecordedRun | None = None,
 ) -> Picture:
@@ -194,29 +191,29 @@ def picture(
         run: The recorded run.
         metrics: Its metrics.
         innovation_std: 1σ the design expects of each output's innovation; empty if unknown.
-        outputs: Names of the outputs with their units.
-        inputs: Names of the inputs with their units.
         learnt: Names of the parameters that are learnt.
-        period: Time between measurements by the design [s]; the median one if None.
         diagnosed: What the observer's diagnostics have.
         rival: The run of an EKF.
     """
     diagnosed = diagnosed or Diagnosed()
-    last = float(run.times[-1])
+    last, outputs = float(run.times[-1]), outputs_of(run.request)
     samples = run.measurements.ordered()
     times = samples.seconds(run.origin)
     # What is outside of the time axis must not squeeze the rest.
     own = (times >= 0.0) & (times <= last + _MAX_AHEAD)
     times, samples = times[own], samples.take(own)
-    timing, usual = _timing(times, period)
+    period = 1.0 / run.request.rate
+    timing = _timing(times, period)
     rows = [_of_quantity(run, metrics, one, rival, (times, samples)) for one in run.quantities]
     singles: list[Plot] = []
-    for (name, unit), values in zip(inputs, samples.values.T[len(outputs) :], strict=False):
+    for (name, unit), values in zip(
+        inputs_of(run.request), samples.values.T[len(outputs) :], strict=False
+    ):
         if np.isfinite(values).any():
             singles.append(_lines(name, unit, {"applied": (times, values)}, MAX_GAP))
     if diagnosed.faults:
         singles.append(_faults(diagnosed.faults))
-    singles += _innovations(run, metrics, innovation_std, outputs, usual)
+    singles += _innovations(run, metrics, innovation_std, outputs, period)
     if run.health is not None and len(run.health.stamps):
         singles.append(_health(run.health.seconds(run.origin), run.health.values))
     singles += _learnt(run, learnt)
@@ -378,9 +375,10 @@ def _of_quantity(
     edges = _quantiles(one.values, 0.01, 0.99)
     for sign in (-SIGMAS, SIGMAS):
         edges += _quantiles(one.values + sign * one.bounds, 0.1, 0.9)
-    if quantity.key in run.measured and len(measured[0]):
+    place = measured_states(run.request).get(quantity.key)
+    if place is not None and len(measured[0]):
         at, samples = measured
-        values = samples.values[:, run.measured[quantity.key]]
+        values = samples.values[:, place]
         curves.append(_curve("measured", at, values))
         edges += _quantiles(values, 0.002, 0.998)
     if one.truth is not None:
@@ -552,23 +550,18 @@ def _health(times: Array, values: Array) -> Plot:
     )
 
 
-def _timing(times: Array, period: float | None) -> tuple[TimingSummary, float]:
-    """Return how regular the measurements came, and the time between them [s]."""
+def _timing(times: Array, period: float) -> TimingSummary:
+    """Return how regular the measurements came that should be so far apart [s]."""
     steps = np.diff(np.unique(times))
     if not len(steps):
-        return TimingSummary(), period or 1.0
-    median = float(np.median(steps))
-    period = period or median
+        return TimingSummary()
     usual = steps[steps <= MAX_GAP]
-    return (
-        TimingSummary(
-            rate=1.0 / median,
-            jitter=math.sqrt(np.square(usual - period).sum() / max(len(usual), 1)),
-            max_interval=float(steps.max()),
-            lost=int(np.maximum(np.rint(steps / period) - 1.0, 0.0).sum()),
-            gaps=int((steps > MAX_GAP).sum()),
-        ),
-        period,
+    return TimingSummary(
+        rate=1.0 / float(np.median(steps)),
+        jitter=math.sqrt(np.square(usual - period).sum() / max(len(usual), 1)),
+        max_interval=float(steps.max()),
+        lost=int(np.maximum(np.rint(steps / period) - 1.0, 0.0).sum()),
+        gaps=int((steps > MAX_GAP).sum()),
     )
 
 

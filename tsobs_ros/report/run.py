@@ -27,7 +27,7 @@ from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
 from tsobs_ros.replay.health import as_of_now
 from tsobs_ros.replay.places import ESTIMATES, places_of
 from tsobs_ros.replay.source import MEASUREMENTS, UNNAMED_SYSTEM, passes
-from tsobs_ros.report.quantities import QUANTITIES, Quantity, measured_states, quantities_of
+from tsobs_ros.report.quantities import QUANTITIES, Quantity, quantities_of
 from tsobs_ros.series import NANOSECONDS, Series, Stamps
 
 MAX_GAP = 0.1
@@ -147,8 +147,7 @@ class RecordedRun:
         held_out: Readings of a sensor that no observer got, values (r, 1); None without one.
         topic: Name of the measurements' topic.
         passes: Number of passes over the recorded time; this is the longest one.
-        quantities: What the estimates are of.
-        measured: The place of the output that measures a state, by the state's key.
+        request: Of the design, for names, units and places.
     """
 
     name: str
@@ -171,8 +170,12 @@ class RecordedRun:
     held_out: Series | None = None
     topic: str = "joint_measurements"
     passes: int = 1
-    quantities: tuple[Quantity, ...] = QUANTITIES
-    measured: Mapping[str, int] = field(default_factory=lambda: {"link_angle": 0})
+    request: ArmRequest | TSRequest = field(default_factory=ArmRequest)
+
+    @cached_property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What the estimates are of."""
+        return quantities_of(self.request)
 
     @cached_property
     def origin(self) -> int:
@@ -412,7 +415,7 @@ def run_of(
         for one in sorted(all_of_it, key=lambda one: abs(int(one["log_times"][0]) - log_time))[:1]:
             series[key] = Series(one["stamps"], one["values"])
     stamps, state, _ = series.pop("state").ordered()
-    quantities, measurements = quantities_of(request), series.pop("measurements")
+    measurements = series.pop("measurements")
     nothing = np.full((len(stamps), len(request.torque_sides)), np.nan)
     parts: dict[str, Any] = {
         key: align(series.pop(key), stamps) if key in series else nothing for key in ESTIMATED[1:]
@@ -427,8 +430,7 @@ def run_of(
         state=state,
         topic=topic,
         passes=len(found["state"]),
-        quantities=quantities,
-        measured=measured_states(request),
+        request=request,
         **parts,
         **{key: one.ordered() for key, one in series.items()},
     )
