@@ -28,8 +28,8 @@ from yaml import safe_load
 import tsobs_ros as ts
 from tsobs_ros.bag import BagReader
 from tsobs_ros.cli.main import main
-from tsobs_ros.nodes.arguments import check_arguments
 from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.runtime import check_arguments
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 ROOT = Path(__file__).resolve().parent.parent

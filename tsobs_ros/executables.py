@@ -48,7 +48,6 @@ def run(name: str) -> int:
     try:
         module = import_module(f"tsobs_ros.nodes.{name}")
         runtime = import_module("tsobs_ros.nodes.runtime")
-        arguments = import_module("tsobs_ros.nodes.arguments")
     except ModuleNotFoundError as error:
         advice = missing_library(error.name)
         if advice is None:
@@ -56,7 +55,7 @@ def run(name: str) -> int:
         print(f"error: {advice}", file=sys.stderr)
         return 1
     try:
-        arguments.check_arguments(module, sys.argv)
+        runtime.check_arguments(module, sys.argv)
     except OSError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

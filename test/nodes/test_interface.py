@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 import yaml
 from rcl_interfaces.msg import ParameterType
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from staging import start
 
@@ -20,9 +19,9 @@ from tsobs_ros.bag import BagWriter
 from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, MARKERS, RECORDED_TOPICS
 from tsobs_ros.errors import ParameterError
-from tsobs_ros.nodes.arguments import check_arguments
 from tsobs_ros.nodes.managed import ManagedNode, ManagedParameters
 from tsobs_ros.nodes.parameters import ParameterBinding
+from tsobs_ros.nodes.runtime import check_arguments
 from tsobs_ros.resources import config_path
 from tsobs_ros.settings import live_setting, schema_of, setting, settings_group
 
@@ -72,11 +71,6 @@ def make(ros):
         return ros.add(Tuned(context=ros.context, parameter_overrides=given))
 
     return bind
-
-
-def set_one(node: Node, name: str, value, type_=None):
-    (result,) = node.set_parameters([Parameter(name, type_, value)])
-    return result
 
 
 def flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -146,7 +140,7 @@ def test_a_bad_override_is_refused_at_start(make, name: str, value, message: str
 def test_a_bad_set_is_refused_with_a_reason(make) -> None:
     node = make()
     for name, value, _ in (*REFUSED, ("upper", None, "")):
-        result = set_one(node, name, value)
+        (result,) = node.set_parameters([Parameter(name, value=value)])
         assert not result.successful
         assert result.reason
         assert node.parameters == Parameters()

@@ -11,6 +11,7 @@ from staging.arm import Arm
 from staging.stage import (
     BEGIN,
     MS,
+    OUTPUTS,
     PERIOD,
     SIGMAS,
     Event,
@@ -32,8 +33,10 @@ def used(observer: Observer) -> int:
     return observer.received
 
 
-@pytest.mark.parametrize(("sensor", "node"), [(50, 1000), (333, 77)])
-def test_sensor_and_node_may_have_any_rates(stage: Stage, sensor: float, node: float) -> None:
+@pytest.mark.parametrize(("sensor", "node"), [(200, 200), (50, 1000), (333, 77)])
+def test_estimates_are_the_trackers_bit_for_bit_at_any_rates(
+    stage: Stage, sensor: float, node: float
+) -> None:
     observer = stage.add(rate=float(node))
     period, arm = round(NANOSECONDS / node), Arm(BEGIN, rate=float(sensor), seconds=2.0)
     stage.step(BEGIN - period)
@@ -47,6 +50,12 @@ def test_sensor_and_node_may_have_any_rates(stage: Stage, sensor: float, node: f
     assert replayed(stage.watcher, observer, events) > 20
     assert stage.watcher.broken == []
     assert stage.watcher.sigmas(arm) < SIGMAS
+    for topic in OUTPUTS:
+        sides = [f"{arm.joint}_link", f"{arm.joint}_motor"]
+        names = sides if topic in ("joint_states", "error_bound") else [arm.joint]
+        for each in stage.watcher.of(topic):
+            assert list(each.message.name) == names
+            assert len(each.message.effort) == 0
 
 
 @pytest.mark.parametrize("gap", [0.3, 5.1], ids=lambda gap: f"{gap:g} s")

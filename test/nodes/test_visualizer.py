@@ -45,13 +45,10 @@ class Publisher:
         self._scenes: list[MarkerArray] = []
         self._node.create_subscription(MarkerArray, "visualizer/markers", self._scenes.append, 10)
 
-    def record(self, **designs: Path) -> None:
-        """Publish which joint has which design."""
+    def record(self, text: str = "", **designs: Path) -> None:
+        """Publish which joint has which design, or a text that says otherwise."""
         files = [load_design_file(path) for path in designs.values()]
-        self._design.publish(String(data=record_text(MEASUREMENTS, list(designs), files, {})))
-
-    def record_text(self, text: str) -> None:
-        """Publish what is no record."""
+        text = text or record_text(MEASUREMENTS, list(designs), files, {})
         self._design.publish(String(data=text))
 
     def fault(self, name: str, level: bytes, message: str, magnitude: str) -> None:
@@ -172,8 +169,8 @@ def test_a_lost_estimate_leaves_the_truth_and_nothing_else(
     publisher: Publisher, hostile: str, check_shown: Callable[[str], None]
 ) -> None:
     """A text that is no record, names that command a terminal and NaN harm nobody."""
-    publisher.record_text(f"{{{hostile}")
-    publisher.record_text(record_text("no topic.csv", [], [], {}))
+    publisher.record(f"{{{hostile}")
+    publisher.record(record_text("no topic.csv", [], [], {}))
     name = hostile.replace("\0", "")
     both = {f"{name}_link": 1.0, f"{name}_motor": 1.0}
     scene = publisher.scene_of(has(("truth", 0), ("estimate", 0)), truth=both, estimate=both)

@@ -43,6 +43,8 @@ from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.clock import Clock as SteadyClock
+from rclpy.clock import ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -52,6 +54,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from tsobs_ros.errors import printable
+from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.parameters import ParameterBinding
 from tsobs_ros.nodes.runtime import EXPECTED
 from tsobs_ros.nodes.ticker import Ticker
@@ -90,6 +93,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         **node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
 
     Attributes:
+        steady: A clock that is never set, for timers.
         ticker: Ticks for `runtime.run` to make, set by `configure`; None after the clean-up.
 
     Raises:
@@ -100,6 +104,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
     def __init__(self, name: str, schema: type[P], **node_kwargs: Any) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **node_kwargs)
+        self.steady = SteadyClock(clock_type=ClockType.STEADY_TIME)
         self._acquired: ExitStack | None = None
         self._active = False
         self._finalized_at = math.inf
@@ -156,6 +161,17 @@ class ManagedNode(LifecycleNode, Generic[P]):
         """
         assert self._acquired is not None, "nothing is cleaned up before it is configured"
         self._acquired.callback(callback, *args)
+
+    def log(self, level: Level, text: str) -> None:
+        """Log a line, whatever names of others are in it."""
+        text = printable(text, newline=" ")
+        # rclpy wants a line of code for each severity.
+        if level is Level.OK:
+            self.get_logger().info(text)
+        elif level is Level.WARN:
+            self.get_logger().warning(text)
+        else:
+            self.get_logger().error(text)
 
     def offer_triggers(self, answers: Mapping[str, Answer]) -> None:
         """Offer std_srvs/Trigger services below the node's name, each with its work."""

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A process with nodes that ends cleanly: by a signal, a finished node or an error.
+"""A process with nodes: its arguments, and a clean end by a signal, a finished node or an error.
 
 `run(create)` initialises rclpy, spins what `create` returns on a single-threaded executor, and
 tears everything down in order. Nodes are ordinary rclpy nodes with three optional members:
@@ -17,7 +17,9 @@ rclpy's own signal handlers are not used: they shut the context down under a run
 which loses early SIGTERMs and sometimes raises inside take. The loop reads a flag instead.
 """
 
+import argparse
 import gc
+import inspect
 import re
 import signal
 import sys
@@ -26,6 +28,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from types import ModuleType
 
 import rclpy
 from rclpy.exceptions import NameValidationException
@@ -37,10 +40,13 @@ from rclpy.executors import (
 )
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from tsobs_ros.errors import TsobsError, printable
 from tsobs_ros.nodes.ticker import Ticker
+from tsobs_ros.settings import describe
 from tsobs_ros.stop import StopFlag
+from tsobs_ros.streams import Parser
 
 EXPECTED = (TsobsError, OSError, NameValidationException)
 """What a user can mend; the second comes of files, the last of a joint or a topic that ROS cannot
@@ -52,6 +58,42 @@ _SPIN_TIMEOUT = 0.2
 _SERVE_PERIOD = 0.1
 # Destroying two nodes and shutting the context down takes some 20 ms, .5 s on a loaded machine.
 _TEARDOWN_TIMEOUT = 5.0
+
+_HELP = {"-h", "--help"}
+
+
+def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
+    """Print the help if it is asked for, and refuse what neither the node nor ROS understands.
+
+    Args:
+        module: The node's module: its docstring describes the node and its topics, its
+            `Parameters` are the dataclass of its parameters.
+        arguments: Command line including the program's name.
+
+    Raises:
+        SystemExit: With 0 after the help, with 2 after an error.
+    """
+    name, listed = module.__name__.rpartition(".")[2], ["parameters:"]
+    for setting, kind, default, accepted, description in describe(module.Parameters):
+        facts = "; ".join(filter(None, (kind, f"default {default}", accepted)))
+        listed += [f"  {setting} ({facts})", f"      {description}"]
+    parser = Parser(
+        prog=name,
+        usage=f"{name} [--help] [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r OLD:=NEW] …]",
+        description=inspect.getdoc(module),
+        epilog="\n".join(listed),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    try:
+        # ROS does not know --help, and it may come after --ros-args.
+        own = ["--help"] if _HELP & {*arguments} else remove_ros_args(arguments)[1:]
+    except RuntimeError as error:
+        # rclpy does not export the type. What is malformed is for rclpy.init to report.
+        if type(error).__name__ == "UnknownROSArgsError":
+            parser.error(printable(f"unrecognized ROS arguments: {error}"))
+        return
+    parser.parse_args(list(map(printable, own)))
 
 
 def run(

@@ -15,7 +15,6 @@ from staging.stage import (
     BEGIN,
     ESTIMATES,
     MS,
-    OUTPUTS,
     PERIOD,
     TOPIC,
     Event,
@@ -37,22 +36,6 @@ ARM = Arm(BEGIN)
 
 def samples(begin: int, count: int) -> list[Event]:
     return good(ARM, BEGIN + begin * PERIOD, count * PERIOD * 1e-9)
-
-
-def test_estimates_are_the_trackers_bit_for_bit(stage: Stage) -> None:
-    observer = stage.add()
-    stage.step(BEGIN - PERIOD)
-    events = samples(0, 300)
-    stage.play(events)
-    assert replayed(stage.watcher, observer, events) >= 300
-    assert observer.joints[0].tracker.used == observer.received == 300
-    for topic in OUTPUTS:
-        sides = [f"{JOINT}_link", f"{JOINT}_motor"]
-        names = sides if topic in ("joint_states", "error_bound") else [JOINT]
-        for each in stage.watcher.of(topic):
-            assert list(each.message.name) == names
-            assert len(each.message.effort) == 0
-    assert stage.watcher.broken == []
 
 
 def test_every_reason_to_reject_is_counted_and_estimates_go_on(stage: Stage) -> None:

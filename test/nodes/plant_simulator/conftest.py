@@ -10,7 +10,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from staging import call, start
-from staging.stamps import to_nanoseconds, to_stamp
+from staging.stamps import to_nanoseconds
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
@@ -72,34 +72,6 @@ class Listener:
     def reset(self) -> Any:
         return call(self.ros, self.node, Trigger, "plant_simulator/reset")
 
-    def start_simulated(self, **overrides: Any) -> PlantSimulatorNode:
-        """Start a simulator on a /clock that `show` drives."""
-        self._time = self.node.create_publisher(Clock, "/clock", 10)
-        node = self.start(use_sim_time=True, **overrides)
-        self._clock = node.get_clock()
-        self.wait_until(lambda: self._time.get_subscription_count() == 1, "matching of /clock")
-        return node
-
-    def show(self, now: int) -> None:
-        """Publish the time [ns] and wait until the simulator has it."""
-        self._time.publish(Clock(clock=to_stamp(now)))
-        self.wait_until(lambda: self._clock.now().nanoseconds == now, "the clock")
-
-    def show_and_sample(self, now: int) -> list[Received]:
-        """Publish a time that a sample is due at; return the states up to that sample."""
-        already = len(self.states)
-        self.show(now)
-        self.wait_until(
-            lambda: len(self.states) > already and self.states[-1].stamp == now, "the sample"
-        )
-        return self.states[already:]
-
-    @staticmethod
-    def indices(states: list[Received], samples: list[Sample]) -> list[int]:
-        """Find each true state, bit for bit, among the samples of the core."""
-        index = {sample.physical[0].item(): sample.index for sample in samples}
-        return [index[item.message.position[0]] for item in states]
-
     @staticmethod
     def core(count: int, seed: int = 0, **changes: Any) -> list[Sample]:
         """Return the samples that a simulator with such parameters must publish."""
@@ -108,9 +80,11 @@ class Listener:
         return [plant.step() for _ in range(count)]
 
     @staticmethod
-    def places(received: list[Received], samples: list[Sample]) -> list[int]:
-        """Find each measurement, bit for bit, among the samples of the core."""
-        index = {sample.measurement.item(): sample.index for sample in samples}
+    def places(
+        received: list[Received], samples: list[Sample], of: str = "measurement"
+    ) -> list[int]:
+        """Find each measurement, or true state, bit for bit among the samples of the core."""
+        index = {getattr(sample, of)[0].item(): sample.index for sample in samples}
         return [index[item.message.position[0]] for item in received]
 
     @staticmethod

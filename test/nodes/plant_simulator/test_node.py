@@ -9,7 +9,9 @@ from textwrap import indent
 from typing import Any
 
 from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 from staging import start
+from staging.stamps import to_stamp
 
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.simulation.integrator import Friction
@@ -102,26 +104,32 @@ def test_driven_clock_starts_at_one_second_and_leads_the_samples(listener: Any) 
 
 
 def test_external_clock_is_followed_and_a_jump_back_restarts(listener: Any) -> None:
-    listener.start_simulated()
+    clock = listener.node.create_publisher(Clock, "/clock", 10)
+    own = listener.start(use_sim_time=True).get_clock()
+    listener.wait_until(lambda: clock.get_subscription_count() == 1, "matching of /clock")
     samples = listener.core(1000)
 
     def advance(first: int, count: int) -> list[Any]:
         """Publish the clock in steps of 12 ms, no multiple of the period; return what came."""
         already = len(listener.states)
         for now in range(first, first + count * 12_000_000, 12_000_000):
-            listener.show(now)
-        listener.wait_until(lambda: 0 <= now - listener.states[-1].stamp < PERIOD, "the last one")
+            clock.publish(Clock(clock=to_stamp(now)))
+            listener.wait_until(lambda now=now: own.now().nanoseconds == now, "the clock")
+        listener.wait_until(
+            lambda: bool(listener.states) and 0 <= now - listener.states[-1].stamp < PERIOD,
+            "the last one",
+        )
         return listener.states[already:]
 
     assert not listener.states  # before there is a time
-    listener.show_and_sample(50 * SECOND)
+    advance(50 * SECOND, 1)
     advance(50 * SECOND, 80)
-    came = listener.indices(listener.states, samples)
+    came = listener.places(listener.states, samples, "physical")
     assert came == list(range(190))
     assert [item.stamp for item in listener.states] == [50 * SECOND + k * PERIOD for k in came]
 
     again = advance(20 * SECOND, 20)
-    assert listener.indices(again, samples) == list(range(46))
+    assert listener.places(again, samples, "physical") == list(range(46))
     assert [item.stamp for item in again] == [20 * SECOND + k * PERIOD for k in range(46)]
 
 
@@ -139,7 +147,7 @@ def test_after_a_pause_the_arm_goes_on_from_there_with_present_stamps(
     assert manager.change("activate")
     listener.wait_for(listener.states, 30)
 
-    found = listener.indices(listener.states, listener.core(5000))
+    found = listener.places(listener.states, listener.core(5000), "physical")
     assert found == list(range(found[0], found[0] + len(found)))
     stamps = [item.stamp for item in listener.states]
     assert max(b - a for a, b in itertools.pairwise(stamps)) > SECOND // 2

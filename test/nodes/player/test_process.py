@@ -3,7 +3,8 @@
 """The player as a process ends with the bag, with a signal, or with one line on what is wrong."""
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,20 @@ def test_names_in_a_bag_do_not_command_the_terminal(
 def test_damage_is_an_error_after_all_before_it_has_arrived_even_at_a_slow_subscriber(
     ros: Any, ros_process: Process, listener: Any, tmp_path: Path
 ) -> None:
-    bag, whole = _damaged_bag(tmp_path, pause=3_000.0)
+    # Two chunks, of which the second is damaged; after the first message comes a pause.
+    entries = [
+        each._replace(at=each.at + 3_000.0 * (each.at > 0), text=f"{each.text} {'x' * 8_000}")
+        for each in regular(150, 1.0)
+    ]
+    bag = write_bag(tmp_path / "bag", entries, compression="none")
+    file, whole = bag / "bag_0.mcap", 0
+    content = bytearray(file.read_bytes())
+    content[content.index(b"a149 ") + 10] ^= 0xFF
+    file.write_bytes(content)
+    with suppress(BagReadError):
+        for _ in BagReader(bag).messages():
+            whole += 1
+    assert 0 < whole < 150
     heard = tmp_path / "heard"
     slow = ros_process(
         "recorder",
@@ -82,7 +96,11 @@ def test_damage_is_an_error_after_all_before_it_has_arrived_even_at_a_slow_subsc
     )  # fmt: skip
     listener.listen("/a")
     player = ros_process("player", parameters={"bag": str(bag), "wait_for_subscribers": 2})
-    ros.spin_until(lambda: _size(heard) > 8_000, 30.0, "the first message in the recording")
+
+    def size() -> int:
+        return sum(each.stat().st_size for each in heard.glob("*.mcap"))
+
+    ros.spin_until(lambda: size() > 8_000, 30.0, "the first message in the recording")
     slow.signal(signal.SIGSTOP)
     ros.spin_until(lambda: len(listener.heard) >= whole, 30.0, "all before the damage")
     slow.signal(signal.SIGCONT)
@@ -95,33 +113,3 @@ def test_damage_is_an_error_after_all_before_it_has_arrived_even_at_a_slow_subsc
     slow.signal(signal.SIGINT)
     assert slow.finish().exit_code == 0
     assert BagReader(heard).topics["/a"].count == whole
-
-
-def _size(bag: Path) -> int:
-    return sum(file.stat().st_size for file in bag.glob("*.mcap"))
-
-
-def _damaged_bag(folder: Path, pause: float = 0.0) -> tuple[Path, int]:
-    """Write a bag of two chunks, of which the second is damaged; count what is before that.
-
-    After its first message comes a pause [ms].
-    """
-    text = "x" * 8_000
-    entries = [
-        e._replace(at=e.at + pause * (e.at > 0), text=f"{e.text} {text}") for e in regular(150, 1.0)
-    ]
-    bag = write_bag(folder / "bag", entries, compression="none")
-    file = bag / "bag_0.mcap"
-    content = bytearray(file.read_bytes())
-    content[content.index(b"a149 ") + 10] ^= 0xFF
-    file.write_bytes(content)
-    whole = sum(1 for _ in _until_damage(bag))
-    assert 0 < whole < 150
-    return bag, whole
-
-
-def _until_damage(bag: Path) -> Iterator[Any]:
-    try:
-        yield from BagReader(bag).messages()
-    except BagReadError:
-        return

@@ -233,15 +233,12 @@ class ObservedJoint:
         Returns:
             The innovations y − ŷ, NaN of an output that was not used, shape (N, p).
         """
-        if codes.any():
-            given = codes == USED
-            innovations = np.full(y.shape, math.nan)
-            codes[given], innovations[given] = self._use(stamps[given], y[given], u[given], now)
-            for code, count in Counter(codes[~given].tolist()).items():
-                if code != NOT_NAMED:
-                    self.tracker.reject(RejectReason(NAMES[code]), count)
-        else:
-            codes[:], innovations = self._use(stamps, y, u, now)
+        given = codes == USED
+        innovations = np.full(y.shape, math.nan)
+        for code, count in Counter(codes[~given].tolist()).items():
+            if code != NOT_NAMED:
+                self.tracker.reject(RejectReason(NAMES[code]), count)
+        codes[given], innovations[given] = self._use(stamps[given], y[given], u[given], now)
         self.received += len(codes) - int(np.count_nonzero(codes == NOT_NAMED))
         outcomes = codes.tolist()
         accepted = [k for k, code in enumerate(outcomes) if code in _ACCEPTED]
@@ -268,8 +265,7 @@ class ObservedJoint:
         ]
         add_samples(self.watches, stamps, *by_output)
         # Of several outputs one may be missing from a sample that is used.
-        if codes.any() or y.shape[1] > 1:
-            innovations[output_codes != USED] = math.nan
+        innovations[output_codes != USED] = math.nan
         return codes, innovations
 
     def count(self, steady: int) -> None:

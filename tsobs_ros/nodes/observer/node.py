@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -16,7 +15,6 @@ from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.design.published import record_text
-from tsobs_ros.errors import printable
 from tsobs_ros.estimation.events import Event
 from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.health import Level, Status, meaning
@@ -64,7 +62,6 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("observer", ObserverParameters, **node_kwargs)
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.start()
 
     def configure(self) -> None:
@@ -107,7 +104,7 @@ class Observer(ManagedNode[ObserverParameters]):
         # Only an executor notices arrivals.
         self.ticker = None if at_once else self._ticker
         # Not the node's clock: a paused simulation is still worth a diagnosis.
-        self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, clock=self._steady)
+        self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, clock=self.steady)
         self._log_designs()
 
     def activate(self) -> None:
@@ -204,10 +201,10 @@ class Observer(ManagedNode[ObserverParameters]):
         what, reason = "torque" if code in OF_INPUT else "measurement", REASONS[code]
         assert reason is not None
         found = f"{self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f}"
-        text = (
-            f"{what} of {joint.name} rejected: {reason.value} ({found}): {meaning(reason).remedy}"
+        self.log(
+            Level.WARN,
+            f"{what} of {joint.name} rejected: {reason.value} ({found}): {meaning(reason).remedy}",
         )
-        self.get_logger().warning(printable(text))
 
     def _publish(self, now: int) -> bool:
         """Publish the estimates for the present; return whether there were any."""
@@ -221,7 +218,7 @@ class Observer(ManagedNode[ObserverParameters]):
             estimate, contact = joint.estimate(now, hold=hold)
             estimates.append(estimate)
             if contact is not None:
-                self._log(joint, contact.level, contact.message)
+                self.log(contact.level, f"{joint.name}: {contact.message}")
         # One that is held is of an earlier time.
         fresh = [each if each is not None and each.stamp == now else None for each in estimates]
         self._tick_log.publish(now, estimated=any(fresh))
@@ -245,17 +242,7 @@ class Observer(ManagedNode[ObserverParameters]):
             elif due:
                 events = joint.events.update(estimate)
             for event in events:
-                self._log(joint, event.level, joint.explained(event))
-
-    def _log(self, joint: ObservedJoint, level: Level, message: str) -> None:
-        text = printable(f"{joint.name}: {message}")
-        # rclpy wants a line of code for each severity.
-        if level is Level.OK:
-            self.get_logger().info(text)
-        elif level is Level.WARN:
-            self.get_logger().warning(text)
-        else:
-            self.get_logger().error(text)
+                self.log(event.level, f"{joint.name}: {joint.explained(event)}")
 
     def _report_missing(self, now: int) -> None:
         """Log the outputs that messages have lacked for some seconds, each time once."""
@@ -270,12 +257,12 @@ class Observer(ManagedNode[ObserverParameters]):
                 elif fault.since <= now - _PATIENCE and key not in self._missing:
                     self._missing.add(key)
                     text = (
-                        f"{output} is missing for {_PATIENCE * 1e-9:g} s: expected "
+                        f"{joint.name}: {output} is missing for {_PATIENCE * 1e-9:g} s: expected "
                         f"{place.described}; the newest message: "
                         f"{self._reader.describe(self._newest, joint.name)}; "
                         "estimation goes on without it"
                     )
-                    self._log(joint, Level.WARN, text)
+                    self.log(Level.WARN, text)
 
     def _may_warn(self, subject: object) -> bool:
         """Return whether the last warning of a subject was long enough ago."""
@@ -338,7 +325,8 @@ class Observer(ManagedNode[ObserverParameters]):
         steady = time.monotonic_ns()
         for joint in self._joints:
             if (news := joint.pace_news(steady)) is not None:
-                self._log(joint, *news)
+                level, text = news
+                self.log(level, f"{joint.name}: {text}")
         self._diagnostics.publish(
             *statuses.of_node(
                 self._joints,
@@ -357,8 +345,7 @@ class Observer(ManagedNode[ObserverParameters]):
         by_path = {joint.loaded.name: joint.loaded for joint in self._joints}
         for path, loaded in by_path.items():
             names = ", ".join(each.name for each in self._joints if each.loaded.name == path)
-            text = f"{names}: design {path} ({loaded.identity}): certificate holds"
-            self.get_logger().info(printable(text))
+            self.log(Level.OK, f"{names}: design {path} ({loaded.identity}): certificate holds")
         method = self.parameters.method
         for text in dict.fromkeys(warning(each.design, method) for each in by_path.values()):
             if text:

@@ -10,10 +10,11 @@ node itself, which then publishes /clock (publish_clock) ahead of each sample.
 """
 
 import math
+import time
 from collections.abc import Iterator
 from typing import Any
 
-from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 
 from tsobs_ros.bag.timeline import Ticks, Timeline
@@ -58,7 +59,6 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("plant_simulator", PlantSimulatorParameters, **node_kwargs)
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.start()
 
     def configure(self) -> None:
@@ -83,14 +83,14 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             self,
             1.0 / parameters.sample_rate,
             self._tick,
-            executor_clock=None if self._follows_clock else self._steady,
+            executor_clock=None if self._follows_clock else self.steady,
         )
 
     def activate(self) -> None:
         """Start sampling, or go on, as soon as there are a time and the wanted subscribers."""
         self._commands.discard()  # what arrived was meant for an arm that stood still
-        self._activated = self._steady_ns()
-        self._start_timer = self.create_timer(_START_POLL, self._start, clock=self._steady)
+        self._activated = time.monotonic_ns()
+        self._start_timer = self.create_timer(_START_POLL, self._start, clock=self.steady)
 
     def deactivate(self) -> None:
         """Stop sampling."""
@@ -121,13 +121,10 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         """Index of the next sample, which all joints have in common."""
         return self._plants[0].index
 
-    def _steady_ns(self) -> int:
-        return int(self._steady.now().nanoseconds)
-
     def _now_ns(self) -> int:
         """Return the time that samples are stamped by [ns]; 0 before the first /clock."""
         if self._driven is not None:
-            return self._driven.at(self._steady_ns())
+            return self._driven.at(time.monotonic_ns())
         return int(self.get_clock().now().nanoseconds)
 
     @property
@@ -137,7 +134,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
     def _start(self) -> None:
         """Start sampling if there are a time and the wanted subscribers."""
-        waited = self._steady_ns() - self._activated
+        waited = time.monotonic_ns() - self._activated
         if self._driven is None and self._now_ns() == 0:
             if waited > _CLOCK_PATIENCE:
                 self.get_logger().warning("waiting for /clock", throttle_duration_sec=_WARN_EVERY)
@@ -146,7 +143,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             return
         self.destroy_timer(self._start_timer)
         if self._driven is not None:
-            self._driven.anchor(self._schedule.due, self._steady_ns())
+            self._driven.anchor(self._schedule.due, time.monotonic_ns())
             self._driven.paused = False
         elif (now := self._now_ns()) > self._schedule.due:
             self._schedule.start(now)
@@ -208,7 +205,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             self._schedule.start(now)
             return now
         self._latest = now - lag
-        self._driven.anchor(self._latest, self._steady_ns())
+        self._driven.anchor(self._latest, time.monotonic_ns())
         return self._latest
 
     def _new_plant(self) -> None:

@@ -4,6 +4,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import islice
 from operator import attrgetter
 from typing import Any
 
@@ -58,30 +59,29 @@ class TorqueCommands:
 
     def take(self, sample: int) -> None:
         """Take what has arrived, to hold from a sample on."""
+        given = self.parameters
         for message, _ in self._subscription.drain():
-            if len(message.data) == sum(self._counts) and all(map(math.isfinite, message.data)):
-                self._take(sample, message.data)
+            if len(message.data) != sum(self._counts) or not all(map(math.isfinite, message.data)):
+                self.rejected += 1
+                self._node.get_logger().warning(
+                    f"rejected {self.rejected} torque commands so far: expected "
+                    f"{sum(self._counts)} finite numbers, got {list(message.data)[:4]}",
+                    throttle_duration_sec=_WARN_EVERY,
+                )
                 continue
-            self.rejected += 1
-            self._node.get_logger().warning(
-                f"rejected {self.rejected} torque commands so far: expected "
-                f"{sum(self._counts)} finite numbers, got {list(message.data)[:4]}",
-                throttle_duration_sec=_WARN_EVERY,
-            )
+            numbers = iter(message.data)
+            self._torques = []
+            for is_arm, count in zip(self._is_arm, self._counts, strict=True):
+                limit = given.torque_limit if is_arm else math.inf
+                own = islice(numbers, count)
+                self._torques.append([min(max(each, -limit), limit) for each in own])
+            self._end = math.inf
+            if given.command_timeout > 0.0:
+                self._end = sample + max(1, round(given.command_timeout * given.sample_rate))
 
     def at(self, sample: int) -> list[list[float]] | list[None]:
         """Return each joint's inputs commanded at a sample, None without a command."""
         return self._torques if sample < self._end else [None] * len(self._counts)
-
-    def _take(self, sample: int, values: Sequence[float]) -> None:
-        given, numbers = self.parameters, iter(values)
-        self._torques = []
-        for is_arm, count in zip(self._is_arm, self._counts, strict=True):
-            limit = given.torque_limit if is_arm else math.inf
-            self._torques.append([min(max(next(numbers), -limit), limit) for _ in range(count)])
-        self._end = math.inf
-        if given.command_timeout > 0.0:
-            self._end = sample + max(1, round(given.command_timeout * given.sample_rate))
 
 
 class SamplePublisher:

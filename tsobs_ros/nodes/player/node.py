@@ -15,18 +15,19 @@ from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from tsobs_ros.bag.playback import BagSource, Event, Playback
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
-from tsobs_ros.errors import BagReadError, ParameterError, printable
+from tsobs_ros.errors import BagReadError, ParameterError
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import DiagnosticsPublisher, set_stamp
 from tsobs_ros.nodes.player.parameters import CLOCK, PlayerParameters
-from tsobs_ros.nodes.player.topics import PlayedTopics
+from tsobs_ros.nodes.player.topics import played_topics
 from tsobs_ros.nodes.ticker import Ticker
 
 _READ_AHEAD = 8 * 2**20
@@ -71,7 +72,7 @@ class Player(ManagedNode[PlayerParameters]):
         if not parameters.bag:
             raise ParameterError("parameter 'bag' must name a bag folder or an .mcap file")
         if self.get_parameter("use_sim_time").value:
-            self._warn("use_sim_time does not matter: the player makes the time")
+            self.log(Level.WARN, "use_sim_time does not matter: the player makes the time")
         self._reader = reader = BagReader(Path(parameters.bag).expanduser())
         self._warned = False
         self._bag_start = reader.start_time or 0
@@ -80,16 +81,20 @@ class Player(ManagedNode[PlayerParameters]):
             raise ParameterError(refusal)
         start, end = parameters.window(self._bag_start, self._bag_start + self._length)
         selected = [reader.topics[name] for name in parameters.select(reader.topics)]
-        self._topics = PlayedTopics(self, selected, parameters.queue_depth, self._warn)
+        self._played = played_topics(self, selected, parameters.queue_depth)
+        self._counts = dict.fromkeys(self._played, 0)
         self._clock_publisher: Any = None
         if parameters.clock:
             self._clock_publisher = self.create_publisher(ClockMessage, CLOCK, 10)
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=str(reader.path))
         self._lags: list[int] = []
         self._held_back_before = 0
-        source = BagSource(
-            reader, list(self._topics.counts), self._topics.latched, start, end, _READ_AHEAD
-        )
+        latched = {
+            name: each.qos_profile.depth
+            for name, each in self._played.items()
+            if each.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        }
+        source = BagSource(reader, list(self._counts), latched, start, end, _READ_AHEAD)
         self.at_cleanup(source.close)
         self.at_cleanup(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_INTERVAL)
@@ -103,8 +108,7 @@ class Player(ManagedNode[PlayerParameters]):
         )
         self._paused = parameters.start_paused
         self._seek(parameters.position)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=steady)
+        self.create_timer(_DIAGNOSTICS_PERIOD, self._publish_diagnostics, clock=self.steady)
         self.offer_triggers(
             {
                 "pause": lambda: self._pause(True),
@@ -114,10 +118,12 @@ class Player(ManagedNode[PlayerParameters]):
                 "play_next": self.step,
             }
         )
-        self.ticker = self._ticker = Ticker(self, _MAX_WAIT, self._play, executor_clock=steady)
-        self.get_logger().info(
-            f"opened {printable(str(reader.path))}: {sum(t.count for t in selected)} messages of "
-            f"{len(selected)} topics, {self._length * 1e-9:.3f} s"
+        self._ticker = Ticker(self, _MAX_WAIT, self._play, executor_clock=self.steady)
+        self.ticker = self._ticker
+        self.log(
+            Level.OK,
+            f"opened {reader.path}: {sum(t.count for t in selected)} messages of "
+            f"{len(selected)} topics, {self._length * 1e-9:.3f} s",
         )
 
     def _until_damage(self, messages: Iterator[BagMessage | None]) -> Iterator[BagMessage | None]:
@@ -125,7 +131,7 @@ class Player(ManagedNode[PlayerParameters]):
         try:
             yield from messages
         except BagReadError:
-            self._topics.acknowledged(_ACKNOWLEDGE_TIMEOUT)
+            self._is_acknowledged(_ACKNOWLEDGE_TIMEOUT)
             raise
 
     def activate(self) -> None:
@@ -143,8 +149,7 @@ class Player(ManagedNode[PlayerParameters]):
     def cleanup(self) -> None:
         """Log what has been played."""
         self._warn_of_unchecked()
-        topics = self._topics
-        self.get_logger().info(f"played {topics.messages} messages of {len(topics.counts)} topics")
+        self.get_logger().info(f"played {self.messages} messages of {len(self._counts)} topics")
 
     def retune(self, parameters: PlayerParameters) -> None:
         """Play at another rate, with or without a loop."""
@@ -159,7 +164,7 @@ class Player(ManagedNode[PlayerParameters]):
     @property
     def messages(self) -> int:
         """The number of messages published since it was configured."""
-        return self._topics.messages
+        return sum(self._counts.values())
 
     @property
     def position(self) -> float:
@@ -221,7 +226,8 @@ class Player(ManagedNode[PlayerParameters]):
 
     def _publish(self, event: Event) -> None:
         if event.message is not None:
-            self._topics.publish(event.message)
+            self._played[event.message.topic].publish(event.message.data)
+            self._counts[event.message.topic] += 1
             return
         message = ClockMessage()
         set_stamp(message.clock, event.time)
@@ -229,14 +235,15 @@ class Player(ManagedNode[PlayerParameters]):
 
     def _may_start(self, now: int) -> bool:
         """Return whether enough subscribers are there and settled, or the wait is over."""
-        parameters, there = self.parameters, self._topics.subscribers
+        parameters = self.parameters
+        there = sum(each.get_subscription_count() for each in self._played.values())
         if self._is_awaited:
-            wanted = parameters.wait_for_subscribers if self._topics.counts else 0
+            wanted = parameters.wait_for_subscribers if self._counts else 0
             if there != self._there:
                 self._there, self._since = there, now
             is_over = 0.0 < parameters.wait_timeout <= (now - self._activated) * 1e-9
             if is_over and there < wanted:
-                self._warn(f"playing to {there} of {wanted} subscriptions")
+                self.log(Level.WARN, f"playing to {there} of {wanted} subscriptions")
             has_settled = there >= wanted and now - self._since >= _SETTLING
             self._is_awaited = wanted > 0 and not is_over and not has_settled
         return not self._is_awaited
@@ -245,7 +252,12 @@ class Player(ManagedNode[PlayerParameters]):
         """Return whether subscribers have all that was played, or too much time has passed."""
         if self._ended is None:
             self._ended = now
-        return self._topics.acknowledged() or now - self._ended > _ACKNOWLEDGE_TIMEOUT
+        return self._is_acknowledged() or now - self._ended > _ACKNOWLEDGE_TIMEOUT
+
+    def _is_acknowledged(self, timeout: int = 0) -> bool:
+        """Return whether reliable subscribers have everything, after a timeout for each [ns]."""
+        limit = Duration(nanoseconds=timeout)
+        return all(each.wait_for_all_acked(limit) for each in self._played.values())
 
     def _seek(self, seconds: float) -> None:
         self._finished = False
@@ -285,14 +297,13 @@ class Player(ManagedNode[PlayerParameters]):
     def _warn_of_unchecked(self) -> None:
         if self._reader.unchecked and not self._warned:
             self._warned = True
-            self._warn(f"{self._reader.path}: {UNCHECKED}")
+            self.log(Level.WARN, f"{self._reader.path}: {UNCHECKED}")
 
     def _publish_diagnostics(self) -> None:
         self._warn_of_unchecked()
         lags = self.take_lags()
         held_back, before = self._playback.held_back, self._held_back_before
         self._held_back_before = held_back
-        counts = self._topics.counts
         values = {
             "position [s]": f"{self.position:.3f}",
             "length [s]": f"{self._length * 1e-9:.3f}",
@@ -303,12 +314,8 @@ class Player(ManagedNode[PlayerParameters]):
         if lags:
             median, high = np.percentile(lags, (50, 99)) * 1e-6
             values |= {"lag p50 [ms]": f"{median:.3f}", "lag p99 [ms]": f"{high:.3f}"}
-        values["messages"] = str(sum(counts.values()))
-        values |= {f"messages of {name}": str(count) for name, count in counts.items()}
+        values["messages"] = str(self.messages)
+        values |= {f"messages of {name}": str(count) for name, count in self._counts.items()}
         late = held_back > before
         level, message = (Level.WARN, "too slow for the rate") if late else (Level.OK, self.doing)
         self._diagnostics.publish([Status("playing", level, message, values)])
-
-    def _warn(self, text: str) -> None:
-        """Log a warning, whatever names from the bag are in it."""
-        self.get_logger().warning(printable(text, newline=" "))

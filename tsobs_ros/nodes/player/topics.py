@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics a player publishes, with their recorded QoS."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
 
 from msgspec.structs import replace
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -19,8 +20,9 @@ from rclpy.qos import (
 
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import QosProfile, QosTime, TopicInfo
-from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.errors import BagWriteError, NodeError
+from tsobs_ros.estimation.health import Level
+from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import message_class
 
 # The depth of ROS's default profile, for a publisher of unknown depth.
@@ -28,56 +30,26 @@ _USUAL_DEPTH = 10
 _FOREVER = 2**63 - 1
 
 
-class PlayedTopics:
-    """Publishers for topics of a bag; those that cannot be published are left out.
+def played_topics(
+    node: ManagedNode[Any], topics: Iterable[TopicInfo], queue_depth: int
+) -> dict[str, Publisher]:
+    """Return publishers for topics of a bag, by their names in the bag.
+
+    Those that cannot be published are left out.
 
     Args:
-        node: The node that owns the publishers.
+        node: The node that owns the publishers, and warns of each topic that is left out.
         topics: What to publish.
         queue_depth: How many messages a volatile publisher keeps for slow subscribers.
-        warn: Called about each topic that is left out.
-
-    Attributes:
-        counts: The number of messages published of each topic, by its name in the bag.
-        latched: How many messages each latched topic keeps for late subscribers.
     """
-
-    def __init__(
-        self, node: Node, topics: Iterable[TopicInfo], queue_depth: int, warn: Callable[[str], None]
-    ) -> None:
-        self.counts: dict[str, int] = {}
-        self.latched: dict[str, int] = {}
-        self._publishers: dict[str, Any] = {}
-        for topic in topics:
-            try:
-                qos = offered_qos(topic.qos_profiles, queue_depth)
-                self._publishers[topic.name] = _publisher(node, topic, qos)
-            except NodeError as error:
-                warn(f"not playing {topic.name}: {error}")
-                continue
-            self.counts[topic.name] = 0
-            if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
-                self.latched[topic.name] = qos.depth
-
-    @property
-    def messages(self) -> int:
-        """How many messages have been published."""
-        return sum(self.counts.values())
-
-    @property
-    def subscribers(self) -> int:
-        """How many subscriptions are matched, of all topics together."""
-        return sum(each.get_subscription_count() for each in self._publishers.values())
-
-    def acknowledged(self, timeout: int = 0) -> bool:
-        """Return whether reliable subscribers have everything, after a timeout for each [ns]."""
-        limit = Duration(nanoseconds=timeout)
-        return all(each.wait_for_all_acked(limit) for each in self._publishers.values())
-
-    def publish(self, message: BagMessage) -> None:
-        """Publish a message's bytes as they were recorded."""
-        self._publishers[message.topic].publish(message.data)
-        self.counts[message.topic] += 1
+    publishers = {}
+    for topic in topics:
+        try:
+            qos = offered_qos(topic.qos_profiles, queue_depth)
+            publishers[topic.name] = _publisher(node, topic, qos)
+        except NodeError as error:
+            node.log(Level.WARN, f"not playing {topic.name}: {error}")
+    return publishers
 
 
 def offered_qos(profiles: tuple[QosProfile, ...], queue_depth: int) -> QoSProfile:
@@ -110,7 +82,7 @@ def offered_qos(profiles: tuple[QosProfile, ...], queue_depth: int) -> QoSProfil
     )
 
 
-def _publisher(node: Node, topic: TopicInfo, qos: QoSProfile) -> Any:
+def _publisher(node: Node, topic: TopicInfo, qos: QoSProfile) -> Publisher:
     """Return a publisher, unless subscribers would decode its bytes as something else."""
     with suppress(BagWriteError):  # no message of its own file, such as a service's event
         installed = find_definition(topic.type).type_hash

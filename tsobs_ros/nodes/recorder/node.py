@@ -14,9 +14,8 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
-
-from tsobs_ros.errors import BagWriteError, NodeError, printable
+from tsobs_ros.errors import BagWriteError, NodeError
+from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import DiagnosticsPublisher
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
@@ -58,7 +57,7 @@ class Recorder(ManagedNode[RecorderParameters]):
                 f"{path}: {free:.0f} MiB of disk space are free, less than "
                 f"minimum_free_disk ({parameters.minimum_free_disk} MiB)"
             )
-        self._finder = TopicFinder(self, parameters, self._warn)
+        self._finder = TopicFinder(self, parameters)
         self._recording = parameters.recording(path)
         self.at_cleanup(self._close_recording)
         self._paused = parameters.start_paused
@@ -73,10 +72,9 @@ class Recorder(ManagedNode[RecorderParameters]):
         }
         self._due = dict.fromkeys(self._chores, 0.0)
         # Not the node's clock: simulated time may be slow, stop or never start.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.ticker = Ticker(self, parameters.drain_period, self._tick, executor_clock=steady)
+        self.ticker = Ticker(self, parameters.drain_period, self._tick, executor_clock=self.steady)
         self.ticker.start()
-        self.get_logger().info(printable(f"recording to {path}"))
+        self.log(Level.OK, f"recording to {path}")
 
     def activate(self) -> None:
         """Record what arrives from here on."""
@@ -191,7 +189,7 @@ class Recorder(ManagedNode[RecorderParameters]):
     def _look_for_topics(self) -> None:
         for topic in self._finder.poll():
             self._recording.add_topic(topic.name, topic.definition, topic.offers)
-            self.get_logger().info(printable(f"recording {topic.name} [{topic.definition.type}]"))
+            self.log(Level.OK, f"recording {topic.name} [{topic.definition.type}]")
 
     def _drain(self) -> None:
         if self.active and not self._paused:
@@ -229,16 +227,14 @@ class Recorder(ManagedNode[RecorderParameters]):
             self._full = True
         elif statistics.disk_is_filling and not self._free_disk_warned:
             self._free_disk_warned = True
-            self._warn(f"{free:.0f} MiB of disk space are left, recording ends at {minimum} MiB")
+            text = f"{free:.0f} MiB of disk space are left, recording ends at {minimum} MiB"
+            self.log(Level.WARN, text)
 
     def _publish_diagnostics(self) -> None:
         statistics, before = self.statistics, self._messages_at_diagnostics
         self._messages_at_diagnostics = statistics.messages
         rate = (statistics.messages - before) / _DIAGNOSTICS_PERIOD
         self._diagnostics.publish(statuses(statistics, rate))
-
-    def _warn(self, text: str) -> None:
-        self.get_logger().warning(printable(text, newline=" "))
 
 
 def _bag_folder(output: str) -> Path:

@@ -8,7 +8,6 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
@@ -16,6 +15,8 @@ from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.metadata import QosProfile, QosTime
 from tsobs_ros.bag.recording import BufferedMessage, Latch
 from tsobs_ros.errors import BagWriteError, NodeError
+from tsobs_ros.estimation.health import Level
+from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import message_class
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 from tsobs_ros.nodes.recorder.status import LossCounter
@@ -130,24 +131,21 @@ class TopicFinder:
     """Subscribes to topics as soon as they have a publisher.
 
     Args:
-        node: The node that owns the subscriptions.
+        node: The node that owns the subscriptions; it warns once of each topic that cannot be
+            recorded, or not all of it.
         parameters: What to record.
-        warn: Called once about each topic that cannot be recorded, or not all of it.
 
     Attributes:
         recorded: The topics that have been found, by name.
     """
 
-    def __init__(
-        self, node: Node, parameters: RecorderParameters, warn: Callable[[str], object]
-    ) -> None:
+    def __init__(self, node: ManagedNode[Any], parameters: RecorderParameters) -> None:
         self.recorded: dict[str, RecordedTopic] = {}
         self._node = node
         self._selection = parameters.resolved(node.resolve_topic_name, node.resolve_service_name)
         self._listed = self._selection.listed()
         # Subscribing applies remappings, so it needs the names from before them.
         self._given = {node.resolve_topic_name(n): n for n in parameters.topics if n != "*"}
-        self._warn = warn
         # The types a topic was tried with, and the warnings given: neither is repeated.
         self._tried: dict[str, Sequence[str]] = {}
         self._warnings: set[str] = set()
@@ -179,7 +177,7 @@ class TopicFinder:
                 if (new := self._found(name)) is not None:
                     found.append(new)
             except (BagWriteError, NodeError) as error:
-                self._warn(f"not recording {name}: {error}")
+                self._node.log(Level.WARN, f"not recording {name}: {error}")
         self.recorded.update({topic.name: topic for topic in found})
         return found
 
@@ -197,8 +195,9 @@ class TopicFinder:
         msg_type = message_class(types[0])
         hashes = {str(info.topic_type_hash) for info in publishers} - {definition.type_hash}
         if definition.type_hash and any(text.startswith("RIHS01_") for text in hashes):
-            self._warn(
-                f"{name}: a publisher's definition of {definition.type} is not the installed one"
+            self._node.log(
+                Level.WARN,
+                f"{name}: a publisher's definition of {definition.type} is not the installed one",
             )
         return RecordedTopic(
             name,
@@ -240,7 +239,7 @@ class TopicFinder:
         for warning in warnings:
             if warning not in self._warnings:
                 self._warnings.add(warning)
-                self._warn(warning)
+                self._node.log(Level.WARN, warning)
 
 
 def to_bag_qos(profile: QoSProfile) -> QosProfile:

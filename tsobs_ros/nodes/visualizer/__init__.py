@@ -17,7 +17,7 @@ topics, sensor_msgs/msg/JointState without another type:
 """
 
 from tsobs_ros.nodes.visualizer.node import Visualizer
-from tsobs_ros.nodes.visualizer.parameters import VisualizerParameters as Parameters
+from tsobs_ros.nodes.visualizer.scene import VisualizerParameters as Parameters
 
 create = Visualizer
 

@@ -17,8 +17,7 @@ from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.feed import MEASUREMENTS, ObserverFeed
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.ticker import Ticker
-from tsobs_ros.nodes.visualizer.parameters import VisualizerParameters
-from tsobs_ros.nodes.visualizer.scene import Angles, Arm, scene
+from tsobs_ros.nodes.visualizer.scene import Angles, Arm, VisualizerParameters, scene
 
 _WANTED = (topics.STATES, topics.STATE_BOUNDS, topics.TRUE_STATES)
 _LINK, _MOTOR = topics.sides("")
