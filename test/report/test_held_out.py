@@ -253,3 +253,24 @@ def test_a_bag_without_the_sensor_is_refused_in_one_line(
     assert "--held-out: is for a recording" in capsys.readouterr().err
     assert main(["compare", bag, "--held-out-std", "0.1"]) == 1
     assert "--held-out-std: is for --held-out" in capsys.readouterr().err
+
+
+def test_joints_have_sensors_of_their_own(run, design_file, tmp_path) -> None:
+    titles = [
+        "time",
+        *(f"{name}.{j}" for j in "ab" for name in ("motor_angle", "link_angle", "torque")),
+    ]
+    links = link_sensor(run), run.state[:, 0] + 0.1
+    columns = [each for link in links for each in (run.angle, link, run.torque)]
+    log = tmp_path / "log.csv"
+    rows = np.column_stack([run.time, *columns])
+    np.savetxt(log, rows, fmt="%.8f", delimiter=",", header=",".join(titles), comments="")
+
+    of_a, of_b = ts.compare(log, design_file, methods=["certified"], held_out="link_angle")
+
+    assert (of_a.joint, of_b.joint) == ("a", "b")
+    assert abs(of_a.held_out.bias) < 0.001
+    assert of_b.held_out.bias == pytest.approx(-0.1, abs=0.001)
+    assert of_b.held_out.sensor.std < 1e-6 < of_a.held_out.sensor.std
+    with pytest.raises(ts.TsobsError, match=r"link_angle\.a is of one joint"):
+        ts.compare(log, design_file, methods=["certified"], held_out="link_angle=link_angle.a")

@@ -5,7 +5,6 @@
 import argparse
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tsobs_ros.cli.common import (
     Commands,
@@ -18,9 +17,6 @@ from tsobs_ros.cli.common import (
 )
 from tsobs_ros.cli.estimate import METHODS, add_observer_options, estimate, given_parameters
 from tsobs_ros.errors import ParameterError, printable
-
-if TYPE_CHECKING:
-    from tsobs_ros.report.held_out import HeldOut
 
 FILES = ("compare.png", "compare.json", "compare.md")
 """What is written of a comparison on scenarios."""
@@ -72,19 +68,15 @@ def run(options: argparse.Namespace) -> int:
         if getattr(options, name):
             raise ParameterError(f"--{name.replace('_', '-')}: is for {what}")
     if options.bag:
-        return estimate(options, options.output, skip_misfits=True, held_out=_held_out(options))
-    return _on_scenarios(options)
-
-
-def _held_out(options: argparse.Namespace) -> "HeldOut | None":
-    """Return the sensor to hold out, None without one."""
-    from tsobs_ros.report.held_out import HeldOut
-
-    if options.held_out is None:
-        if options.held_out_std is not None:
+        if options.held_out is None and options.held_out_std is not None:
             raise ParameterError("--held-out-std: is for --held-out")
-        return None
-    return HeldOut.of(options.held_out, options.held_out_std)
+        held_out = None
+        if options.held_out is not None:
+            from tsobs_ros.report.held_out import HeldOut
+
+            held_out = HeldOut.of(options.held_out, options.held_out_std)
+        return estimate(options, options.output, skip_misfits=True, held_out=held_out)
+    return _on_scenarios(options)
 
 
 def _on_scenarios(options: argparse.Namespace) -> int:

@@ -58,7 +58,8 @@ class HeldOut(NamedTuple):
         """Return the sensor of each joint.
 
         Raises:
-            ModelError: An observer measures the quantity, or is of no arm.
+            ModelError: An observer measures the quantity or is of no arm, or one place is named for
+                several joints.
             BagReadError: The bag does not have the sensor.
             LogError: The log does not, or readings are too few or seem to be in degrees.
         """
@@ -69,6 +70,9 @@ class HeldOut(NamedTuple):
             raise ModelError("held out: expected the design of an arm, got one of a T-S system")
         if any(quantity.key in arm.output_names for arm in arms):
             raise ModelError(f"held out: {quantity.key} is what the observer measures")
+        is_topic = self.place.startswith("/") and ":" not in self.place
+        if len(arms) > 1 and self.place and not is_topic:
+            raise ModelError(f"held out: {self.place} is of one joint; choose it: --joints NAME")
         if isinstance(source, BagSource):
             read = self._read_bag(source, arms)
         else:
