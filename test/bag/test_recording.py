@@ -35,7 +35,7 @@ def begin(path: Path, **options: Any) -> Recording:
     recording = Recording(path, **options)
     for topic in ("/map", "/a"):
         definition = find_definition("std_msgs/msg/String")
-        recording.add_topic(topic, definition, [QosProfile()])
+        recording.add_topic(topic, definition.type, [QosProfile()], definition=definition)
     return recording
 
 

@@ -72,6 +72,7 @@ _FOOTER_SIZE = RECORD.size + 20
 _MAX_HEADER_SIZE = 2**16
 _RUN_SIZE = 1_000_000
 _FIELDS = 5
+_STEP = 2**18
 # More than a robot's schemas and channels take.
 _MAX_DESCRIPTIONS = 2**24
 
@@ -140,7 +141,7 @@ def chunk_records(chunk: Chunk) -> bytes:
     if size > MAX_SIZE:
         raise RecordError(f"the chunk states {size} bytes of content, too many to read")
     try:
-        records = _decompress(chunk.compression, chunk.data, size)
+        records = b"".join(decompressed(chunk))
     except Exception as error:  # the libraries' errors have several roots
         raise RecordError(f"the chunk cannot be decompressed: {error}") from error
     if len(records) != size:
@@ -151,23 +152,32 @@ def chunk_records(chunk: Chunk) -> bytes:
     return records
 
 
-def _decompress(compression: str, data: bytes, size: int) -> bytes:
+def decompressed(chunk: Chunk) -> Iterator[bytes]:
+    """Yield the content of a chunk in parts, at most one of them beyond the size it states.
+
+    Raises:
+        Exception: It cannot be decompressed from there on; the libraries have errors of all kinds.
+    """
     # Imported here: bags without compression need neither library.
-    if not compression:
-        return data
-    if compression == "lz4":
+    left = chunk.uncompressed_size
+    if not chunk.compression:
+        yield chunk.data
+    elif chunk.compression == "lz4":
         import lz4.frame
 
-        # The plain function allocates whatever size the frame states.
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size))
-    if compression == "zstd":
+        stream, data = lz4.frame.LZ4FrameDecompressor(), chunk.data
+        while left >= 0 and not stream.eof and (data or not stream.needs_input):
+            yield (part := stream.decompress(data, max_length=_STEP))
+            data, left = b"", left - len(part)
+    elif chunk.compression == "zstd":
         import zstandard
 
-        stated = zstandard.get_frame_parameters(data).content_size
-        if stated not in (size, zstandard.CONTENTSIZE_UNKNOWN):
-            raise RecordError(f"zstd states {stated} bytes of content, the chunk {size}")
-        return bytes(zstandard.ZstdDecompressor().decompress(data, max_output_size=size))
-    raise RecordError(f"compression '{compression}' is not known")
+        reader = zstandard.ZstdDecompressor().stream_reader(chunk.data)
+        while left >= 0 and (part := reader.read(_STEP)):
+            yield part
+            left -= len(part)
+    else:
+        raise RecordError(f"compression '{chunk.compression}' is not known")
 
 
 class Span(NamedTuple):

@@ -8,16 +8,13 @@ into a recording, a snapshot of the last minute and what follows a pause make se
 """
 
 import time
-from collections import deque
-from collections.abc import Callable, Iterable
+from collections import Counter, deque
+from collections.abc import Callable
 from contextlib import ExitStack
-from itertools import chain
 from pathlib import Path
 from threading import Event, Thread
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from tsobs_ros.bag.definitions import MessageDefinition
-from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.errors import BagWriteError
 
@@ -30,7 +27,7 @@ _MAX_PUBLISHERS = 64
 
 
 class BufferedMessage(NamedTuple):
-    """A message as it goes to the bag; times in ns since the epoch."""
+    """A message as it goes to the bag; times in ns since the epoch, before 0 if not yet logged."""
 
     topic: str
     data: bytes
@@ -39,7 +36,7 @@ class BufferedMessage(NamedTuple):
 
 
 class Latch(NamedTuple):
-    """What is known of a latched message's publisher.
+    """A latched message's publisher.
 
     Attributes:
         number: The publisher's count of its messages; None if the middleware gives none.
@@ -50,25 +47,22 @@ class Latch(NamedTuple):
     publishers: int
 
 
-class Recording:
+class Recording(BagWriter):
     """Writes and counts messages as they arrive; another thread syncs the disk.
 
     Args:
         path: The bag's folder, which must not exist.
-        compression: Of the chunks: `none`, `lz4` or `zstd`.
-        max_size: Size at which a file is followed by another [bytes]; 0: none.
-        max_duration_ns: Longest log time in a file [ns]; 0: no limit.
         repeat_latched: Messages of each latched publisher that every file starts with.
         sync_period: Pause between two syncs of the disk [s].
         snapshot: A buffer to keep messages in until `take_snapshot`; None: everything is written.
+        options: Those of `BagWriter`.
 
     Attributes:
-        path: The bag's folder.
         counts: The messages recorded, or kept for a snapshot, by topic.
         bytes: The bytes of these messages.
         discarded: The number of messages that arrived during pauses.
         snapshot: The buffer of the last seconds; None if everything is written.
-        sync: The thread that syncs the disk.
+        background: The thread that syncs the disk.
 
     Raises:
         BagWriteError: The folder exists or cannot be created.
@@ -78,46 +72,20 @@ class Recording:
         self,
         path: Path,
         *,
-        compression: str = "zstd",
-        max_size: int = 0,
-        max_duration_ns: int = 0,
         repeat_latched: int = 1,
         sync_period: float = 5.0,
         snapshot: "SnapshotBuffer | None" = None,
+        **options: Any,
     ) -> None:
-        self.path = path
-        self.counts: dict[str, int] = {}
-        self.bytes = 0
-        self.discarded = 0
+        super().__init__(path, on_split=self._start_file, **options)
+        self.counts: Counter[str] = Counter()
+        self.bytes = self.discarded = 0
         self.snapshot = snapshot
         self._repeats = repeat_latched > 0
         self._latched = LatchedMessages(max(1, repeat_latched))
         self._has_unlogged = False
         self._pending: deque[BufferedMessage] = deque()
-        self._writer = BagWriter(
-            path,
-            compression=compression,
-            max_size=max_size,
-            max_duration_ns=max_duration_ns,
-            on_split=self._start_file,
-        )
-        self.sync = BackgroundSync(self._writer.sync, sync_period)
-
-    @property
-    def file_count(self) -> int:
-        """The number of files of the bag."""
-        return len(self._writer.metadata().files)
-
-    def add_topic(
-        self, name: str, definition: MessageDefinition, offers: Iterable[QosProfile]
-    ) -> None:
-        """Register a topic, with what its publishers offer, before its first message.
-
-        Raises:
-            BagWriteError: The bag cannot be written.
-        """
-        self._writer.add_topic(name, definition.type, offers, definition=definition)
-        self.counts.setdefault(name, 0)
+        self.background = BackgroundSync(self.sync, sync_period)
 
     def record(self, message: BufferedMessage, latch: Latch | None = None) -> None:
         """Write a message of a registered topic, or keep it for a snapshot.
@@ -146,12 +114,8 @@ class Recording:
         """
         self.discarded += 1
         if latch is not None:
-            self._latched.keep(message, latch, logged=False)
+            self._latched.keep(message._replace(log_time_ns=-1), latch)
             self._has_unlogged = True
-
-    def split(self) -> None:
-        """Continue in another file, unless the current one is empty; raises a BagWriteError."""
-        self._writer.split()
 
     def take_snapshot(self) -> int:
         """Have the buffer written by the next calls of `write_pending`; return its length.
@@ -173,7 +137,7 @@ class Recording:
             BagWriteError: The bag cannot be written.
         """
         for _ in range(min(len(self._pending), _SNAPSHOT_SLICE)):
-            self._writer.write(*self._pending.popleft())
+            self.write(*self._pending.popleft())
         return bool(self._pending)
 
     def flush(self) -> None:
@@ -182,9 +146,9 @@ class Recording:
         Raises:
             BagWriteError: The bag cannot be written, or the disk failed to sync.
         """
-        self._writer.flush()
-        if self.sync.error is not None:
-            raise self.sync.error
+        super().flush()
+        if self.background.error is not None:
+            raise self.background.error
 
     def close(self) -> None:
         """Finish the bag; safe to call twice.
@@ -193,8 +157,8 @@ class Recording:
             BagWriteError: The bag cannot be finished; it can be recovered as far as flushed.
         """
         with ExitStack() as stack:
-            stack.callback(self._writer.close)
-            stack.callback(self.sync.stop)
+            stack.callback(super().close)
+            stack.callback(self.background.stop)
             while self.write_pending():
                 pass
 
@@ -202,22 +166,16 @@ class Recording:
         self.counts[message.topic] += 1
         self.bytes += len(message.data)
         if self.snapshot is None:
-            self._writer.write(*message)
+            self.write(*message)
         else:
             self.snapshot.add(message)
 
     def _start_file(self, log_time_ns: int) -> None:
         for message in self._repeated(log_time_ns):
-            self._writer.write(*message)
+            self.write(*message)
 
     def _repeated(self, log_time_ns: int) -> list[BufferedMessage]:
         return self._latched.before(log_time_ns) if self._repeats else []
-
-
-class _Latched(NamedTuple):
-    message: BufferedMessage
-    number: int | None
-    logged: bool
 
 
 class LatchedMessages:
@@ -233,53 +191,43 @@ class LatchedMessages:
 
     def __init__(self, depth: int) -> None:
         self._depth = depth
-        self._topics: dict[str, list[_Latched]] = {}
+        # The messages of a topic, with their publishers' counts of them.
+        self._topics: dict[str, list[tuple[BufferedMessage, int | None]]] = {}
 
-    def keep(self, message: BufferedMessage, latch: Latch, logged: bool = True) -> None:
-        """Keep a message, and drop what it replaces.
-
-        Args:
-            message: The message; its log time matters only if it is logged.
-            latch: Its publisher's.
-            logged: Whether it is in the bag already.
-        """
+    def keep(self, message: BufferedMessage, latch: Latch) -> None:
+        """Keep a message, and drop what it replaces."""
         number, depth = latch.number, self._depth
         kept = self._topics.setdefault(message.topic, [])
-        kept.append(_Latched(message, number, logged))
+        kept.append((message, number))
         surplus = len(kept) - depth * min(latch.publishers, _MAX_PUBLISHERS)
         if surplus <= 0:
             return
         if number is None or latch.publishers == 1:
             del kept[:surplus]
             return
-        replaced = [other for other in kept if other.number == number - depth]
-        if len(replaced) <= sum(other.number == number for other in kept):
-            kept[:] = [other for other in kept if other.number != number - depth]
+        numbers = [other for _, other in kept]
+        if numbers.count(number - depth) <= numbers.count(number):
+            kept[:] = [each for each in kept if each[1] != number - depth]
         del kept[: max(0, len(kept) - depth * _MAX_PUBLISHERS)]
 
     def before(self, log_time_ns: int) -> list[BufferedMessage]:
-        """Return what was logged before a time [ns], or not yet, as `log` does."""
-        return self._at(log_time_ns, lambda m: not m.logged or m.message.log_time_ns < log_time_ns)
+        """Return what was logged before a time [ns], or not yet, with that log time.
+
+        It is in order of publication.
+        """
+        kept = (message for each in self._topics.values() for message, _ in each)
+        found = [m._replace(log_time_ns=log_time_ns) for m in kept if m.log_time_ns < log_time_ns]
+        return sorted(found, key=lambda message: message.publish_time_ns)
 
     def log(self, log_time_ns: int) -> list[BufferedMessage]:
-        """Mark what was not logged as logged at a time [ns].
-
-        Return it in order of publication, with that log time.
-        """
-        found = self._at(log_time_ns, lambda each: not each.logged)
+        """Return what was not logged, in order of publication; it is now logged at a time [ns]."""
+        found = []
         for kept in self._topics.values():
-            kept[:] = [
-                each
-                if each.logged
-                else _Latched(each.message._replace(log_time_ns=log_time_ns), each.number, True)
-                for each in kept
-            ]
-        return found
-
-    def _at(self, log_time_ns: int, chosen: Callable[[_Latched], bool]) -> list[BufferedMessage]:
-        found = filter(chosen, chain.from_iterable(self._topics.values()))
-        messages = [each.message._replace(log_time_ns=log_time_ns) for each in found]
-        return sorted(messages, key=lambda message: message.publish_time_ns)
+            for place, (message, number) in enumerate(kept):
+                if message.log_time_ns < 0:
+                    kept[place] = (message._replace(log_time_ns=log_time_ns), number)
+                    found.append(kept[place][0])
+        return sorted(found, key=lambda message: message.publish_time_ns)
 
 
 class SnapshotBuffer:

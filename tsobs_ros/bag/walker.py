@@ -41,6 +41,7 @@ from tsobs_ros.bag.container import (
     Summary,
     chunk_head,
     chunk_records,
+    decompressed,
     parse_record,
     parse_summary,
     split_records,
@@ -58,7 +59,6 @@ _MAX_END_SIZE = 2**16
 _DATA_END = RECORD.pack(Opcode.DATA_END, 4)
 _MAX_TRIES = 4
 _BLOCK_SIZE = 2**20
-_STEP = 2**16
 # A message or a chunk of less than 256 MiB; looking ahead finds those that overlap, too.
 _CANDIDATE = re.compile(rb"(?=[\x05\x06].{3}[\0-\x0f]\0{4})", re.DOTALL)
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
@@ -499,8 +499,11 @@ def _front(chunk: Chunk) -> tuple[Records, bool]:
 
     A record of a kind, size or time that cannot be in the chunk is no cut.
     """
-    data = _decompressed(chunk)
-    at = count = 0
+    content, at, count = bytearray(), 0, 0
+    with suppress(Exception):  # the libraries' errors have several roots
+        for part in decompressed(chunk) if chunk.uncompressed_size <= MAX_SIZE else ():
+            content += part
+    data = bytes(content[: chunk.uncompressed_size])
     is_cut = True
     while at + RECORD.size <= len(data) and count < MAX_MESSAGES:
         opcode, length = RECORD.unpack_from(data, at)
@@ -515,33 +518,3 @@ def _front(chunk: Chunk) -> tuple[Records, bool]:
             break
         at, count = end, count + 1
     return split_records(data[:at]), is_cut
-
-
-def _decompressed(chunk: Chunk) -> bytes:
-    """Return what data that may be cut off decompresses to, no more than the chunk states."""
-    data, limit = bytearray(), chunk.uncompressed_size if chunk.uncompressed_size <= MAX_SIZE else 0
-    with suppress(Exception):  # the libraries' errors have several roots
-        for part in _steps(chunk):
-            data += part
-            if len(data) >= limit:
-                break
-    del data[limit:]
-    return bytes(data)
-
-
-def _steps(chunk: Chunk) -> Iterator[bytes]:
-    if not chunk.compression:
-        yield chunk.data
-    elif chunk.compression == "lz4":
-        import lz4.frame
-
-        decompressor = lz4.frame.LZ4FrameDecompressor()
-        yield decompressor.decompress(chunk.data, max_length=_STEP)
-        while not (decompressor.needs_input or decompressor.eof):
-            yield decompressor.decompress(b"", max_length=_STEP)
-    elif chunk.compression == "zstd":
-        import zstandard
-
-        reader = zstandard.ZstdDecompressor().stream_reader(chunk.data)
-        while part := reader.read(_STEP):
-            yield part

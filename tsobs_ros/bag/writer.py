@@ -108,6 +108,11 @@ class BagWriter:
             replace(topic, count=self._counts[topic.name]) for topic in list(self._topics.values())
         )
 
+    @property
+    def file_count(self) -> int:
+        """The number of files of the bag."""
+        return len(self._finished_files) + 1
+
     def metadata(self) -> BagMetadata:
         """Return the bag's metadata as of now."""
         return BagMetadata(
@@ -271,7 +276,7 @@ class BagWriter:
         if self._file.message_count == 0:
             return
         finished = self._file
-        self._finish(self.metadata())
+        self._finish()
         try:
             started = self._open_file((*self._finished_files, finished.info()))
         except BagWriteError:
@@ -302,12 +307,10 @@ class BagWriter:
             with self._files:
                 current, finished, self._unsynced = self._file, self._unsynced, []
                 metadata = self.metadata()
-            try:
+            with _reported(current.path):
                 for file in finished:
                     file.close()
                 current.sync()
-            except OSError as error:
-                raise BagWriteError(f"{current.path}: cannot write it: {error}") from error
             # Not every time: the counts are in the files, but after a power cut the folder should
             # name its topics and files.
             if self._on_disk != (len(metadata.topics), len(metadata.files)):
@@ -323,16 +326,11 @@ class BagWriter:
             if self._closed:
                 return
             self._closed = True
-            try:
-                with ExitStack() as stack:  # whatever fails, the rest is done
-                    stack.callback(lambda: self._write_metadata(self.metadata()))
-                    for file in (self._file, *self._unsynced):
-                        stack.callback(file.close)
-                    self._finish(self.metadata())
-            except OSError as error:
-                if isinstance(error, BagWriteError):
-                    raise
-                raise BagWriteError(f"{self._file.path}: cannot write it: {error}") from error
+            with _reported(self._file.path), ExitStack() as stack:  # whatever fails, all is done
+                stack.callback(lambda: self._write_metadata(self.metadata()))
+                for file in (self._file, *self._unsynced):
+                    stack.callback(file.close)
+                self._finish()
 
     def __enter__(self) -> Self:
         """Return the writer."""
@@ -351,23 +349,21 @@ class BagWriter:
         path = self.path / f"{self.path.name}_{len(finished)}.mcap"
         metadata = BagMetadata(self.topics, (*finished, FileMetadata(path.name)), self._custom_data)
         try:
-            with ExitStack() as undo:
+            with _reported(path), ExitStack() as undo:
                 file = FileWriter(path, f"{LIBRARY} {__version__}", self._compression, CHUNK_SIZE)
                 undo.callback(file.close)
                 _add_metadata(file, metadata)
                 file.flush()
                 undo.pop_all()
-        except OSError as error:
-            raise BagWriteError(f"{path}: cannot write it: {error}") from error
         except ModuleNotFoundError as error:
             text = f"the library of its compression is not installed: {error}"
             raise BagWriteError(f"{path}: {text}") from error
         return file
 
-    def _finish(self, metadata: BagMetadata) -> None:
+    def _finish(self) -> None:
         if not self._file.is_finished:
             with self._writing():
-                _add_metadata(self._file, metadata)
+                _add_metadata(self._file, self.metadata())
                 self._file.finish()
 
     def _make_room(self, log_time_ns: int) -> None:
@@ -406,6 +402,16 @@ class BagWriter:
     def _failed(self, error: OSError) -> BagWriteError:
         self._failure = f"{self._file.path}: cannot write it: {error}"
         return BagWriteError(self._failure)
+
+
+@contextmanager
+def _reported(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if isinstance(error, BagWriteError):
+            raise
+        raise BagWriteError(f"{path}: cannot write it: {error}") from error
 
 
 def _add_metadata(file: FileWriter, metadata: BagMetadata) -> None:

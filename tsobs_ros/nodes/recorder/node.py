@@ -125,7 +125,7 @@ class Recorder(ManagedNode[RecorderParameters]):
             missing=self._finder.missing if self.configured else (),
             free_disk=_free_disk(self.path),
             minimum_free_disk=self.parameters.minimum_free_disk,
-            sync_age=recording.sync.age,
+            sync_age=recording.background.age,
             sync_period=self.parameters.sync_period,
             snapshot=recording.snapshot,
         )
@@ -188,7 +188,9 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     def _look_for_topics(self) -> None:
         for topic in self._finder.poll():
-            self._recording.add_topic(topic.name, topic.definition, topic.offers)
+            self._recording.add_topic(
+                topic.name, topic.definition.type, topic.offers, definition=topic.definition
+            )
             self.log(Level.OK, f"recording {topic.name} [{topic.definition.type}]")
 
     def _drain(self) -> None:
