@@ -15,12 +15,9 @@ if TYPE_CHECKING:
     from tsobs_ros.bag.writer import BagWriter
 
 _HOMES = {
-    "BagMessage": "reader",
-    "BagReader": "reader",
+    **dict.fromkeys(("BagMessage", "BagReader", "DecodedMessage"), "reader"),
     "BagWriter": "writer",
-    "DecodedMessage": "reader",
-    "QosProfile": "metadata",
-    "TopicInfo": "metadata",
+    **dict.fromkeys(("QosProfile", "TopicInfo"), "metadata"),
 }
 
 __all__ = [

@@ -392,37 +392,23 @@ def _bare_spans(stream: IO[bytes], rank: int, end: int) -> Iterator[Span]:
         start = following
 
 
-def read_chunk(stream: IO[bytes], span: Span) -> tuple[bytes, Chunk]:
-    """Return the record of a chunk as it is in a file, and the same as the library has it.
-
-    Raises:
-        RecordError: There is no chunk at the place of one, or a damaged one.
-    """
-    record = _bytes_of(stream, span)
-    chunk, data_at, size = chunk_head(record[:CHUNK_HEAD_SIZE])
-    if size != span.size:
-        raise RecordError("the index states another size")
-    chunk.data = record[data_at:]
-    return record, chunk
-
-
-def read_span(stream: IO[bytes], span: Span) -> tuple[bytes, bool]:
-    """Return the records in a span of a file, and whether a checksum covers them.
+def read_span(stream: IO[bytes], span: Span) -> tuple[Records, Chunk | None]:
+    """Return the records in a span of a file, and the chunk that they are in.
 
     Raises:
         RecordError: They are damaged, or there is no chunk at the place of one.
     """
-    if not span.is_chunk:
-        return _bytes_of(stream, span), False
-    _, chunk = read_chunk(stream, span)
-    return chunk_records(chunk), chunk.uncompressed_crc != 0
-
-
-def _bytes_of(stream: IO[bytes], span: Span) -> bytes:
     if span.size > MAX_SIZE:
         raise RecordError(f"{span.size} bytes, too many to read")
     stream.seek(span.offset)
-    return stream.read(span.size)
+    record = stream.read(span.size)
+    if not span.is_chunk:
+        return split_records(record), None
+    chunk, data_at, size = chunk_head(record[:CHUNK_HEAD_SIZE])
+    if size != span.size:
+        raise RecordError("the index states another size")
+    chunk.data = record[data_at:]
+    return split_records(chunk_records(chunk)), chunk
 
 
 def chunk_head(head: bytes) -> tuple[Chunk, int, int]:

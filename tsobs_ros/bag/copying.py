@@ -8,25 +8,14 @@ taken apart either way.
 """
 
 from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mcap.records import Channel, Chunk, Schema
 
-from tsobs_ros.bag.container import (
-    MESSAGE,
-    RECORD,
-    RecordError,
-    Records,
-    Span,
-    chunk_records,
-    parse_record,
-    read_chunk,
-    split_records,
-)
+from tsobs_ros.bag.container import MESSAGE, RECORD, RecordError, Records, parse_record
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.files import open_regular
 
 if TYPE_CHECKING:
     from tsobs_ros.bag.writer import BagWriter
@@ -36,59 +25,60 @@ _MAX_DESCRIPTIONS = 10_000
 _NO_CHANNEL = -1
 
 
-class RecordedChunk(NamedTuple):
-    """A chunk of a file: its record there, the same, and all messages in it."""
+def can_stay(
+    chunk: Chunk,
+    content: Records,
+    ids: Mapping[int, int],
+    channels: Mapping[int, Channel],
+    schemas: Mapping[int, Schema],
+) -> bool:
+    """Return whether a file may have a chunk of another as it is.
 
-    record: bytes
-    chunk: Chunk
-    messages: Records
-
-    def can_stay(
-        self, ids: Mapping[int, int], channels: Mapping[int, Channel], schemas: Mapping[int, Schema]
-    ) -> bool:
-        """Return whether a file may have the chunk as it is.
-
-        Args:
-            ids: The file's channel of each channel that is wanted.
-            channels: The file's.
-            schemas: The file's.
-        """
-        times, chunk = self.messages.rows["log_time"], self.chunk
-        if not chunk.uncompressed_crc or not len(times):
-            return False
-        if any(ids.get(id_) != id_ for id_ in np.unique(self.messages.rows["channel"]).tolist()):
-            return False
-        if (chunk.message_start_time, chunk.message_end_time) != (times.min(), times.max()):
-            return False
-        known = [*channels.values(), *schemas.values()]
-        for count, description in enumerate(self.messages.descriptions()):
-            try:
-                if count > _MAX_DESCRIPTIONS or parse_record(description) not in known:
-                    return False
-            except RecordError:
+    Args:
+        chunk: The chunk.
+        content: All in it.
+        ids: The file's channel of each channel that is wanted.
+        channels: The file's.
+        schemas: The file's.
+    """
+    times = content.rows["log_time"]
+    if not chunk.uncompressed_crc or not len(times):
+        return False
+    if any(ids.get(id_) != id_ for id_ in np.unique(content.rows["channel"]).tolist()):
+        return False
+    if (chunk.message_start_time, chunk.message_end_time) != (times.min(), times.max()):
+        return False
+    known = [*channels.values(), *schemas.values()]
+    for count, description in enumerate(content.descriptions()):
+        try:
+            if count > _MAX_DESCRIPTIONS or parse_record(description) not in known:
                 return False
-        return True
+        except RecordError:
+            return False
+    return True
 
-    def pick(self, ids: Mapping[int, int]) -> Records:
-        """Return the messages of the channels that are wanted, with the channels of another file.
 
-        Args:
-            ids: The channel there of each of them.
-        """
-        new = np.full(2**16, _NO_CHANNEL)
-        new[list(ids)] = list(ids.values())
-        data = np.frombuffer(self.messages.data, np.uint8)
-        rows = self.messages.rows[new[self.messages.rows["channel"]] != _NO_CHANNEL]
-        rows["channel"] = new[rows["channel"]]
-        edges = np.zeros(len(data) + 1, np.int8)
-        edges[rows["begin"] - MESSAGE.size] += 1
-        edges[rows["begin"] + rows["size"]] -= 1
-        picked = data[np.cumsum(edges[:-1], dtype=np.int8).view(np.bool_)]
-        rows["begin"] = np.cumsum(MESSAGE.size + rows["size"]) - rows["size"]
-        for byte in range(2):
-            places = rows["begin"] - MESSAGE.size + RECORD.size + byte
-            picked[places] = rows["channel"] >> 8 * byte & 255
-        return Records(picked.tobytes(), rows)
+def pick(content: Records, ids: Mapping[int, int]) -> Records:
+    """Return the messages of the channels that are wanted, with the channels of another file.
+
+    Args:
+        content: Messages and descriptions.
+        ids: The channel there of each channel that is wanted.
+    """
+    new = np.full(2**16, _NO_CHANNEL)
+    new[list(ids)] = list(ids.values())
+    data = np.frombuffer(content.data, np.uint8)
+    rows = content.rows[new[content.rows["channel"]] != _NO_CHANNEL]
+    rows["channel"] = new[rows["channel"]]
+    edges = np.zeros(len(data) + 1, np.int8)
+    edges[rows["begin"] - MESSAGE.size] += 1
+    edges[rows["begin"] + rows["size"]] -= 1
+    picked = data[np.cumsum(edges[:-1], dtype=np.int8).view(np.bool_)]
+    rows["begin"] = np.cumsum(MESSAGE.size + rows["size"]) - rows["size"]
+    for byte in range(2):
+        places = rows["begin"] - MESSAGE.size + RECORD.size + byte
+        picked[places] = rows["channel"] >> 8 * byte & 255
+    return Records(picked.tobytes(), rows)
 
 
 class ChunkCopy:
@@ -135,7 +125,7 @@ class ChunkCopy:
                 return False
             if span.channels is None or not span.channels & known:
                 try:
-                    self._read(span)
+                    self._reader.read(span)
                 except BagReadError:
                     return False
         return True
@@ -154,11 +144,4 @@ class ChunkCopy:
         while self._next < len(self.spans) and self._starts[self._next] < horizon:
             span = self.spans[self._next]
             self._next += 1
-            writer.copy(self._read(span), self._topics[span.rank])
-
-    def _read(self, span: Span) -> RecordedChunk:
-        with self._reader.damage(span), open_regular(self._reader.files[span.rank]) as stream:
-            record, chunk = read_chunk(stream, span)
-            messages = split_records(chunk_records(chunk))
-            self._reader.check(span, messages)
-            return RecordedChunk(record, chunk, messages)
+            writer.copy(*self._reader.read(span), self._topics[span.rank])

@@ -34,14 +34,13 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.container import CHUNK_HEAD, INDEX_HEAD, MAGIC, MESSAGE, RECORD, Records, Rows
+from tsobs_ros.bag.container import INDEX_HEAD, MAGIC, MESSAGE, RECORD, Records, Rows
 from tsobs_ros.bag.metadata import FileMetadata, TopicInfo, profiles_to_yaml
 
 COMPRESSIONS = "none", "lz4", "zstd"
 
 _OPCODE = int(Opcode.MESSAGE)
 _BODY_SIZE = MESSAGE.size - RECORD.size
-_SIZE = struct.Struct("<Q")
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 _NO_TIME = 2**63
 
@@ -178,13 +177,12 @@ class FileWriter:
             first = last + 1
         self._count(rows)
 
-    def add_chunk(self, content: Records, record: bytes = b"", chunk: Chunk | None = None) -> None:
+    def add_chunk(self, content: Records, chunk: Chunk | None = None) -> None:
         """Append a whole chunk, in front of the messages that are waiting for one to be full.
 
         Args:
             content: What is in it; schemas and channels, if any, are as they were added here.
-            record: Its record, as it is to be in the file; by default it is compressed here.
-            chunk: The same.
+            chunk: The chunk as it is to be in the file; by default it is compressed here.
         """
         # What is described so far comes first.
         if self._describes:
@@ -193,9 +191,7 @@ class FileWriter:
                 self._stream.write(b"".join(self._pieces))
                 self._begin_chunk()
         entries = _entries(content.rows, content.rows["begin"] - MESSAGE.size)
-        if chunk is None:
-            record, chunk = self._compressed(content.data, entries)
-        self._write_chunk(record, chunk, entries)
+        self._write_chunk(chunk or self._compressed(content.data, entries), entries)
         self._count(content.rows)
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
@@ -272,21 +268,18 @@ class FileWriter:
                 channel: np.array(each, "<u8").reshape(-1, 2)
                 for channel, each in self._entries.items()
             }
-            self._write_chunk(*self._compressed(b"".join(self._pieces), entries), entries)
+            self._write_chunk(self._compressed(b"".join(self._pieces), entries), entries)
             self._begin_chunk()
 
-    def _compressed(self, content: bytes, entries: _Entries) -> tuple[bytes, Chunk]:
-        data = self._compress(content)
+    def _compressed(self, content: bytes, entries: _Entries) -> Chunk:
         start = min(int(each[:, 0].min()) for each in entries.values())
         end = max(int(each[:, 0].max()) for each in entries.values())
-        crc, size, name = zlib.crc32(content), len(content), self._compression.encode()
-        length = CHUNK_HEAD.size + len(name) + _SIZE.size + len(data) - RECORD.size
-        head = CHUNK_HEAD.pack(Opcode.CHUNK, length, start, end, size, crc, len(name))
-        chunk = Chunk(self._compression, data, end, start, crc, size)
-        return head + name + _SIZE.pack(len(data)) + data, chunk
+        data, crc = self._compress(content), zlib.crc32(content)
+        return Chunk(self._compression, data, end, start, crc, len(content))
 
-    def _write_chunk(self, record: bytes, chunk: Chunk, entries: _Entries) -> None:
+    def _write_chunk(self, chunk: Chunk, entries: _Entries) -> None:
         """Write a chunk and its message indexes."""
+        record = _packed(chunk)
         at = self._stream.tell()
         offsets, indexes = {}, []
         end = indexes_at = at + len(record)

@@ -200,9 +200,7 @@ def _behind(size: int) -> int:
 
 def require_joint_states(reader: BagReader, topic: str) -> None:
     """Raise `BagReadError` unless the bag has the topic, with JointStates on it."""
-    if topic not in reader.topics:
-        has = ", ".join(reader.topics) or "none"
-        raise BagReadError(f"{reader.path}: no topic {topic}; topics: {has}")
+    reader.require([topic])
     if (type_ := reader.topics[topic].type) != JOINT_STATE:
         raise BagReadError(f"{reader.path}: {topic} is {type_}, expected {JOINT_STATE}")
 

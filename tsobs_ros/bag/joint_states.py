@@ -9,6 +9,7 @@ microsecond, a tenth of what a ROS message object costs; and many at once cost l
 
 import struct
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +30,8 @@ _LARGEST_TAIL = 16
 _MOST_TEMPLATES = 64
 _CONSTANT = HEADER + 8
 """Where what comes after the stamp begins."""
+
+_FRONT = ("header", "sec", "nanosec", "constant")
 
 Places = NDArray[np.intp]
 """Which messages of a sequence, ascending."""
@@ -91,29 +94,23 @@ class _Template:
     ) -> None:
         self._header, self._constant, self._lengths = header, constant, lengths
         self._names, self._frame_id = names, frame_id
-        layout = f"{order}4siI{len(constant)}s"
-        fields: dict[str, tuple[Any, int]] = {
-            "header": (f"V{HEADER}", 0),
-            "sec": (f"{order}i4", HEADER),
-            "nanosec": (f"{order}u4", HEADER + 4),
-            "constant": (f"V{len(constant)}", _CONSTANT),
-        }
-        end = _CONSTANT + len(constant)
-        for name, length in zip(("position", "velocity", "effort"), lengths, strict=True):
-            if name != "position":
-                # A count, and padding only before an array that is not empty.
-                padding = -(end + 4 - HEADER) % 8 if length else 0
-                layout += f"I{padding}x"
-                fields[f"{name} count"] = (f"{order}u4", end)
-                end += 4 + padding
-            layout += f"{length}d"
-            fields[name] = ((f"{order}f8", (length,)), end)
-            end += 8 * length
-        self._struct = struct.Struct(layout)
+        begins, counts = [_CONSTANT + len(constant)], list[int]()
+        for before, length in pairwise(lengths):
+            counts.append(begins[-1] + 8 * before)
+            # Padding only before an array that is not empty.
+            padding = -(counts[-1] + 4 - HEADER) % 8 if length else 0
+            begins.append(counts[-1] + 4 + padding)
+        pads = [begin - count - 4 for begin, count in zip(begins[1:], counts, strict=True)]
+        arrays = f"{lengths[0]}dI{pads[0]}x{lengths[1]}dI{pads[1]}x{lengths[2]}d"
+        self._struct = struct.Struct(f"{order}4siI{len(constant)}s{arrays}")
         self._dtype = {
-            "names": list(fields),
-            "formats": [form for form, _ in fields.values()],
-            "offsets": [offset for _, offset in fields.values()],
+            "names": [*_FRONT, "position", "velocity", "effort", "velocity count", "effort count"],
+            "formats": [
+                *(f"V{HEADER}", f"{order}i4", f"{order}u4", f"V{len(constant)}"),
+                *((f"{order}f8", (length,)) for length in lengths),
+                *(f"{order}u4", f"{order}u4"),
+            ],
+            "offsets": [0, HEADER, HEADER + 4, _CONSTANT, *begins, *counts],
         }
         first = 4 + lengths[0]
         self._position, self._velocity = slice(4, first), slice(first + 1, first + 1 + lengths[1])

@@ -7,7 +7,7 @@ millions of messages can be read as arrays.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr
+from contextlib import redirect_stderr
 from dataclasses import replace
 from heapq import heappop, heappush
 from io import StringIO
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from mcap.records import Schema
+from mcap.records import Chunk, Schema
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.container import (
@@ -29,7 +29,6 @@ from tsobs_ros.bag.container import (
     Summary,
     read_span,
     read_summary,
-    split_records,
 )
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.metadata import BagMetadata, OfferedQos, TopicInfo, read_metadata
@@ -159,7 +158,7 @@ class BagReader:
         Raises:
             BagReadError: As for `messages`.
         """
-        self._require(topics)
+        self.require(topics)
         spans = [
             span
             for span in self._spans_with(topics)
@@ -220,12 +219,7 @@ class BagReader:
         end: int | None,
     ) -> tuple[Rows, bytes]:
         """Return the messages of a span that are wanted, in order of log time, and its records."""
-        with self.damage(span):
-            with open_regular(self.files[span.rank]) as stream:
-                data, is_checked = read_span(stream, span)
-            found = split_records(data)
-            self.check(span, found)
-        rows = found.rows
+        (data, rows), chunk = self.read(span)
         rows["channel"], rows["chunk"] = numbers[span.rank][rows["channel"]], key
         wanted = rows["channel"] >= 0
         if start is not None:
@@ -233,7 +227,7 @@ class BagReader:
         if end is not None:
             wanted &= rows["log_time"] < end
         rows = rows[wanted]
-        self.unchecked += 0 if is_checked else len(rows)
+        self.unchecked += 0 if chunk and chunk.uncompressed_crc else len(rows)
         return rows[np.argsort(rows["log_time"], kind="stable")], data
 
     def _numbers(self, topics: Sequence[str]) -> list[NDArray[np.int64]]:
@@ -255,25 +249,26 @@ class BagReader:
             data = records[key][begin : begin + size]
             yield new(BagMessage, (*named[topic], data, log_time, publish_time))
 
-    @contextmanager
-    def damage(self, span: Span) -> Iterator[None]:
-        """Raise what is wrong in a part of a file as a `BagReadError` that names it."""
+    def read(self, span: Span) -> tuple[Records, Chunk | None]:
+        """Return what a part of a file holds, and the chunk that it is.
+
+        Raises:
+            BagReadError: It is damaged, or its channels or log times are not as the file states.
+        """
+        path, known = self.files[span.rank], self.summaries[span.rank].channels
         try:
-            yield
+            with open_regular(path) as stream:
+                found, chunk = read_span(stream, span)
+            for id_ in np.unique(found.rows["channel"]).tolist():
+                if id_ not in known:
+                    raise RecordError(f"a message is of channel {id_}, which is not described")
+            times = found.rows["log_time"]
+            if len(times) and not span.start <= times.min() <= times.max() <= span.end:
+                raise RecordError("the index states other times")
         except (OSError, RecordError) as error:
-            path = self.files[span.rank]
             text = f"the file is damaged: at byte {span.offset}: {error}; {RECOVER_HINT}"
             raise BagReadError(f"{path}: {text}") from error
-
-    def check(self, span: Span, found: Records) -> None:
-        """Raise `RecordError` unless channels and log times in a part are as the file states."""
-        known = self.summaries[span.rank].channels
-        for id_ in np.unique(found.rows["channel"]).tolist():
-            if id_ not in known:
-                raise RecordError(f"a message is of channel {id_}, which is not described")
-        times = found.rows["log_time"]
-        if len(times) and not span.start <= int(times.min()) <= int(times.max()) <= span.end:
-            raise RecordError("the index states other times")
+        return found, chunk
 
     def last_before(
         self, time_ns: int, topics: Collection[str] | None = None, depth: int = 1
@@ -292,7 +287,7 @@ class BagReader:
             BagReadError: The bag has no such topic, or a file is damaged.
         """
         names, depth = list(self.topics if topics is None else topics), min(depth, _MAX_LATCHED)
-        self._require(names)
+        self.require(names)
         numbers = self._numbers(names)
         last: dict[str, list[BagMessage]] = {name: [] for name in names}
 
@@ -370,7 +365,8 @@ class BagReader:
             raise BagReadError(f"{self.path}: {reason}")
         return decoder
 
-    def _require(self, topics: Collection[str]) -> None:
+    def require(self, topics: Collection[str]) -> None:
+        """Raise `BagReadError` unless the bag has all of some topics."""
         if unknown := sorted(set(topics) - set(self.topics)):
             has = ", ".join(self.topics) or "none"
             raise BagReadError(f"{self.path}: no topic {', '.join(unknown)}; topics: {has}")

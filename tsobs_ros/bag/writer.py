@@ -13,10 +13,11 @@ from typing import Any, Self
 
 import numpy as np
 from mcap.opcode import Opcode
+from mcap.records import Chunk
 
 from tsobs_ros import __version__
 from tsobs_ros.bag.container import MESSAGE, RECORD, ROW, Records
-from tsobs_ros.bag.copying import RecordedChunk
+from tsobs_ros.bag.copying import can_stay, pick
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter
 from tsobs_ros.bag.message_series import Message, MessageSeries
@@ -212,7 +213,7 @@ class BagWriter:
             records = packed(list(zip(ids, series, strict=True)))
             self._write_records(records, topics, lambda: self._file.add_records(records))
 
-    def copy(self, chunk: RecordedChunk, topics: Mapping[int, str]) -> None:
+    def copy(self, content: Records, chunk: Chunk | None, topics: Mapping[int, str]) -> None:
         """Copy what a chunk of another bag has of some topics.
 
         The chunk is copied as it is if everything in it is wanted, with the channels and schemas
@@ -220,23 +221,22 @@ class BagWriter:
         one by one if files have limits.
 
         Args:
-            chunk: The chunk.
+            content: What is in the chunk.
+            chunk: The chunk; None for messages outside of any.
             topics: Those to copy, all registered, by their channels.
 
         Raises:
             BagWriteError: As for `write`.
         """
         ids = {id_: self._file.ids.get(topic, 0) for id_, topic in topics.items()}
-        if chunk.can_stay(ids, self._file.channels, self._file.schemas):
-            record, whole, content = chunk
-            self._write_records(
-                content, topics, lambda: self._file.add_chunk(content, record, whole)
-            )
+        file = self._file
+        if chunk and can_stay(chunk, content, ids, file.channels, file.schemas):
+            self._write_records(content, topics, lambda: file.add_chunk(content, chunk))
             return
-        picked = chunk.pick(ids)
+        picked = pick(content, ids)
         by_new = {ids[id_]: topic for id_, topic in topics.items()}
         if len(picked.rows):
-            self._write_records(picked, by_new, lambda: self._file.add_chunk(picked))
+            self._write_records(picked, by_new, lambda: file.add_chunk(picked))
 
     def _write_records(
         self, records: Records, topics: Mapping[int, str], write: Callable[[], None]
@@ -457,16 +457,12 @@ def packed(series: Sequence[tuple[int, MessageSeries]]) -> Records:
     places[order] = rows["begin"] - MESSAGE.size
     data = np.empty(int(rows["begin"][-1] + rows["size"][-1]), np.uint8)
     for (channel, one), own_places in zip(series, np.split(places, ends[:-1]), strict=True):
-        made = np.empty(len(one.data), _record_type(one.data.shape[1]))
+        times, size = [("log_time", "<u8"), ("publish_time", "<u8")], one.data.shape[1]
+        kind = np.dtype([("head", "u1", (15,)), *times, ("data", "u1", (size,))])
+        made = np.empty(len(one.data), kind)
         head = MESSAGE.pack(Opcode.MESSAGE, made.itemsize - RECORD.size, max(0, channel), 0, 0, 0)
         made["head"] = np.frombuffer(head, np.uint8)[:15]
         made["log_time"], made["publish_time"] = one.log_times, one.publish_times
         made["data"] = one.data
         pieces(data, made.itemsize)[own_places] = made.view(f"V{made.itemsize}")
     return Records(data.tobytes(), rows)
-
-
-def _record_type(size: int) -> np.dtype[Any]:
-    """Return the type of the record of a message with so many bytes of data."""
-    times = [("log_time", "<u8"), ("publish_time", "<u8")]
-    return np.dtype([("head", "u1", (15,)), *times, ("data", "u1", (size,))])
