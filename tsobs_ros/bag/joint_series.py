@@ -4,15 +4,15 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from itertools import pairwise
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass
+from itertools import chain, pairwise
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.container import ROW, Rows
-from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder, JointStates
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader, pieces
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.errors import BagReadError
@@ -58,20 +58,7 @@ class JointSeries:
         """The number of messages."""
         return len(self.stamps)
 
-    def take(self, places: NDArray[Any] | slice) -> "JointSeries":
-        """Return some of the messages, or all of them in another order."""
-        taken = {name: getattr(self, name)[places] for name in _ARRAYS}
-        return JointSeries(**taken, other_names=self.other_names)
 
-    def followed_by(self, *others: "JointSeries") -> "JointSeries":
-        """Return these messages and those of others behind them."""
-        all_ = (self, *others)
-        joined = {name: np.concatenate([getattr(one, name) for one in all_]) for name in _ARRAYS}
-        names = dict.fromkeys(name for one in all_ for name in one.other_names)
-        return JointSeries(**joined, other_names=tuple(names)[:_MAX_OTHERS])
-
-
-_ARRAYS = [field.name for field in fields(JointSeries) if field.name != "other_names"]
 _MAX_OTHERS = 32
 
 
@@ -84,31 +71,29 @@ class _Builder:
         self._decoder = JointStateDecoder()
         self._others: dict[str, None] = {}
 
-    def decode(self, rows: Rows, records: Mapping[int, bytes]) -> JointSeries:
-        """Return the messages in records that rows are of."""
-        block = _empty(len(rows), self._wanted)
-        block.log_times[:], block.publish_times[:] = rows["log_time"], rows["publish_time"]
-        for places, data in _raw(rows, records).groups:
-            # What is malformed names nobody, and so is no sample of anybody.
-            for group in self._decoder.decode_rows(places, data):
-                self._place(group, block)
-        return replace(block, other_names=tuple(self._others))
-
-    def _place(self, group: JointStates, block: JointSeries) -> None:
-        rows = group.places
-        block.stamps[rows] = group.stamps
-        for name in group.names:
-            if name not in self._names and len(self._others) < _MAX_OTHERS:
-                self._others[name] = None
-        for joint, places in enumerate(self._wanted):
-            for at, (name, field) in enumerate(places):
-                if name not in group.names:
-                    continue
-                place, numbers = group.names.index(name), getattr(group, field)
-                block.named[rows, joint] = True
-                if place < numbers.shape[1]:
-                    block.values[rows, joint, at] = numbers[:, place]
-                    block.given[rows, joint, at] = True
+    def decode(self, raw: "RawMessages") -> JointSeries:
+        """Return messages as numbers; those that are malformed have none."""
+        count = len(raw.log_times)
+        shape = (count, len(self._wanted), max(map(len, self._wanted), default=0))
+        stamps, values = np.zeros(count, np.int64), np.full(shape, np.nan)
+        named, given = np.zeros(shape[:2], np.bool_), np.zeros(shape, np.bool_)
+        for group in chain.from_iterable(self._decoder.decode_rows(*one) for one in raw.groups):
+            rows = group.places
+            stamps[rows] = group.stamps
+            for name in group.names:
+                if name not in self._names and len(self._others) < _MAX_OTHERS:
+                    self._others[name] = None
+            for joint, places in enumerate(self._wanted):
+                for at, (name, field) in enumerate(places):
+                    if name not in group.names:
+                        continue
+                    place, numbers = group.names.index(name), getattr(group, field)
+                    named[rows, joint] = True
+                    if place < numbers.shape[1]:
+                        values[rows, joint, at] = numbers[:, place]
+                        given[rows, joint, at] = True
+        times = raw.log_times, raw.publish_times
+        return JointSeries(stamps, *times, values, named, given, tuple(self._others))
 
 
 class RawMessages(NamedTuple):
@@ -162,7 +147,7 @@ def read_blocks(
     """
     for name in wanted:
         require_joint_states(reader, name)
-    builders = [_Builder(each) for each in wanted.values()]
+    builders = {name: _Builder(each) for name, each in wanted.items()}
     names = list(dict.fromkeys([*wanted, *raw]))
     parts = until_damage(reader.rows(names), on_damage)
     waiting, records, whole = np.zeros(0, ROW), dict[int, bytes](), False
@@ -182,12 +167,9 @@ def read_blocks(
         if not whole and size is not None:
             horizon = int(block["log_time"][_behind(size) - 1])
         own_rows = [block[block["channel"] == place] for place in range(len(names))]
-        series = {
-            name: builder.decode(rows, records)
-            for name, builder, rows in zip(wanted, builders, own_rows, strict=False)
-        }
-        found_raw = {name: _raw(own_rows[names.index(name)], records) for name in raw}
-        yield Block(series, found_raw, horizon)
+        found_raw = {name: _raw(rows, records) for name, rows in zip(names, own_rows, strict=True)}
+        series = {name: builder.decode(found_raw[name]) for name, builder in builders.items()}
+        yield Block(series, {name: found_raw[name] for name in raw}, horizon)
         waiting = waiting[len(block) :]
         records = {key: records[key] for key in np.unique(waiting["chunk"]).tolist()}
 
@@ -215,19 +197,6 @@ def until_damage(
         if on_damage is None:
             raise
         on_damage(error)
-
-
-def _empty(count: int, wanted: Wanted) -> JointSeries:
-    shape = (count, len(wanted), max(map(len, wanted), default=0))
-    return JointSeries(
-        stamps=np.zeros(count, np.int64),
-        log_times=np.zeros(count, np.int64),
-        publish_times=np.zeros(count, np.int64),
-        values=np.full(shape, np.nan),
-        named=np.zeros(shape[:2], np.bool_),
-        given=np.zeros(shape, np.bool_),
-        other_names=(),
-    )
 
 
 def _raw(rows: Rows, records: Mapping[int, bytes]) -> RawMessages:

@@ -31,8 +31,6 @@ _MOST_TEMPLATES = 64
 _CONSTANT = HEADER + 8
 """Where what comes after the stamp begins."""
 
-_FRONT = ("header", "sec", "nanosec", "constant")
-
 Places = NDArray[np.intp]
 """Which messages of a sequence, ascending."""
 
@@ -104,7 +102,10 @@ class _Template:
         arrays = f"{lengths[0]}dI{pads[0]}x{lengths[1]}dI{pads[1]}x{lengths[2]}d"
         self._struct = struct.Struct(f"{order}4siI{len(constant)}s{arrays}")
         self._dtype = {
-            "names": [*_FRONT, "position", "velocity", "effort", "velocity count", "effort count"],
+            "names": [
+                *("header", "sec", "nanosec", "constant", "position", "velocity", "effort"),
+                *("velocity count", "effort count"),
+            ],
             "formats": [
                 *(f"V{HEADER}", f"{order}i4", f"{order}u4", f"V{len(constant)}"),
                 *((f"{order}f8", (length,)) for length in lengths),
