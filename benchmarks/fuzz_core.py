@@ -19,7 +19,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ import tsobs_ros as ts
 from tsobs_ros.core import native
 from tsobs_ros.exported import exported
 from tsobs_ros.methods import make_tracker
+from tsobs_ros.model.torque_path import TorquePath
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 _PATIENCE = 60.0
@@ -103,12 +104,15 @@ def subjects() -> list[Subject]:
     fixed = ts.load_design(config_path(FIXED_DESIGN))
     system = ts.synthesise(ts.load_request(config_path("ts_example.request.yaml")))
     torque = ts.synthesise(ts.load_request(config_path("contact_torque.request.yaml")))
+    path = TorquePath(0.9, 0.5, 2.3 * adaptive.request.period)
+    late = replace(adaptive, request=replace(adaptive.arm_request, torque=path))
     made = []
     for name, design, method in (
         ("adaptive", adaptive, "certified"),
         ("fixed", fixed, "certified"),
         ("system", system, "certified"),
         ("torque", torque, "certified"),
+        ("late torque", late, "certified"),
         ("integrated", fixed, "proportional_integral"),
     ):
         settings = ts.ObserverSettings(method=method)

@@ -16,9 +16,10 @@ from tsobs_ros.campaign.drawing import check, draw, scenario_like
 from tsobs_ros.campaign.premises import violated
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output
 from tsobs_ros.errors import TsobsError
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.torque_path import TorquePath
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS
 
@@ -152,6 +153,17 @@ def test_disturbances_with_a_model_in_the_design_are_foreseen() -> None:
     ):
         asked = Campaign(CampaignEntries(scenarios={"only": scenario}), file)
         assert violated(draw(asked, 0).scenario, request) == expected
+
+
+def test_delays_of_the_design_are_those_of_the_plant() -> None:
+    path = TorquePath(0.9, 0.1, 0.007)
+    request = ArmRequest(outputs=[Output("motor_angle", 0.001, delay=0.004)], torque=path)
+    design = Design(request, np.eye(4), np.zeros((4, 1)), SolverReport())
+    for scenario in ({}, {"like": "noise", "sensor": {"latency": 0.01}}):
+        asked = Campaign(CampaignEntries(scenarios={"only": scenario}), DesignFile.of(design))
+        drawn = draw(asked, 0).scenario
+        assert drawn.torque == path
+        assert drawn.outputs[0].delay == 0.004
 
 
 def test_scenarios_of_the_simulator_befall_the_arm_of_a_design(both_encoders: Path) -> None:

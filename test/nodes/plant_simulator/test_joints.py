@@ -13,6 +13,7 @@ from sensor_msgs.msg import JointState
 from staging import start
 
 from tsobs_ros.errors import ParameterError
+from tsobs_ros.model.torque_path import TorquePath
 from tsobs_ros.nodes import observer, plant_simulator
 from tsobs_ros.nodes.plant_simulator.node import plants_of
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
@@ -24,10 +25,11 @@ arm: {link_inertia: 0.5, motor_inertia: 1.0, stiffness: 200.0, gravity_torque: 0
 uncertainty: {}
 rate: 500.0
 outputs:
-  - {measures: motor_angle, measurement_std: 0.001}
+  - {measures: motor_angle, measurement_std: 0.001, delay: 0.004}
   - {measures: link_angle, measurement_std: 0.002, disturbance: [{kind: bias}]}
   - {measures: link_velocity, measurement_std: 0.05}
 torque_disturbance: {link: [{kind: gauss_markov, std: 2.0, time_constant: 0.5}]}
+torque: {gain: 0.9, offset: 0.1, delay: 0.003}
 """
 
 PERIOD, START = 5_000_000, 100_000_000
@@ -77,6 +79,9 @@ def test_joints_of_design_files_are_in_the_same_messages(
         **{k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if "." not in k}
     )
     assert parameters.scenarios()["shoulder"].true_arm.stiffness == 12.0
+    elbow = parameters.scenarios()["elbow"]
+    assert elbow.torque == TorquePath(0.9, 0.1, 0.003)
+    assert [output.delay for output in elbow.outputs] == [0.004, 0.0, 0.0]
     plants = plants_of(parameters)
     runs = [plant.run(1000) for plant in plants]
     # The first samples may have come before all subscriptions were matched.
