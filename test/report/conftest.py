@@ -56,7 +56,7 @@ def blank_run(measurements: Series, stamps: Any, **truth: Any) -> RecordedRun:
 
 def observed(run: RecordedRun, tracker: Tracker) -> RecordedRun:
     """Return the run with estimates at its stamps, each from the measurements up to it."""
-    stamps, values, _ = run.measurements
+    stamps, values = run.measurements
     innovations, rows, place = [], [], 0
     for stamp in run.stamps.tolist():
         while place < len(stamps) and stamps[place] <= stamp:
@@ -144,12 +144,12 @@ def topics_of(run: RecordedRun, namespace: str = "") -> dict[str, list[Row]]:
         "observer/disturbance_bound": scalar(run.stamps, run.disturbance_bound[:, 0]),
     }
     if run.innovation is not None:
-        stamps, values, _ = run.innovation
+        stamps, values = run.innovation
         topics["observer/innovation"] = scalar(stamps, values[:, 0])
     if run.true_state is not None:
         topics["ground_truth/joint_states"] = motion(*run.true_state[:2])
     if run.true_disturbance is not None:
-        stamps, values, _ = run.true_disturbance
+        stamps, values = run.true_disturbance
         topics["ground_truth/disturbance"] = scalar(stamps, values[:, 0])
     if run.health is not None:
         topics["observer/health"] = [

@@ -57,7 +57,7 @@ def test_a_figure_has_gaps_where_its_series_have_them(troubled, tmp_path, gap: s
 
     gaps = {}
     for name in SERIES:
-        stamps, values, _ = getattr(whole, name)
+        stamps, values = getattr(whole, name)
         inside = (stamps >= begin) & (stamps < end)
         gaps[name] = Series(stamps, np.where(inside[:, np.newaxis], np.nan, values))
         if gap == "stamps":

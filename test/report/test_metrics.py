@@ -105,7 +105,7 @@ def test_settling_is_timed_from_the_start_and_from_each_jump(exact) -> None:
 
 
 def test_small_steps_of_the_disturbance_are_no_jumps(exact) -> None:
-    stamps, values, _ = exact.true_disturbance
+    stamps, values = exact.true_disturbance
     ramp = Series(stamps, 0.2 * np.sin(3.0 * exact.times)[:, np.newaxis])
     chatter = values.copy()
     chatter[4001:4010:2] = 0.0

@@ -30,7 +30,7 @@ def test_a_run_comes_back_from_its_bag(short, messages_of, write_bag, namespace)
     for name in ("stamps", "state", "state_bound", "disturbance", "disturbance_bound"):
         np.testing.assert_array_equal(getattr(run, name), getattr(short, name), err_msg=name)
     for name in ("measurements", "innovation", "true_state", "true_disturbance"):
-        for read, written in zip(getattr(run, name)[:2], getattr(short, name)[:2], strict=True):
+        for read, written in zip(getattr(run, name), getattr(short, name), strict=True):
             np.testing.assert_array_equal(read, written, err_msg=name)
     assert run.joint == "elastic_joint"
     assert run.passes == 1

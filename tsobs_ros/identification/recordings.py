@@ -131,8 +131,7 @@ def _samples(
                 f"{log}: joints {', '.join(source.joints)}: name one of them with --joint"
             )
         source.observe([request])
-        samples = [part.samples for part in source.parts()]
-        whole = samples[0].followed_by(*samples[1:])
+        whole = next(source.parts()).samples
         name, y, u = str(log), whole.y[:, 0], whole.u[:, 0, 0]
         keep = (whole.stamps > 0) & whole.complete[:, 0]
         # Stamps since the epoch have no digits left below a microsecond as one number.

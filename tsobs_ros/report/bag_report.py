@@ -167,7 +167,7 @@ def make_bag_report(
     metrics = measure(run, options)
     health, events = HealthSum(), EventFinder([joint], run.topic)
     if run.health is not None:
-        stamps, values, _ = run.health
+        stamps, values = run.health
         health.add(values)
         events.add(stamps, stamps, values[:, np.newaxis])
     diagnosed = diagnose(found.statuses(joint), run.origin, metrics.last)

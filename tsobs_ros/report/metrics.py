@@ -159,9 +159,6 @@ class RunMetrics:
         """Time of the last estimate since the run's origin [s]."""
         return self.events[0].time + self.duration
 
-    def __contains__(self, key: str) -> bool:
-        return any(one.key == key for one in self.quantities)
-
     def __getitem__(self, key: str) -> QuantityMetrics:
         """Return the metrics of one quantity, else raise `KeyError`."""
         return {one.key: one for one in self.quantities}[key]
@@ -211,7 +208,8 @@ def measure(run: RecordedRun, options: MetricsOptions | None = None) -> RunMetri
         if known.any() and np.isfinite(error).any():
             # "Not inside" rather than "outside", so that an unknown error is not taken for small.
             outside |= ~(np.abs(error) <= SIGMAS * one.bounds[known].min())
-    nis, counts = _innovations(run, windows, options.innovation_stds)
+    nis, output_nis = _innovations(run, windows, options.innovation_stds)
+    rmse = np.array([one.rmse for one in quantities[:states]], np.float64)
     begins = [float(times[0]), *(time for time, _, _ in jumps)]
     edges = [*np.searchsorted(times, begins).tolist(), len(times)]
     after = [
@@ -223,9 +221,9 @@ def measure(run: RecordedRun, options: MetricsOptions | None = None) -> RunMetri
         events.append(Event(_JUMPS[kind], time, size, settling))
     return RunMetrics(
         quantities=tuple(quantities),
-        normalised_rmse=_normalised([one.rmse for one in quantities[:states]], options.scale),
-        nis=_mean(nis, counts),
-        output_nis=nis,
+        normalised_rmse=None if np.isnan(rmse).any() else root_mean(rmse / options.scale),
+        nis=nis,
+        output_nis=output_nis,
         events=tuple(events),
         windows=windows,
         settled_time=sum(end - begin for begin, end in windows),
@@ -255,34 +253,15 @@ def quantity_metrics(quantity: Quantity, error: Array, bound: Array) -> Quantity
 
 def _innovations(
     run: RecordedRun, windows: Windows, stds: Sequence[float]
-) -> tuple[tuple[float | None, ...], list[int]]:
-    """Return the mean square of each output's innovations over the expected, and their numbers."""
-    if run.innovation is None:
-        return (), []
+) -> tuple[float | None, tuple[float | None, ...]]:
+    """Return the mean square of all innovations over the expected, and that of each output."""
+    if run.innovation is None or not stds:
+        return None, ()
     settled = run.innovation.take(inside_windows(run.innovation.seconds(run.origin), windows))
-    columns = list(settled.values.T)
-    stds = [*stds] * len(columns) if len(stds) == 1 else stds
-    sizes = [root_mean(column) for column in columns]
-    nis = tuple(
-        None if size is None else _bounded((size / std) * (size / std))
-        for size, std in zip(sizes, stds, strict=False)
-    )
-    return nis, [int(np.isfinite(column).sum()) for column in columns]
-
-
-def _normalised(rmse: Sequence[float | None], scale: Sequence[float]) -> float | None:
-    known = [one / size for one, size in zip(rmse, scale, strict=True) if one is not None]
-    if len(known) < len(scale):
-        return None
-    return _bounded(math.sqrt(sum(one * one for one in known) / len(known)))
-
-
-def _mean(values: Sequence[float | None], counts: Sequence[int]) -> float | None:
-    """Return the mean of values that are means of so many, None without any."""
-    known = [(value, n) for value, n in zip(values, counts, strict=False) if value is not None]
-    if len(known) <= 1:
-        return known[0][0] if known else None
-    return _bounded(sum(value * n for value, n in known) / sum(n for _, n in known))
+    scaled = settled.values / np.array(stds)
+    sizes = [root_mean(one) for one in (scaled, *scaled.T)]
+    nis, *of_outputs = (None if size is None else _bounded(size * size) for size in sizes)
+    return nis, tuple(of_outputs)
 
 
 def _bounded(value: float) -> float:

@@ -414,7 +414,7 @@ def run_of(
         # Each topic restarts at its own moment, but all of them at about the same.
         for one in sorted(all_of_it, key=lambda one: abs(int(one["log_times"][0]) - log_time))[:1]:
             series[key] = Series(one["stamps"], one["values"])
-    stamps, state, _ = series.pop("state").ordered()
+    stamps, state = series.pop("state").ordered()
     measurements = series.pop("measurements")
     nothing = np.full((len(stamps), len(request.torque_sides)), np.nan)
     parts: dict[str, Any] = {
