@@ -209,7 +209,11 @@ def measure(run: RecordedRun, options: MetricsOptions | None = None) -> RunMetri
             # "Not inside" rather than "outside", so that an unknown error is not taken for small.
             outside |= ~(np.abs(error) <= SIGMAS * one.bounds[known].min())
     nis, output_nis = _innovations(run, windows, options.innovation_stds)
-    rmse = np.array([one.rmse for one in quantities[:states]], np.float64)
+    normalised = None
+    if all(one.rmse is not None for one in quantities[:states]):
+        each = zip(quantities, options.scale, strict=False)
+        shares = [(one.rmse or 0.0) / size for one, size in each]
+        normalised = _bounded(math.sqrt(sum(one * one for one in shares) / states))
     begins = [float(times[0]), *(time for time, _, _ in jumps)]
     edges = [*np.searchsorted(times, begins).tolist(), len(times)]
     after = [
@@ -221,7 +225,7 @@ def measure(run: RecordedRun, options: MetricsOptions | None = None) -> RunMetri
         events.append(Event(_JUMPS[kind], time, size, settling))
     return RunMetrics(
         quantities=tuple(quantities),
-        normalised_rmse=None if np.isnan(rmse).any() else root_mean(rmse / options.scale),
+        normalised_rmse=normalised,
         nis=nis,
         output_nis=output_nis,
         events=tuple(events),
