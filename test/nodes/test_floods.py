@@ -16,8 +16,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
+from staging import to_nanoseconds
 from staging.arm import Arm
-from staging.stamps import to_nanoseconds
 
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.nodes.observer.joints import NAMES as REASONS

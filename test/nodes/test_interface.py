@@ -4,6 +4,7 @@
 
 import re
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -60,7 +61,7 @@ def make(ros):
             super().__init__("parametrised", Parameters, **node_kwargs)
             self.start()
 
-        def retune(self, parameters: Parameters) -> None:
+        def retune(self, parameters: Parameters, names: Collection[str]) -> None:
             self.changes.append(parameters)
 
     def bind(overrides=None) -> Tuned:

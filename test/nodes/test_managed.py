@@ -4,7 +4,7 @@
 
 import gc
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -80,7 +80,7 @@ class Probe(ManagedNode[ProbeParameters]):
         assert not self.active
         self._note("cleanup")
 
-    def retune(self, parameters: ProbeParameters) -> None:
+    def retune(self, parameters: ProbeParameters, names: Collection[str]) -> None:
         self._note(f"retune {parameters.gain}")
 
 

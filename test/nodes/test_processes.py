@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Processes end cleanly whatever ends them, at any time, and their shipped parameters fit."""
 
+import re
 import signal
 import sys
 import time
@@ -59,26 +60,28 @@ def script(ros_process, tmp_path):
     return start
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
-def test_a_signal_ends_an_idle_process_and_a_second_changes_nothing(script, number: int) -> None:
-    process = script(
-        """
-        class Slow(Worker):
-            def close(self):
-                os.kill(os.getpid(), signal.SIGINT)
-                os.kill(os.getpid(), signal.SIGTERM)
-                super().close()
-
-        sys.exit(runtime.run(Slow))
-        """
-    )
-    process.wait_for_line("ticking")
-    process.signal(number)
-    assert process.finish() == (0, "ticking\nclosed worker\ndestroyed worker\n", "")
-
-
 CLOSED, DESTROYED = "closed worker\n", "destroyed worker\n"
-ENDS = {
+BOTH = "closed first\nclosed second\ndestroyed first\ndestroyed second\n"
+BUGGY = """
+class Buggy(Worker):
+    finished = {finished}
+    def {where}(self):
+        super().{where}()
+        raise KeyError("bug")
+
+Case = lambda: [Buggy("first"), Buggy("second")]
+"""
+SIGNALLED = """
+class Case(Worker):
+    def close(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)
+        super().close()
+"""
+ENDS: dict[str, tuple[str, tuple[int, str, str]]] = {
+    # A second signal changes nothing.
+    "SIGINT": (SIGNALLED, (0, "ticking\n" + CLOSED + DESTROYED, "")),
+    "SIGHUP": (SIGNALLED, (0, "ticking\n" + CLOSED + DESTROYED, "")),
     "a finished node": (
         """
         class Case(Worker):
@@ -113,62 +116,37 @@ ENDS = {
         """,
         (1, DESTROYED, "error: the bag cannot be closed\n"),
     ),
+    # Each bug has its traceback, and costs no other step.
+    "a bug": (BUGGY.format(where="tick", finished=False), (1, "ticking\n" + BOTH, "bug")),
+    "bugs at the end": (BUGGY.format(where="close", finished=True), (1, BOTH, "bug bug")),
+    "a teardown that hangs": (
+        """
+        class Case(Worker):
+            finished = True
+            def destroy_node(self):
+                ctypes.PyDLL(None).pause()  # for ever, in C, holding the GIL
+
+        runtime._TEARDOWN_TIMEOUT = 0.5
+        """,
+        (-signal.SIGALRM, CLOSED, ""),
+    ),
 }
 
 
 @pytest.mark.parametrize("end", ENDS)
 def test_every_end_closes_destroys_and_is_reported_in_a_line(script, end: str) -> None:
-    body, expected = ENDS[end]
-
-    assert script(dedent(body) + "sys.exit(runtime.run(Case))").finish() == expected
-
-
-@pytest.mark.parametrize("where", ["tick", "close"])
-def test_a_bug_keeps_its_traceback_and_costs_no_other_step(script, where: str) -> None:
-    process = script(
-        f"""
-        class Buggy(Worker):
-            finished = {where != "tick"}
-
-            def {where}(self):
-                getattr(super(), "{where}")()
-                raise KeyError("bug")
-
-        sys.exit(runtime.run(lambda: [Buggy("first"), Buggy("second")]))
-        """
-    )
-
+    body, (exit_code, out, err) = ENDS[end]
+    process = script(dedent(body) + "sys.exit(runtime.run(Case))")
+    if end.startswith("SIG"):
+        process.wait_for_line("ticking")
+        process.signal(signal.Signals[end])
     finished = process.finish()
 
-    assert finished.exit_code == 1
-    assert finished.stdout.splitlines()[-4:] == [
-        "closed first",
-        "closed second",
-        "destroyed first",
-        "destroyed second",
-    ]
-    assert finished.stderr.count("KeyError: 'bug'") == (1 if where == "tick" else 2)
-
-
-def test_a_hanging_teardown_is_ended_by_a_signal(script) -> None:
-    process = script(
-        """
-        class Hanging(Worker):
-            finished = True
-
-            def destroy_node(self):
-                ctypes.PyDLL(None).pause()  # for ever, in C, holding the GIL
-
-        runtime._TEARDOWN_TIMEOUT = 0.5
-        sys.exit(runtime.run(Hanging))
-        """
-    )
-
-    finished = process.finish()
-
-    assert finished.exit_code == -signal.SIGALRM
-    assert finished.stdout == "closed worker\n"
-    assert "Traceback" not in finished.stderr
+    assert (finished.exit_code, finished.stdout) == (exit_code, out)
+    if "bug" in end:
+        assert " ".join(re.findall(r"^KeyError: '(bug)'$", finished.stderr, re.MULTILINE)) == err
+    else:
+        assert finished.stderr == err
 
 
 def test_a_signal_during_the_imports_ends_the_process_at_once(ros_process, tmp_path: Path) -> None:

@@ -13,8 +13,7 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
-from staging import by_topic, call, estimated_again, start
-from staging.stamps import to_nanoseconds
+from staging import by_topic, call, estimated_again, start, to_nanoseconds
 from std_msgs.msg import Int64MultiArray
 from std_srvs.srv import SetBool
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The newest messages of an observer, of its sensors and of the truth, for live views."""
 
+import math
 import time
 from collections import deque
 from collections.abc import Iterable
@@ -86,6 +87,19 @@ class ObserverFeed:
                 with suppress(MessageError):
                     self.latest[key] = self._decode(taken[-1][0])
 
+    def values(self, field: str, topic: str, max_age: float = math.inf) -> dict[str, float]:
+        """Return the numbers in the newest message of a topic, by name; none if it is too old.
+
+        Args:
+            field: Which of its fields.
+            topic: One of those wanted, or `MEASUREMENTS`.
+            max_age: Time since it was read [s].
+        """
+        message = self.latest.get(topic)
+        if message is None or time.monotonic() - self.arrived[topic] >= max_age:
+            return {}
+        return dict(zip(message.names, getattr(message, field), strict=False))
+
     def rates(self) -> dict[str, float]:
         """Return the messages a second of each topic that had any, over the last seconds."""
         began = time.time_ns() - _RATE_WINDOW
@@ -95,11 +109,6 @@ class ObserverFeed:
             (first, before), (last, count) = recent[0], recent[-1]
             found[key] = NANOSECONDS * (count - before) / (last - first) if last > first else 0.0
         return found
-
-    def fresh(self, key: str, max_age: float) -> JointState | None:
-        """Return the newest message of a topic if it was read less than `max_age` [s] ago."""
-        age = time.monotonic() - self.arrived.get(key, -max_age)
-        return self.latest.get(key) if age < max_age else None
 
     def status_of(self, joint: str, concern: str) -> list[Status]:
         """Return the newest statuses of a joint whose names begin with a concern."""

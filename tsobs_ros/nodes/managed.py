@@ -33,7 +33,7 @@ refuses or drops what they cannot take.
 import math
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -84,8 +84,8 @@ P = TypeVar("P", bound=ManagedParameters)
 class ManagedNode(LifecycleNode, Generic[P]):
     """A lifecycle node; with the parameter `autostart` it configures and activates itself.
 
-    Subclasses override `configure`, `activate`, `deactivate`, `cleanup` and `retune` as they need
-    them, and call `start` at the end of their constructor.
+    Subclasses override `configure`, `activate`, `deactivate`, `cleanup`, `check` and `retune` as
+    they need them, and call `start` at the end of their constructor.
 
     Args:
         name: The node's name.
@@ -112,7 +112,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         self._starting = False
         self._stand_before_services()
         try:
-            self._binding = ParameterBinding(self, schema, on_change=self._retune)
+            self._binding = ParameterBinding(self, schema, self.check, self._retune)
         except BaseException:
             self.destroy_node()
             raise
@@ -129,8 +129,11 @@ class ManagedNode(LifecycleNode, Generic[P]):
     def cleanup(self) -> None:
         """Finish what `configure` began; called before anything is released."""
 
-    def retune(self, parameters: P) -> None:
-        """Take over parameters that were changed while the node is configured."""
+    def check(self, parameters: P) -> None:
+        """Raise a ParameterError if parameters that shall be set do not fit what is configured."""
+
+    def retune(self, parameters: P, names: Collection[str]) -> None:
+        """Take over parameters of which some were set, while the node is configured."""
 
     @property
     def parameters(self) -> P:
@@ -325,9 +328,9 @@ class ManagedNode(LifecycleNode, Generic[P]):
             if getattr(getattr(entity, "callback", None), "func", None) != self._take_time:
                 destroy(entity)
 
-    def _retune(self, parameters: P) -> None:
+    def _retune(self, parameters: P, names: Collection[str]) -> None:
         if self.configured:
-            self.retune(parameters)
+            self.retune(parameters, names)
 
     def _attempt(self, what: str, step: Callable[[], None]) -> TransitionCallbackReturn:
         """Take a step; log why it failed, unless `start` is going to raise it."""

@@ -10,7 +10,7 @@ range; an on-set callback refuses the rest.
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from typing import Any, Generic, TypeVar
 
@@ -63,10 +63,11 @@ class ParameterBinding(Generic[P]):
         node: Node that owns the parameters and has declared its overrides, as a `ManagedNode` has;
             those that the dataclass lacks are unknown.
         make: The dataclass.
-        on_change: Called with the new value after a set took effect; not at start.
+        check: Called with a value that is to be set; refuses it by a ParameterError.
+        on_set: Called with the new value after a set, and the names of what was set.
 
     Attributes:
-        value: The current parameters; the same object until a set changes them.
+        value: The current parameters; the same object until a set is accepted.
 
     Raises:
         ParameterError: An override has the wrong type, breaks a rule, or the values contradict
@@ -74,10 +75,14 @@ class ParameterBinding(Generic[P]):
     """
 
     def __init__(
-        self, node: Node, make: type[P], on_change: Callable[[P], None] | None = None
+        self,
+        node: Node,
+        make: type[P],
+        check: Callable[[P], None] = lambda value: None,
+        on_set: Callable[[P, Collection[str]], None] = lambda value, names: None,
     ) -> None:
         self._schema = schema_of(make)
-        self._on_change = on_change
+        self._check_value, self._on_set = check, on_set
         entries = self._schema.entries
         given = {
             name: each.value
@@ -118,17 +123,15 @@ class ParameterBinding(Generic[P]):
 
     def _check(self, proposal: list[Parameter]) -> SetParametersResult:
         try:
-            self._with(proposal)
+            self._check_value(self._with(proposal))
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _take_over(self, accepted: list[Parameter]) -> None:
-        value = self._with(accepted)
-        if value != self.value:
-            self.value = value
-            if self._on_change is not None:
-                self._on_change(value)
+        if names := [each.name for each in accepted if each.name in self._schema.entries]:
+            self.value = self._with(accepted)
+            self._on_set(self.value, names)
 
     def _with(self, proposal: list[Parameter]) -> P:
         entries = self._schema.entries

@@ -128,10 +128,10 @@ class Watcher(Node):
             velocities=self._quantities("velocity", *states),
             disturbances=self._quantities("position", *disturbance),
             disturbance_rates=self._quantities("velocity", *disturbance[:2]),
-            innovations=self._values("position", topics.INNOVATION),
+            innovations=feed.values("position", topics.INNOVATION),
             torques=self._quantities("effort", *torque),
             parameters=self._quantities("position", *topics.PARAMETER_TOPICS),
-            health=self._values("position", topics.HEALTH),
+            health=feed.values("position", topics.HEALTH),
             statuses=feed.statuses,
             rates=feed.rates(),
             problem=feed.problem,
@@ -140,18 +140,13 @@ class Watcher(Node):
     def _tick(self) -> None:
         self.finished = not self._show(self.snapshot())
 
-    def _values(self, field: str, topic: str) -> dict[str, float]:
-        message = self._feed.latest.get(topic)
-        if message is None:
-            return {}
-        return dict(zip(message.names, getattr(message, field), strict=False))
-
     def _quantities(
         self, field: str, topic: str, bound: str, truth: str = ""
     ) -> dict[str, Quantity]:
         """Return the numbers of a topic with those of the same names on two others."""
-        bounds, truths = self._values(field, bound), self._values(field, truth)
+        feed = self._feed
+        bounds, truths = feed.values(field, bound), feed.values(field, truth)
         return {
             name: Quantity(value, bounds.get(name, math.nan), truths.get(name, math.nan))
-            for name, value in self._values(field, topic).items()
+            for name, value in feed.values(field, topic).items()
         }

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
-from staging.stamps import to_stamp
+from staging import to_stamp
 from std_msgs.msg import Header
 
 from tsobs_ros.design.file import load_request

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
+from staging import to_stamp
 from staging.arm import Arm
 from staging.stage import (
     BEGIN,
@@ -24,7 +25,6 @@ from staging.stage import (
     tracker_of,
     values,
 )
-from staging.stamps import to_stamp
 from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.estimation.records import Innovation

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
-from staging.stamps import to_nanoseconds, to_stamp
+from staging import to_nanoseconds, to_stamp
 
 import tsobs_ros as ts
 from tsobs_ros.series import NANOSECONDS

@@ -9,8 +9,7 @@ import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from staging import call, start
-from staging.stamps import to_nanoseconds
+from staging import call, start, to_nanoseconds
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 

@@ -10,8 +10,7 @@ from typing import Any
 
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
-from staging import start
-from staging.stamps import to_stamp
+from staging import start, to_stamp
 
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.simulation.integrator import Friction

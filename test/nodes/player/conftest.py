@@ -10,8 +10,7 @@ import pytest
 from player.bags import START
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
-from staging import start
-from staging.stamps import to_nanoseconds
+from staging import start, to_nanoseconds
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 

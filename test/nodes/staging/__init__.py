@@ -9,6 +9,7 @@ from typing import Any
 
 from lifecycle_msgs.srv import GetState
 from rclpy.parameter import Parameter
+from rclpy.time import Time
 
 from tsobs_ros.bag import BagReader
 from tsobs_ros.design.file import DesignFile
@@ -16,6 +17,16 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
 from tsobs_ros.replay.source import BagSource
+
+
+def to_nanoseconds(stamp: Any) -> int:
+    """Return a builtin_interfaces Time as nanoseconds."""
+    return int(Time.from_msg(stamp).nanoseconds)
+
+
+def to_stamp(nanoseconds: int) -> Any:
+    """Return nanoseconds since the epoch as a builtin_interfaces Time."""
+    return Time(nanoseconds=nanoseconds).to_msg()
 
 
 def start(ros: Any, name: str, *, options: dict[str, Any] | None = None, **parameters: Any) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
-from staging.stamps import to_stamp
+from staging import to_stamp
 from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Trajectories

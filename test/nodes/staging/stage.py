@@ -21,9 +21,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from staging import call, start
+from staging import call, start, to_nanoseconds, to_stamp
 from staging.arm import Arm
-from staging.stamps import to_nanoseconds, to_stamp
 from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.design.signals import Place
 from tsobs_ros.estimation.records import Innovation, Measurement

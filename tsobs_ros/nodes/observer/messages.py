@@ -194,9 +194,10 @@ class MeasurementReader:
 
 
 class EstimatePublisher:
-    """Publishes estimates and innovations under the node's private names.
+    """Publishes estimates, innovations and ticks under the node's private names.
 
-    There are topics of torque disturbances and of learnt parameters only if there are any.
+    There are topics of torque disturbances and of learnt parameters only if there are any. The
+    topic of ticks is reliable, as a lost message would leave it open what the estimates include.
 
     Args:
         node: The node.
@@ -222,6 +223,10 @@ class EstimatePublisher:
         self._restarts = JointStatePublisher(
             node, f"~/{topics.RESTARTS}", [positions([joint]) for joint in joints], _RESTARTS
         )
+        self._ticks = node.create_publisher(
+            Int64MultiArray, f"~/{topics.TICKS}", 100, event_callbacks=QUIET
+        )
+        self._tick, self._taken = 0, list[bytes]()
         self._count = len(joints)
         self._slow_since = dict.fromkeys((topics.PARAMETERS, topics.HEALTH), -topics.SLOW_PERIOD)
 
@@ -277,11 +282,31 @@ class EstimatePublisher:
     def publish_restart(self, stamp: int, number: int) -> None:
         """Publish that the joints have no past from now on, for those who come later too.
 
+        Ticks count from 1 again.
+
         Args:
             stamp: Time on the node's clock [ns].
             number: Number of restarts up to this one, 0 at the start.
         """
+        self._tick, self._taken = 0, []
         self._restarts.publish(stamp, dict.fromkeys(range(self._count), (float(number),)))
+
+    def take(self, messages: Iterable[bytes]) -> None:
+        """Note the measurement messages that the next tick includes."""
+        self._taken += messages
+
+    def publish_tick(self, stamp: int, *, estimated: bool) -> None:
+        """Publish a tick with measurements or estimates, before these; see `bag.tick_log`.
+
+        Args:
+            stamp: Time on the node's clock [ns].
+            estimated: Whether there are estimates.
+        """
+        if self._taken or estimated:
+            self._tick += 1
+            if self._ticks.get_subscription_count():
+                self._ticks.publish(encode_tick(stamp, self._tick, estimated, self._taken))
+            self._taken.clear()
 
     def _is_due(self, topic: str, stamp: int) -> bool:
         """Return whether what changes slowly is published at a stamp, which may have gone back."""
@@ -299,39 +324,3 @@ def _rows(topic: str, estimates: Mapping[int, Estimate]) -> dict[int, list[float
         if row:
             rows[joint] = row
     return rows
-
-
-class TickLog:
-    """Publishes a message for each tick with measurements or estimates; see `bag.tick_log`.
-
-    It is reliable, as a lost message would leave it open what the estimates include.
-    """
-
-    def __init__(self, node: Node) -> None:
-        self._publisher = node.create_publisher(
-            Int64MultiArray, f"~/{topics.TICKS}", 100, event_callbacks=QUIET
-        )
-        self.restart()
-
-    def restart(self) -> None:
-        """Count ticks from 1 again: the estimates have no past."""
-        self._number = 0
-        self._taken: list[bytes] = []
-
-    def take(self, messages: Iterable[bytes]) -> None:
-        """Note the measurement messages that the next tick includes."""
-        self._taken += messages
-
-    def publish(self, stamp: int, *, estimated: bool) -> None:
-        """Publish a tick, before its estimates, unless nothing happened.
-
-        Args:
-            stamp: Time on the node's clock [ns].
-            estimated: Whether there are estimates.
-        """
-        if not (self._taken or estimated):
-            return
-        self._number += 1
-        if self._publisher.get_subscription_count():
-            self._publisher.publish(encode_tick(stamp, self._number, estimated, self._taken))
-        self._taken.clear()

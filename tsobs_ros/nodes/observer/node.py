@@ -4,7 +4,7 @@
 
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import LATCHED, DiagnosticsPublisher
 from tsobs_ros.nodes.observer import statuses
 from tsobs_ros.nodes.observer.joints import OF_INPUT, ObservedJoint, observed_joints
-from tsobs_ros.nodes.observer.messages import EstimatePublisher, MeasurementReader, TickLog
+from tsobs_ros.nodes.observer.messages import EstimatePublisher, MeasurementReader
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.ticker import Ticker
 from tsobs_ros.nodes.wire import DrainedSubscription
@@ -95,7 +95,6 @@ class Observer(ManagedNode[ObserverParameters]):
             on_arrival=self._on_arrival if at_once else None,
         )
         self._publisher = EstimatePublisher(self, places, [joint.learnt for joint in self._joints])
-        self._tick_log = TickLog(self)
         self._record = self.create_publisher(String, f"~/{topics.DESIGN}", LATCHED)
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=", ".join(parameters.joints))
         self.offer_triggers({"reset": self._on_reset})
@@ -122,7 +121,7 @@ class Observer(ManagedNode[ObserverParameters]):
         """Stop estimating and publishing."""
         self._ticker.stop()
 
-    def retune(self, parameters: ObserverParameters) -> None:
+    def retune(self, parameters: ObserverParameters, names: Collection[str]) -> None:
         """Take over parameters that were changed while the node runs."""
         for joint in self._joints:
             joint.retune(parameters)
@@ -151,7 +150,7 @@ class Observer(ManagedNode[ObserverParameters]):
         if self.active and (now := self._now()) is not None:
             self._meter.begin(now, tick=False)
             if not self._take_all(now):
-                self._tick_log.publish(now, estimated=False)
+                self._publisher.publish_tick(now, estimated=False)
             elif self._publish(now):
                 self._ticker.skip_next()
             self._meter.end()
@@ -177,7 +176,7 @@ class Observer(ManagedNode[ObserverParameters]):
             return False
         self._is_new = False
         messages = [data for data, _ in taken]
-        self._tick_log.take(messages)
+        self._publisher.take(messages)
         self._newest = messages[-1]
         batch = self._reader.read(messages)
         innovations = []
@@ -211,7 +210,7 @@ class Observer(ManagedNode[ObserverParameters]):
         if not self._enabled:
             return False
         if now <= self._last_output:
-            self._tick_log.publish(now, estimated=False)
+            self._publisher.publish_tick(now, estimated=False)
             return False
         hold, estimates = self.parameters.when_stale == "hold", list[Estimate | None]()
         for joint in self._joints:
@@ -221,7 +220,7 @@ class Observer(ManagedNode[ObserverParameters]):
                 self.log(contact.level, f"{joint.name}: {contact.message}")
         # One that is held is of an earlier time.
         fresh = [each if each is not None and each.stamp == now else None for each in estimates]
-        self._tick_log.publish(now, estimated=any(fresh))
+        self._publisher.publish_tick(now, estimated=any(fresh))
         published = self._publisher.publish(now, estimates)
         if published:
             self._last_output = now
@@ -278,7 +277,6 @@ class Observer(ManagedNode[ObserverParameters]):
             self.get_logger().warning(f"restarting: {why}")
         for joint in self._joints:
             joint.reset()
-        self._tick_log.restart()
         self._resets += 1
         self._is_new = True
         self._unanswered.clear()

@@ -11,7 +11,7 @@ node itself, which then publishes /clock (publish_clock) ahead of each sample.
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from rclpy.clock import JumpThreshold
@@ -212,7 +212,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._plants = plants_of(self._settings)
         self._commands.forget()
 
-    def retune(self, parameters: PlantSimulatorParameters) -> None:
+    def retune(self, parameters: PlantSimulatorParameters, names: Collection[str]) -> None:
         """Take changed parameters over from the next sample on."""
         old, new = self._settings.scenarios(), parameters.scenarios()
         self._settings = parameters

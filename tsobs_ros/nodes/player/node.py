@@ -9,14 +9,12 @@ means: services to pause and to step, named as those of rosbag2's player, and th
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.duration import Duration
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 
@@ -62,8 +60,6 @@ class Player(ManagedNode[PlayerParameters]):
         super().__init__("player", PlayerParameters, **node_kwargs)
         self._finished = False
         self._ended: int | None = None
-        self.add_on_set_parameters_callback(self._check_position)
-        self.add_post_set_parameters_callback(self._take_position)
         self.start()
 
     def configure(self) -> None:
@@ -77,8 +73,7 @@ class Player(ManagedNode[PlayerParameters]):
         self._warned = False
         self._bag_start = reader.start_time or 0
         self._length = (reader.end_time or 0) - self._bag_start
-        if refusal := self._refusal(parameters.position):
-            raise ParameterError(refusal)
+        self.check(parameters)
         start, end = parameters.window(self._bag_start, self._bag_start + self._length)
         selected = [reader.topics[name] for name in parameters.select(reader.topics)]
         self._played = played_topics(self, selected, parameters.queue_depth)
@@ -151,10 +146,19 @@ class Player(ManagedNode[PlayerParameters]):
         self._warn_of_unchecked()
         self.get_logger().info(f"played {self.messages} messages of {len(self._counts)} topics")
 
-    def retune(self, parameters: PlayerParameters) -> None:
-        """Play at another rate, with or without a loop."""
+    def check(self, parameters: PlayerParameters) -> None:
+        """Refuse a position beyond the bag's end."""
+        if self.configured and parameters.position > (length := self._length * 1e-9):
+            raise ParameterError(
+                f"parameter 'position' must be at most {length:.9g} s, the bag's length"
+            )
+
+    def retune(self, parameters: PlayerParameters, names: Collection[str]) -> None:
+        """Play at another rate, with or without a loop; go to a position, even to the same."""
         self._playback.set_rate(parameters.rate, time.monotonic_ns())
         self._playback.loop = parameters.loop
+        if "position" in names:
+            self._seek(parameters.position)
 
     @property
     def finished(self) -> bool:
@@ -264,24 +268,6 @@ class Player(ManagedNode[PlayerParameters]):
         self._ended = None
         target = self._bag_start + round(seconds * 1e9)
         self._playback.seek(target, time.monotonic_ns())
-
-    def _refusal(self, position: float) -> str:
-        """Return why a position is refused, empty if it is not."""
-        length = self._length * 1e-9
-        if position <= length:
-            return ""
-        return f"parameter 'position' must be at most {length:.9g} s, the bag's length"
-
-    def _check_position(self, proposal: Sequence[Parameter]) -> SetParametersResult:
-        positions = [p.value for p in proposal if p.name == "position" and self.configured]
-        reason = "; ".join(filter(None, map(self._refusal, positions)))
-        return SetParametersResult(successful=not reason, reason=reason)
-
-    def _take_position(self, accepted: Sequence[Parameter]) -> None:
-        """Go to a position that was set, even to the one that was set before."""
-        for parameter in accepted:
-            if parameter.name == "position" and self.configured:
-                self._seek(parameter.value)
 
     @property
     def _state_text(self) -> str:

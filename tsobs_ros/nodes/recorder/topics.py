@@ -60,14 +60,14 @@ class RecordedTopic:
         definition: MessageDefinition,
         publishers: Sequence[TopicEndpointInfo],
         subscribe: Callable[[QosKind], DrainedSubscription],
-        find_publishers: Callable[[], Sequence[TopicEndpointInfo]],
+        current_publishers: Callable[[], frozenset[bytes]],
     ) -> None:
         self.name = name
         self.definition = definition
         self.offers = tuple(to_bag_qos(info.qos_profile) for info in publishers)
         self.losses = LossCounter()
         self._subscribe = subscribe
-        self._find_publishers = find_publishers
+        self._current_publishers = current_publishers
         self._subscriptions: dict[QosKind, DrainedSubscription] = {}
         self._latched_publishers: set[bytes] = set()
         self._recent: set[_Key] = set()
@@ -121,7 +121,7 @@ class RecordedTopic:
         if received:
             if self.losses.since_ns is None:
                 self.losses.since_ns = min(message.log_time_ns for message, _ in received)
-            self.losses.add(numbers, lambda: _gids(self._find_publishers()))
+            self.losses.add(numbers, self._current_publishers)
         if len(self._recent) > _REMEMBERED:
             self._recent, self._older = set(), self._recent
         return received
@@ -204,7 +204,7 @@ class TopicFinder:
             definition,
             publishers,
             lambda kind: self._subscription(name, msg_type, kind),
-            lambda: self._node.get_publishers_info_by_topic(name),
+            lambda: _gids(self._node.get_publishers_info_by_topic(name)),
         )
 
     def _subscription(self, name: str, msg_type: Any, kind: QosKind) -> DrainedSubscription:

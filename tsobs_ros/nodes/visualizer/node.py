@@ -3,14 +3,12 @@
 """The `visualizer` node: what is known of the arms, drawn at a fixed rate."""
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 from rclpy.qos import QoSProfile
 from visualization_msgs.msg import MarkerArray
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.joint_states import JointState
 from tsobs_ros.errors import printable
 from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.health import Level, Status
@@ -60,50 +58,49 @@ class Visualizer(ManagedNode[VisualizerParameters]):
 
     def arms(self) -> list[Arm]:
         """Return what is known of each arm that the observer or the simulator has, in order."""
-        max_age = self.parameters.max_age
-        found = {key: self._feed.fresh(key, max_age) for key in (*_WANTED, MEASUREMENTS)}
         names = [
             name.removesuffix(_LINK)
-            for key in (topics.STATES, topics.TRUE_STATES)
-            for name in getattr(found[key], "names", ())
+            for topic in (topics.STATES, topics.TRUE_STATES)
+            for name in self._positions(topic)
             if name.endswith(_LINK)
         ]
-        return [self._arm(name, found) for name in dict.fromkeys(names)]
+        return [self._arm(name) for name in dict.fromkeys(names)]
 
-    def _arm(self, name: str, found: Mapping[str, JointState | None]) -> Arm:
+    def _arm(self, name: str) -> Arm:
         statuses = self._feed.status_of(name, "sensor fault")
         worst = max(statuses, key=lambda status: status.level, default=None)
-        half = _angles(found[topics.STATE_BOUNDS], name)
+        half = self._angles(topics.STATE_BOUNDS, name)
         return Arm(
             printable(name),
-            _angles(found[topics.TRUE_STATES], name),
-            _angles(found[topics.STATES], name),
+            self._angles(topics.TRUE_STATES, name),
+            self._angles(topics.STATES, name),
             half and Angles(*(self.parameters.sigmas * each for each in half)),
-            self._measured(name, found[MEASUREMENTS]),
+            self._measured(name),
             worst.level if worst else Level.STALE,
             printable(_words(worst)) if worst else "",
         )
 
-    def _measured(self, joint: str, message: JointState | None) -> Angles | None:
+    def _measured(self, joint: str) -> Angles | None:
         """Return the angles that are measured, of which the observer's design has the places."""
-        if message is None or joint not in self._feed.requests:
+        positions = self._positions(MEASUREMENTS)
+        if not positions or joint not in self._feed.requests:
             return None
-        angles = {}
         outputs = self._feed.requests[joint].output_names
-        for name, place in zip(outputs, self._feed.places(joint).outputs, strict=True):
-            positions = dict(zip(message.names, message.position, strict=False))
-            if place.field == "position" and place.name in positions:
-                angles[name] = positions[place.name]
+        angles = {
+            name: positions[place.name]
+            for name, place in zip(outputs, self._feed.places(joint).outputs, strict=True)
+            if place.field == "position" and place.name in positions
+        }
         return Angles(angles.get("link_angle", math.nan), angles.get("motor_angle", math.nan))
 
+    def _angles(self, topic: str, joint: str) -> Angles | None:
+        """Return the positions of a joint's sides; None if they are not both known."""
+        positions = self._positions(topic)
+        sides = [positions.get(side, math.nan) for side in topics.sides(joint)]
+        return Angles(*sides) if all(map(math.isfinite, sides)) else None
 
-def _angles(message: JointState | None, joint: str) -> Angles | None:
-    """Return the positions of a joint's sides; None if they are not both in the message."""
-    if message is None:
-        return None
-    positions = dict(zip(message.names, message.position, strict=False))
-    sides = [positions.get(side, math.nan) for side in topics.sides(joint)]
-    return Angles(*sides) if all(map(math.isfinite, sides)) else None
+    def _positions(self, topic: str) -> dict[str, float]:
+        return self._feed.values("position", topic, self.parameters.max_age)
 
 
 def _words(fault: Status) -> str:
