@@ -10,7 +10,7 @@ import pytest
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.design.request import ArmRequest
-from tsobs_ros.errors import BagReadError, BagWriteError
+from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import Measurement, RejectReason
 from tsobs_ros.methods import FILTERS, METHODS, ObserverSettings, make_tracker
 from tsobs_ros.replay.estimate import Run
@@ -37,23 +37,6 @@ def observed(bag: Path) -> list[tuple[str, bytes, int]]:
 
 def states(run: Run, joint: int = 0) -> np.ndarray:
     return run.table.values(joint, "state")
-
-
-def test_estimates_at_the_measurements_are_those_of_a_tracker(
-    arms, design, write_bag, estimate
-) -> None:
-    run = estimate(write_bag(arms.messages()))
-
-    tracker = make_tracker(design, ObserverSettings())
-    for k in range(300):
-        stamp = START + k * PERIOD
-        tracker.offer(Measurement(stamp, arms.y[k, :1], arms.u[k, :1]), stamp)
-        one = tracker.estimate(stamp)
-        assert one is not None
-        for name in ("state", "state_bound", "disturbance"):
-            assert run.table.values(0, name)[k].tolist() == getattr(one, name).tolist()
-    assert run.loop.used == 300
-    assert not run.loop.rejected
 
 
 def test_a_tick_includes_only_what_has_arrived(arms, design, write_bag, estimate) -> None:
@@ -277,30 +260,6 @@ def test_what_cannot_be_used_is_counted(arms, write_bag, estimate) -> None:
         RejectReason.FROM_FUTURE: 1,
         RejectReason.WRONG_JOINT: 3,
     }
-
-
-def test_an_existing_output_is_not_touched(arms, write_bag, estimate, tmp_path) -> None:
-    (tmp_path / "new").mkdir()
-
-    with pytest.raises(BagWriteError, match="exists already"):
-        estimate(write_bag(arms.messages(5)), output="new")
-
-
-def test_damage_costs_only_what_comes_after_it(arms, write_bag, estimate, tmp_path) -> None:
-    bag = write_bag(arms.messages(600), max_duration_ns=500_000_000, compression="none")
-    files = sorted(bag.glob("*.mcap"), key=lambda path: int(path.stem.rpartition("_")[2]))
-    damaged = files[len(files) // 2]
-    data = bytearray(damaged.read_bytes())
-    place = data.find(b"elbow")
-    data[place : place + 5] = b"xxxxx"
-    damaged.write_bytes(data)
-
-    source = BagSource(bag)
-    run = estimate(source, output="new")
-
-    assert "damaged" in str(source.damage)
-    assert 0 < run.loop.used < 600
-    assert BagReader(tmp_path / "new").topics["/observer/joint_states"].count == run.loop.used
 
 
 @pytest.mark.parametrize(

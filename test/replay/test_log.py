@@ -20,7 +20,6 @@ from tsobs_ros.replay.columns import MAX_LINE
 from tsobs_ros.replay.estimate import open_source
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.source import BagSource
-from tsobs_ros.report.export import export_bag
 
 SECOND = 1_000_000_000
 EPOCH = 1_700_000_000 * SECOND
@@ -185,19 +184,6 @@ def test_a_log_is_estimated_and_becomes_a_bag(arms, estimate, tmp_path) -> None:
     message = JointStateDecoder()(written[10].data)
     assert (message.names, message.position) == (("elastic_joint",), (float(arms.y[11, 0]),))
     assert estimate(tmp_path / "new").agreement().complete
-
-
-def test_what_was_exported_can_be_estimated(arms, write_bag, estimate, tmp_path) -> None:
-    bag = write_bag(arms.messages(100, joints=2))
-    (exported,) = export_bag(bag, tmp_path / "csv")
-
-    source = opened(exported.path)
-
-    assert source.joints == ("elbow", "wrist")
-    log_run, bag_run = estimate(source), estimate(bag)
-    for joint in (0, 1):
-        values = [run.table.values(joint, "state") for run in (log_run, bag_run)]
-        assert np.array_equal(*values)
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,6 @@ from tsobs_ros.bag import BagMessage, BagReader, BagWriter
 from tsobs_ros.bag.copying import ChunkCopy
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.verification import verify
-from tsobs_ros.design.request import ArmRequest
-from tsobs_ros.errors import BagReadError
 from tsobs_ros.replay.source import BagSource
 
 TRUTH = "/ground_truth/joint_states"
@@ -205,24 +203,3 @@ def test_damage_that_comes_while_a_bag_is_copied_ends_the_copy(
     assert verify(tmp_path / "new").holds
     counts = {name: one.count for name, one in BagReader(tmp_path / "new").topics.items()}
     assert counts[TRUTH] + counts["/joint_measurements"] == 200
-
-
-def test_a_file_without_summary_has_to_be_recovered(arms, tmp_path) -> None:
-    file = write_mcap(
-        tmp_path / "other.mcap",
-        arms.messages(5),
-        index_types=IndexType.NONE,
-        use_statistics=False,
-        repeat_channels=False,
-        repeat_schemas=False,
-        use_summary_offsets=False,
-    )
-    with pytest.raises(BagReadError, match="no index; 'tsobs bag recover'"):
-        BagSource(file)
-
-
-def test_a_compression_that_nobody_knows_is_damage(arms, tmp_path) -> None:
-    file = write_mcap(tmp_path / "other.mcap", arms.messages(5), enable_crcs=False)
-    file.write_bytes(file.read_bytes().replace(b"lz4", b"lzx"))
-    with pytest.raises(BagReadError, match="compression 'lzx' is not known"):
-        BagSource(file, joints=["elbow"]).observe([ArmRequest()])

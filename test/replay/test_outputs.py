@@ -193,14 +193,6 @@ def test_each_output_and_torque_has_its_entry(arm, write_bag, tmp_path) -> None:
     assert set(names[200:220]) == {(motor,)}
 
 
-def test_without_an_encoder_the_bound_is_wider(arm, write_bag) -> None:
-    table = estimate(write_bag(messages_of_arm(arm)), BOTH).table
-
-    motor = table.values(0, "state_bound")[:, 2]
-    assert motor[149] > 3.0 * motor[99]
-    assert motor[199] < 2.0 * motor[99]
-
-
 @pytest.mark.parametrize("joints", [("system",), ("left", "right")])
 def test_ts_systems_are_estimated_and_repeated_to_the_bit(
     system, write_bag, tmp_path, joints

@@ -13,7 +13,7 @@ from tsobs_ros.design.file import DesignFile
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, make_runs, run_all
 from tsobs_ros.replay.log import LogSource
-from tsobs_ros.replay.source import BagSource
+from tsobs_ros.replay.source import BagSource, restarts
 from tsobs_ros.report.comparison import RunScores
 
 DECODE = JointStateDecoder()
@@ -160,3 +160,13 @@ def test_memory_does_not_grow_with_the_recording(arms, write_bag, design, tmp_pa
 def restamped(data: bytes, times: int) -> bytes:
     stamp, names, position, _, effort, _ = DECODE(data)
     return JointStateEncoder(names)(stamp + times * 3 * SECOND, position, (), effort)
+
+
+def test_restarts_are_told_from_stragglers() -> None:
+    first = [k * SECOND // 10 for k in range(1, 61)]
+
+    assert restarts(first) == []
+    assert restarts([*first, first[0], *(s + 6 * SECOND for s in first)]) == []
+    assert restarts([*first, *first, *first]) == [60, 120]
+    assert restarts([*first[:50], 0, *first[50:]]) == []  # a zero stamp is no time at all
+    assert restarts([*first, *(s - SECOND // 2 for s in first[56:])]) == []  # merely late
