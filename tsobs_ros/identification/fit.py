@@ -43,6 +43,12 @@ GATE = 6.0
 _START_SAMPLES = 4000
 """Samples with which starts are compared."""
 
+_MIDDLE_SAMPLES = 12_000
+"""Samples that are fitted before all of them, without a gate."""
+
+_POOR = 85.0
+"""Share of the outputs that a free run must explain [%]; else disturbed sensors are tried."""
+
 _STARTS = 3
 
 _KNOWN = 0.02
@@ -111,13 +117,14 @@ def maximise(
     k, rng = unknowns.count, np.random.default_rng(seed)
     origin = np.zeros(k)
     longest = max(recordings, key=lambda recording: recording.count)
-    middle = max(0, (longest.count - _START_SAMPLES) // 2)
-    short = Likelihood(unknowns, [longest.part(middle, middle + _START_SAMPLES)], advance=advance)
+    short, longer = (
+        Likelihood(unknowns, [_middle_of(longest, count)], advance=advance)
+        for count in (_START_SAMPLES, _MIDDLE_SAMPLES)
+    )
     points = [origin, *(0.5 * rng.standard_normal((starts - 1, k)))]
     found = [_search(short, point, 15) for point in points]
     best = min(found, key=lambda one: short.cost(one[0]))[0]
-    whole = Likelihood(unknowns, recordings, advance=advance)
-    best, steps = _search(whole, best, _MAX_STEPS)
+    best, steps = _search(longer, best, _MAX_STEPS)
     gated = Likelihood(unknowns, recordings, GATE, advance)
     best, more = _search(gated, best, _MAX_STEPS)
     made = gated.evaluate(best)
@@ -129,6 +136,12 @@ def maximise(
     covariance = inverse * np.outer(ratio, ratio)
     outliers = gated.outliers(best)
     return Optimum(unknowns, best, covariance, made, gated.cost(origin), steps + more, outliers)
+
+
+def _middle_of(recording: Recording, count: int) -> Recording:
+    """Return so many samples about the middle of a recording, all if it has fewer."""
+    begin = max(0, (recording.count - count) // 2)
+    return recording.part(begin, min(begin + count, recording.count))
 
 
 def _search(likelihood: Likelihood, start: Array, steps: int) -> tuple[Array, int]:
@@ -181,6 +194,58 @@ def _found(optimum: Optimum) -> tuple[Found, ...]:
             )
         )
     return tuple(found)
+
+
+def with_disturbed_sensor(
+    request: ArmRequest,
+    free: Sequence[str],
+    optimum: Optimum,
+    recordings: Sequence[Recording],
+    seed: int,
+    advance: Callable[[int], None],
+) -> tuple[ArmRequest, Optimum, list[Lack]]:
+    """Return request and optimum with a drifting sensor if that explains far more of the motion.
+
+    A precise sensor of an arm that is not quite the model, such as one with a flexible link, is
+    likeliest with so much process noise that nothing else is left to be found. The innovations are
+    small then, but a free run fails. It succeeds if the sensor may be off for a while.
+
+    Args:
+        request: Without.
+        free: As of `fit`.
+        optimum: Without.
+        recordings: What is fitted.
+        seed: Of the search.
+        advance: Called with the number of filtered samples.
+    """
+    longest = max(recordings, key=lambda recording: recording.count)
+    parts = [_middle_of(longest, _MIDDLE_SAMPLES)]
+    before = best = _free_run(optimum.joint, parts[0])
+    chosen: tuple[ArmRequest, str] | None = None
+    for place, output in enumerate(request.sensors if before < _POOR else ()):
+        if output.model.state_count:
+            continue
+        swing = float(np.nanstd(parts[0].y[:, place]))
+        term = DisturbanceTerm("gauss_markov", {"std": 0.02 * swing, "time_constant": 0.03})
+        changed = request.with_terms(place, (term,))
+        tried = maximise(Unknowns.of(changed, free), parts, seed=seed, advance=advance)
+        reached = _free_run(tried.joint, parts[0])
+        if 100.0 - reached < 0.5 * (100.0 - best):
+            chosen, best = (changed, output.measures), reached
+    if chosen is None:
+        return request, optimum, []
+    changed, name = chosen
+    text = f"something that {name} shows and the arm does not do: a free run explains "
+    text += f"{best:.3g} % with it, {before:.3g} % without"
+    lack = Lack(text, f"the fitted request has a gauss_markov disturbance of {name} for it")
+    found = maximise(Unknowns.of(changed, free), recordings, seed=seed, advance=advance)
+    return changed, found, [lack]
+
+
+def _free_run(joint: Joint, recording: Recording) -> float:
+    """Return the share of the outputs that free runs explain [%], the least of them."""
+    fits, _ = output_fits(joint, recording, recording.count // 4, GATE)
+    return min(each.free_run for each in fits)
 
 
 def observable(
@@ -372,9 +437,9 @@ def fit(
     unknowns = Unknowns.of(start, free)
     begins = [round((1.0 - held_out) * each.count) for each in recordings]
     fitted = [each.part(0, end) for each, end in zip(recordings, begins, strict=True)]
-    first = fitted[0]
-    require_torque(unknowns, first.part(0, min(first.count, _START_SAMPLES)))
+    require_torque(unknowns, _middle_of(fitted[0], _START_SAMPLES))
     optimum = maximise(unknowns, fitted, seed=seed, advance=advance)
+    start, optimum, added = with_disturbed_sensor(start, free, optimum, fitted, seed, advance)
     likeliest = optimum.joint
     numbers = _found(optimum)
     observed = observable(likeliest, numbers, fitted, advance)
@@ -389,7 +454,7 @@ def fit(
         joint=likeliest,
         numbers=numbers,
         unseen=unseen(optimum),
-        lacks=(*_found_lacks(numbers), *lacks(likeliest, fitted, GATE)),
+        lacks=(*added, *_found_lacks(numbers), *lacks(likeliest, fitted, GATE)),
         outputs=outputs,
         log_likelihood=(
             _mean_log_likelihood(unknowns.joint, rest, False),

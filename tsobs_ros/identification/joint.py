@@ -57,6 +57,9 @@ _UNKNOWN = 0.5
 _NOISE = 2.0
 """1σ of the logarithm of a noise: a factor 7."""
 
+_OFFSET = 0.05
+"""1σ of the zero of an angle's sensor [rad]."""
+
 _BOUND_STD = 1.0 / math.sqrt(3.0)
 """1σ of a number that is anywhere within bounds of ±1."""
 
@@ -106,6 +109,7 @@ class Joint:
         offset: Torque at the motor without one in the log [N m].
         delay: Of the torque [s]; below 0 it acts before its stamp.
         output_delays: Of the outputs [s].
+        output_offsets: Of the outputs (rad, rad/s): what they show at 0.
         friction: Coulomb friction at motor and link [N m].
     """
 
@@ -114,12 +118,14 @@ class Joint:
     offset: float = 0.0
     delay: float = 0.0
     output_delays: tuple[float, ...] = ()
+    output_offsets: tuple[float, ...] = ()
     friction: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(cls, request: ArmRequest) -> "Joint":
         """Return a request's joint, without friction."""
-        return cls(request, output_delays=(0.0,) * len(request.sensors))
+        none = (0.0,) * len(request.sensors)
+        return cls(request, output_delays=none, output_offsets=none)
 
 
 @dataclass(frozen=True)
@@ -173,7 +179,8 @@ class Unknowns:
         """Return those of noises and disturbances, which are no properties of arm and drive."""
         own = ("arm.", "torque.", *FRICTION)
         chosen = [each for each in self.numbers if not each.name.startswith(own)]
-        return replace(self, numbers=tuple(n for n in chosen if not n.name.endswith(".delay")))
+        ends = (".delay", ".offset")
+        return replace(self, numbers=tuple(n for n in chosen if not n.name.endswith(ends)))
 
     def values(self, coordinates: Array) -> dict[str, float]:
         """Return the numbers by their names, from distances in units of their priors."""
@@ -192,10 +199,13 @@ def with_values(joint: Joint, values: Mapping[str, float]) -> Joint:
         group, _, rest = name.partition(".")
         groups.setdefault(group, {})[rest] = value
     request = joint.request
-    outputs, delays = [], []
-    for output, known in zip(request.sensors, joint.output_delays, strict=True):
+    outputs, delays, offsets = [], [], []
+    for output, delay, offset in zip(
+        request.sensors, joint.output_delays, joint.output_offsets, strict=True
+    ):
         own = groups.get(output.measures, {})
-        delays.append(own.get("delay", known))
+        delays.append(own.get("delay", delay))
+        offsets.append(own.get("offset", offset))
         std = own.get("measurement_std", output.measurement_std)
         terms = _terms_with(output.disturbance, own, "disturbance.")
         outputs.append(replace(output, measurement_std=std, disturbance=terms))
@@ -224,6 +234,7 @@ def with_values(joint: Joint, values: Mapping[str, float]) -> Joint:
         joint,
         request=changed,
         output_delays=tuple(delays),
+        output_offsets=tuple(offsets),
         friction=(motor, link),
         **groups.get("torque", {}),
     )
@@ -280,6 +291,8 @@ def numbers_of(request: ArmRequest) -> list[Number]:
         found.append(Number(f"{prefix}.measurement_std", unit, output.measurement_std, _NOISE))
         if place and unit == "rad":
             found.append(Number(f"{prefix}.delay", "s", 0.0, 2.0 * request.period, False))
+        if unit == "rad" and not output.model.state_count and (place or arm.gravity_torque):
+            found.append(Number(f"{prefix}.offset", unit, 0.0, _OFFSET, False))
         found += _of_terms(f"{prefix}.disturbance", output.disturbance, unit)
     for side in SIDES:
         terms = getattr(request.torque_disturbance, side)

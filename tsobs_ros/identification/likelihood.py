@@ -115,7 +115,7 @@ def innovations(
     native.estimator_innovations(
         model.view(np.float64),
         recording.durations,
-        recording.y,
+        recording.y - np.array(joint.output_offsets),
         u,
         link / arm.link_inertia,
         motor / arm.motor_inertia * arm.stiffness / arm.link_inertia,

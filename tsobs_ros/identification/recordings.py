@@ -36,6 +36,9 @@ _GAP = 3.5
 _JITTER = 0.02
 """Times within this share of a period from even ones are taken for even."""
 
+_FAR = 0.1
+"""Distance of two angles' zeros that no spring's deflection makes [rad]."""
+
 _LEAST_MOTION = 8.0
 """Motion that says something, by the noise of the sensor."""
 
@@ -105,12 +108,41 @@ def read(
     else:
         period = request.period
     found = []
-    for name, time, y, u in raw:
+    zeros = _zeros(request, raw)
+    if zeros.any():
+        shown = ", ".join(
+            f"{output.measures} {zero:.4g} rad"
+            for output, zero in zip(request.sensors, zeros.tolist(), strict=True)
+            if zero
+        )
+        notes.append(
+            f"note: the zeros of the angles differ; subtracted from the recordings: {shown}"
+        )
+    for name, time, given, u in raw:
+        y = given - zeros
         recording, remark = _even(name, time, y, u, period)
         found.append(recording)
         notes += [f"note: {name}: {remark}"] * bool(remark)
         notes += _checked(request, recording)
     return Read(request, tuple(found), tuple(notes))
+
+
+def _zeros(request: ArmRequest, raw: Sequence[tuple[str, Array, Array, Array]]) -> Array:
+    """Return what to subtract from outputs whose zero is far from the others', shape (p,)."""
+    zeros = np.zeros(len(request.sensors))
+    angles = [i for i, one in enumerate(request.sensors) if one.measures.endswith("_angle")]
+    if not angles:
+        return zeros
+    y = np.concatenate([each for _, _, each, _ in raw])
+    first, *others = angles
+    if not request.arm.gravity_torque and abs(np.nanmedian(y[:, first])) > _FAR:
+        # Without gravity an angle has no zero.
+        zeros[first] = float(f"{np.nanmedian(y[:, first]):.4g}")
+    for place in others:
+        apart = float(np.nanmedian(y[:, place] - y[:, first])) + zeros[first]
+        if abs(apart) > _FAR and not request.sensors[place].model.state_count:
+            zeros[place] = float(f"{apart:.4g}")
+    return zeros
 
 
 def _samples(
