@@ -302,7 +302,11 @@ def observable(
     for each in numbers:
         if not (each.before or each.significant) and each.name in shown:
             shown[each.name] = 0.0
-    return with_values(Joint.of(replace(request, uncertainty=bounds)), shown).request
+    own = Joint.of(replace(request, uncertainty=bounds))
+    path = replace(joint, request=with_values(own, shown).request)
+    significant = [each.name for each in numbers if each.significant]
+    kept = [name for name in (DELAY, OFFSET) if name not in by_name]
+    return path.with_path([*significant, *kept])
 
 
 def unseen(optimum: Optimum) -> tuple[Unseen, ...]:
@@ -351,13 +355,9 @@ def _found_lacks(numbers: Sequence[Found]) -> list[Lack]:
                 )
             )
         elif each.name == OFFSET:
-            made.append(
-                Lack(f"an offset of the torque, {value}", f"torque: {{offset: {each.value:.3g}}}")
-            )
+            made.append(Lack(f"an offset of the torque, {value}", "the fitted request has it"))
         elif each.name == DELAY and each.value > 0.0:
-            made.append(
-                Lack(f"a delay of the torque, {value}", f"torque: {{delay: {each.value:.3g}}}")
-            )
+            made.append(Lack(f"a delay of the torque, {value}", "the fitted request has it"))
         elif each.name == DELAY:
             made.append(
                 Lack(
@@ -367,9 +367,7 @@ def _found_lacks(numbers: Sequence[Found]) -> list[Lack]:
             )
         elif each.name.endswith("damping"):
             made.append(
-                Lack(
-                    f"{each.name.removeprefix('arm.')} of {value}", "arm: the fitted request has it"
-                )
+                Lack(f"{each.name.removeprefix('arm.')} of {value}", "the fitted request has it")
             )
     return made
 

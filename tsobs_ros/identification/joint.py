@@ -9,7 +9,7 @@ only a number among them that is known could show it.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -20,6 +20,7 @@ from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import SIDES
+from tsobs_ros.model.torque_path import DIRECT, TorquePath
 
 TORQUE_GAIN = "torque.gain"
 OFFSET, DELAY = "torque.offset", "torque.delay"
@@ -124,8 +125,40 @@ class Joint:
     @classmethod
     def of(cls, request: ArmRequest) -> "Joint":
         """Return a request's joint, without friction."""
-        none = (0.0,) * len(request.sensors)
-        return cls(request, output_delays=none, output_offsets=none)
+        path, sensors = request.torque, request.sensors
+        direct = tuple(replace(output, delay=0.0) for output in request.outputs)
+        return cls(
+            replace(request, torque=DIRECT, outputs=direct),
+            path.gain,
+            path.offset,
+            path.delay,
+            tuple(output.delay for output in sensors),
+            (0.0,) * len(sensors),
+        )
+
+    def with_path(self, shown: Collection[str]) -> ArmRequest:
+        """Return the request with the torque's path and the outputs' delays.
+
+        Args:
+            shown: Names of the numbers that are surely not 0; others of the path are left out.
+        """
+        delays = [
+            delay if f"{output.measures}.delay" in shown else 0.0
+            for output, delay in zip(self.request.sensors, self.output_delays, strict=True)
+        ]
+        # What counts is when an output is measured after the torque was commanded.
+        late = max(0.0, -min(delays))
+        delay = self.delay if DELAY in shown else 0.0
+        path = TorquePath(
+            _rounded(self.gain),
+            _rounded(self.offset) if OFFSET in shown else 0.0,
+            _rounded(max(0.0, delay - late)),
+        )
+        outputs = tuple(
+            replace(output, delay=_rounded(own + late))
+            for output, own in zip(self.request.outputs, delays, strict=False)
+        )
+        return replace(self.request, torque=path, outputs=outputs)
 
 
 @dataclass(frozen=True)
@@ -253,6 +286,10 @@ def _terms_with(
     return tuple(changed)
 
 
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
 def _names(prefix: str, name: str) -> bool:
     """Return whether a name is meant: whole, a group, or an entry of the arm."""
     return name == prefix or name.startswith(f"{prefix}.") or name == f"arm.{prefix}"
@@ -277,9 +314,10 @@ def numbers_of(request: ArmRequest) -> list[Number]:
         )
     for name in FRICTION:
         found.append(Number(name, _UNITS[name], _SMALL * torque, _NOISE, True, True))
-    found.append(Number(TORQUE_GAIN, "", 1.0, _UNKNOWN))
-    found.append(Number(OFFSET, "N m", 0.0, 0.1 * torque, False))
-    found.append(Number(DELAY, "s", 0.0, 2.0 * request.period, False))
+    path = request.torque
+    found.append(Number(TORQUE_GAIN, "", path.gain, _UNKNOWN))
+    found.append(Number(OFFSET, "N m", path.offset, 0.1 * torque, False))
+    found.append(Number(DELAY, "s", path.delay, 2.0 * request.period, False))
     for side in ("link", "motor"):
         density = getattr(request.process_noise, side)
         size = density or 1e-8 * (torque / arm.link_inertia) ** 2 * request.period
@@ -290,7 +328,7 @@ def numbers_of(request: ArmRequest) -> list[Number]:
         unit = "rad" if output.measures.endswith("_angle") else "rad/s"
         found.append(Number(f"{prefix}.measurement_std", unit, output.measurement_std, _NOISE))
         if place and unit == "rad":
-            found.append(Number(f"{prefix}.delay", "s", 0.0, 2.0 * request.period, False))
+            found.append(Number(f"{prefix}.delay", "s", output.delay, 2.0 * request.period, False))
         if unit == "rad" and not output.model.state_count and (place or arm.gravity_torque):
             found.append(Number(f"{prefix}.offset", unit, 0.0, _OFFSET, False))
         found += _of_terms(f"{prefix}.disturbance", output.disturbance, unit)
