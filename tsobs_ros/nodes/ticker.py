@@ -76,21 +76,18 @@ class Ticker:
             self._schedule(self._period_ns)
 
     def run_if_due(self) -> int:
-        """Tick if it is time, and return the time until the next tick [ns]."""
+        """Tick if it is time, and return the time until the next tick [ns]; stopped, a period."""
         now = time.monotonic_ns()
-        assert self._due is not None, "ticks were not taken over"
-        if now >= self._due:
+        if self._due is not None and now >= self._due:
             wait = self._callback()
             now = time.monotonic_ns()
-            if self._due is None:  # the tick was the last one
-                return self._period_ns
-            if wait is not None:
+            if self._due is not None and wait is not None:
                 self._due = now + min(wait, self._period_ns)
-            else:
+            elif self._due is not None:
                 # On the grid of the first tick. One that is late by less than a period is made
                 # good; what fell out before that, while the process was held up, is gone.
                 self._due += self._period_ns * max(1, (now - self._due) // self._period_ns)
-        return max(0, self._due - now)
+        return self._period_ns if self._due is None else max(0, self._due - now)
 
     def _tick(self) -> None:
         wait = self._callback()
