@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -44,24 +43,6 @@ and a force that the model lacks."""
 
 _TUNED_ON = 1
 """Runs of a scenario on which the best θ is looked for."""
-
-
-class _Job(NamedTuple):
-    """What all scenarios have in common.
-
-    Attributes:
-        design: The design.
-        contenders: Settings of each observer by name.
-        seeds: One a run.
-        duration: Length of a run [s]; None for the scenario's.
-        options: Options of the measures.
-    """
-
-    design: Design
-    contenders: dict[str, ObserverSettings]
-    seeds: range
-    duration: float | None
-    options: MetricsOptions
 
 
 def compare_scenarios(
@@ -120,10 +101,20 @@ def compare_scenarios(
         contenders[name] = chosen
     if not contenders:
         raise ModelError("; ".join(remarks))
-    job = _Job(design, contenders, range(seeds), duration, MetricsOptions())
 
     def compared(name: str) -> ScenarioRow:
-        return _compare(job, name, fitted(SCENARIOS[name], design), advance)
+        scenario = fitted(SCENARIOS[name], design)
+        runs = simulate(scenario, range(seeds), duration)
+        cells, thetas = {}, {}
+        for method, chosen in contenders.items():
+            if method in HIGH_GAIN:
+                chosen = _tuned(design, chosen, runs)
+                thetas[method] = chosen.theta
+            cells[method] = _measured(design, chosen, runs)
+            advance(seeds)
+        reason = why_unbounded(scenario)
+        bounds = {} if reason else _bounds(design, scenario, runs)
+        return ScenarioRow(name, cells, bounds, reason, thetas)
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         rows = tuple(pool.map(compared, scenarios))
@@ -144,35 +135,19 @@ def fitted(scenario: Scenario, design: Design) -> Scenario:
     )
 
 
-def _compare(
-    job: _Job, name: str, scenario: Scenario, advance: Callable[[int], None]
-) -> ScenarioRow:
-    runs = simulate(scenario, job.seeds, job.duration)
-    cells, thetas = {}, {}
-    for method, settings in job.contenders.items():
-        if method in HIGH_GAIN:
-            settings = _tuned(job, settings, runs)
-            thetas[method] = settings.theta
-        cells[method] = _measured(job, runs, settings)
-        advance(len(job.seeds))
-    reason = why_unbounded(scenario)
-    bounds = {} if reason else _bounds(job, scenario, runs)
-    return ScenarioRow(name, cells, bounds, reason, thetas)
-
-
-def _measured(job: _Job, runs: Trajectories, settings: ObserverSettings) -> Cell:
-    observed = observe(job.design, runs, settings)
+def _measured(design: Design, settings: ObserverSettings, runs: Trajectories) -> Cell:
+    observed = observe(design, runs, settings)
     places = range(len(runs.physical))
-    return Cell.of([measure(recorded(runs, run, observed.of(run)), job.options) for run in places])
+    return Cell.of([measure(recorded(runs, run, observed.of(run))) for run in places])
 
 
-def _tuned(job: _Job, settings: ObserverSettings, runs: Trajectories) -> ObserverSettings:
+def _tuned(design: Design, settings: ObserverSettings, runs: Trajectories) -> ObserverSettings:
     """Return settings with the best θ."""
     some = Trajectories(runs.times, *(each[:_TUNED_ON] for each in runs[1:]))
     choices = [replace(settings, theta=theta) for theta in THETAS]
 
     def error(choice: ObserverSettings) -> float:
-        found = float(_measured(job, some, choice).normalised.mean())
+        found = float(_measured(design, choice, some).normalised.mean())
         return found if math.isfinite(found) else math.inf
 
     return min(choices, key=error)
@@ -200,9 +175,9 @@ def why_unbounded(scenario: Scenario) -> str:
     return ""
 
 
-def _bounds(job: _Job, scenario: Scenario, runs: Trajectories) -> dict[str, Cell]:
+def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str, Cell]:
     """Return the Cramér–Rao bounds with known parameters, and with those as states."""
-    request, arm = job.design.arm_request, scenario.true_arm
+    request, arm = design.arm_request, scenario.true_arm
     drifts = [each for each in scenario.disturbance if isinstance(each, GaussMarkov)]
     model = disturbance.clean()
     if drifts:
@@ -212,7 +187,7 @@ def _bounds(job: _Job, scenario: Scenario, runs: Trajectories) -> dict[str, Cell
     # A drift leaves zero at its start.
     start = np.concatenate([np.array(scenario.initial_spread) * to_arm, [1e-9] * len(drifts)])
     steps = np.abs(np.diff(runs.disturbances[0, :, 0]))
-    jumps = (1 + np.flatnonzero(steps > job.options.jump_threshold)).tolist()
+    jumps = (1 + np.flatnonzero(steps > MetricsOptions.jump_threshold)).tolist()
     # An estimator that knew which samples are outliers would use all others.
     sensor = scenario.sensor
     share = np.isfinite(runs.measurements[..., 0]).mean(axis=0) * (1.0 - sensor.outlier_probability)
@@ -238,7 +213,7 @@ def _bounds(job: _Job, scenario: Scenario, runs: Trajectories) -> dict[str, Cell
             "state": runs.physical[0] + std[:, :4],
             "disturbance": runs.disturbances[0] + std[:, 4:5],
         }
-        found[name] = Cell.of([measure(recorded(runs, 0, least), job.options)])
+        found[name] = Cell.of([measure(recorded(runs, 0, least))])
     return found
 
 

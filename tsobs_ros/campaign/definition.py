@@ -24,7 +24,6 @@ from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode, encode, naming
 from tsobs_ros.simulation.integrator import Friction
 from tsobs_ros.simulation.plant import Mismatch, Scenario
-from tsobs_ros.simulation.scenarios import SCENARIOS
 from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Signal, signal_of
 from tsobs_ros.yaml_files import read_text, yaml_mapping, yaml_text
 
@@ -175,15 +174,11 @@ class Campaign:
         _ = self.file.design.arm_request, self.settings
         for name, given in entries.scenarios.items():
             # `drawing.check` looks at the rest.
-            weight, like = given.get("weight", 1), given.get("like", "")
+            weight = given.get("weight", 1)
             if not isinstance(weight, int) or weight < 1:
                 raise ModelError(
                     f"scenarios.{name}.weight: expected a whole number of at least 1, "
                     f"got {weight!r}"
-                )
-            if like and like not in SCENARIOS:
-                raise ModelError(
-                    f"scenarios.{name}.like: expected one of {', '.join(SCENARIOS)}, got {like!r}"
                 )
 
     @cached_property
