@@ -45,12 +45,8 @@ class Manager:
 
     def change(self, *labels: str) -> bool:
         """Ask for transitions one after the other until one fails; say whether none did."""
-        return all(self.request(label=label) for label in labels)
-
-    def request(self, **transition: Any) -> bool:
-        """Ask for one transition, by its label or its id."""
-        request = ChangeState.Request(transition=Transition(**transition))
-        return bool(self.call(ChangeState, "change_state", request).success)
+        asked = (ChangeState.Request(transition=Transition(label=each)) for each in labels)
+        return all(self.call(ChangeState, "change_state", each).success for each in asked)
 
     @property
     def state(self) -> str:

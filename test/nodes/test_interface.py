@@ -21,10 +21,9 @@ from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, MARKERS, RECORDED_TOPICS
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.managed import ManagedNode, ManagedParameters
-from tsobs_ros.nodes.parameters import ParameterBinding
 from tsobs_ros.nodes.runtime import check_arguments
 from tsobs_ros.resources import config_path
-from tsobs_ros.settings import live_setting, schema_of, setting, settings_group
+from tsobs_ros.settings import changed, live_setting, schema_of, setting, settings_group
 
 TYPE = Parameter.Type
 
@@ -84,17 +83,12 @@ def flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", ["observer", "plant_simulator", "player", "recorder"])
-def test_the_shipped_file_has_every_parameter_at_its_default(name: str, ros: Any) -> None:
+def test_the_shipped_file_has_every_parameter_at_its_default(name: str) -> None:
     content = yaml.safe_load(config_path(f"{name}.yaml").read_text(encoding="utf-8"))
     shipped = flat(content["/**"]["ros__parameters"])
     schema = import_module(f"tsobs_ros.nodes.{name}").Parameters
     assert shipped.keys() == schema_of(schema).entries.keys()
-    node = ros.node(
-        "shipped",
-        parameter_overrides=[Parameter(k, value=v) for k, v in shipped.items() if v != []],
-        automatically_declare_parameters_from_overrides=True,
-    )
-    value = ParameterBinding(node, schema).value
+    value = changed(schema(), shipped)
     if name == "recorder":  # which records nothing by default
         value = replace(value, topics=(), regex="")
     assert value == schema()
@@ -138,26 +132,18 @@ def test_a_bad_override_is_refused_at_start(make, name: str, value, message: str
     assert "\n" not in str(caught.value)
 
 
-def test_a_bad_set_is_refused_with_a_reason(make) -> None:
+def test_a_set_is_checked_as_a_whole_and_changes_all_or_nothing(make) -> None:
     node = make()
-    for name, value, _ in (*REFUSED, ("upper", None, "")):
-        (result,) = node.set_parameters([Parameter(name, value=value)])
+    alone = [[Parameter(name, value=value)] for name, value, _ in REFUSED]
+    together = [Parameter("upper", value=3), Parameter("depth", value=0)]
+    for parameters in (*alone, [Parameter("upper", value=None)], together):
+        result = node.set_parameters_atomically(parameters)
         assert not result.successful
         assert result.reason
         assert node.parameters == Parameters()
+    assert "depth" in result.reason
     assert node.get_parameter("upper").value == 1.0
     assert node.changes == []
-
-
-def test_an_atomic_set_is_checked_as_a_whole_and_changes_all_or_nothing(make) -> None:
-    node = make()
-
-    result = node.set_parameters_atomically(
-        [Parameter("upper", value=3), Parameter("depth", value=0)]
-    )
-    assert not result.successful
-    assert "depth" in result.reason
-    assert node.get_parameter("upper").value == node.parameters.upper == 1.0
 
     # Neither order of single sets would pass: 2 is above the old upper end.
     result = node.set_parameters_atomically(

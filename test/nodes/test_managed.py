@@ -4,8 +4,7 @@
 
 import gc
 import random
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from std_srvs.srv import Trigger
 
 from tsobs_ros.errors import NodeError
 from tsobs_ros.nodes.managed import ManagedNode, ManagedParameters
-from tsobs_ros.settings import live_setting
 
 POSSIBLE = {
     ("unconfigured", "configure"): ("inactive", ["configure"]),
@@ -37,18 +35,11 @@ WAY_TO: dict[str, list[str]] = {
 }
 
 
-@dataclass(frozen=True)
-class ProbeParameters(ManagedParameters):
-    """One that can be changed."""
-
-    gain: float = live_setting(1.0, "Gain")
-
-
-class Probe(ManagedNode[ProbeParameters]):
+class Probe(ManagedNode[ManagedParameters]):
     """Notes what is called, and fails where it is told to."""
 
     def __init__(self, fails: dict[str, Exception] | None = None, **node_kwargs: Any) -> None:
-        super().__init__("probe", ProbeParameters, **node_kwargs)
+        super().__init__("probe", ManagedParameters, **node_kwargs)
         self.fails = fails or {}
         self.calls: list[str] = []
         self.create_publisher(String, "~/lasting", 10)
@@ -80,21 +71,16 @@ class Probe(ManagedNode[ProbeParameters]):
         assert not self.active
         self._note("cleanup")
 
-    def retune(self, parameters: ProbeParameters, names: Collection[str]) -> None:
-        self._note(f"retune {parameters.gain}")
-
 
 @pytest.fixture
 def probe(ros: Any, manage: Callable[[Any], Any]) -> Callable[..., Any]:
-    """Start a probe with parameters and faults, unconfigured unless told otherwise."""
+    """Start a probe with faults, unconfigured unless told otherwise."""
 
-    def start(fails: dict[str, Exception] | None = None, **parameters: Any) -> Any:
-        given = {"autostart": False, **parameters}
-        overrides = [Parameter(name, value=value) for name, value in given.items()]
-        node = Probe(fails, context=ros.context, parameter_overrides=overrides)
-        return manage(ros.add(node))
+    def start_probe(fails: dict[str, Exception] | None = None, autostart: bool = False) -> Any:
+        overrides = [Parameter("autostart", value=autostart)]
+        return manage(ros.add(Probe(fails, context=ros.context, parameter_overrides=overrides)))
 
-    return start
+    return start_probe
 
 
 def test_requests_in_any_order_do_what_the_state_allows_and_are_refused_otherwise(

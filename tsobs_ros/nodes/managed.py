@@ -53,9 +53,9 @@ from rclpy.time_source import TimeSource
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from tsobs_ros.errors import printable
+from tsobs_ros.errors import ParameterError, printable
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.nodes.parameters import ParameterBinding
+from tsobs_ros.nodes.parameters import converted, declare, updated
 from tsobs_ros.nodes.runtime import EXPECTED
 from tsobs_ros.nodes.ticker import Ticker
 from tsobs_ros.series import NANOSECONDS
@@ -112,7 +112,10 @@ class ManagedNode(LifecycleNode, Generic[P]):
         self._starting = False
         self._stand_before_services()
         try:
-            self._binding = ParameterBinding(self, schema, self.check, self._retune)
+            self._values = declare(self, schema)
+            self.add_pre_set_parameters_callback(partial(converted, schema))
+            self.add_on_set_parameters_callback(self._check_set)
+            self.add_post_set_parameters_callback(self._take_set)
         except BaseException:
             self.destroy_node()
             raise
@@ -138,7 +141,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
     @property
     def parameters(self) -> P:
         """The current parameters; the same object until a set is accepted."""
-        return self._binding.value
+        return self._values
 
     @property
     def configured(self) -> bool:
@@ -328,9 +331,17 @@ class ManagedNode(LifecycleNode, Generic[P]):
             if getattr(getattr(entity, "callback", None), "func", None) != self._take_time:
                 destroy(entity)
 
-    def _retune(self, parameters: P, names: Collection[str]) -> None:
+    def _check_set(self, proposal: Sequence[Parameter]) -> SetParametersResult:
+        try:
+            self.check(updated(self._values, proposal))
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_set(self, accepted: Sequence[Parameter]) -> None:
+        self._values = updated(self._values, accepted)
         if self.configured:
-            self.retune(parameters, names)
+            self.retune(self._values, {each.name for each in accepted})
 
     def _attempt(self, what: str, step: Callable[[], None]) -> TransitionCallbackReturn:
         """Take a step; log why it failed, unless `start` is going to raise it."""

@@ -10,15 +10,14 @@ range; an on-set callback refuses the rest.
 
 import math
 import sys
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
     ParameterDescriptor,
-    SetParametersResult,
 )
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -56,92 +55,68 @@ def design_paths(joints: Sequence[str], own: Sequence[str], common: str) -> dict
     return {joint: path or common for joint, path in zip(joints, paths, strict=True)}
 
 
-class ParameterBinding(Generic[P]):
-    """The parameters of one node, bound to one frozen dataclass of settings.
+def declare(node: Node, make: type[P]) -> P:
+    """Declare the parameters of a dataclass of settings, and return it with the overrides.
 
     Args:
-        node: Node that owns the parameters and has declared its overrides, as a `ManagedNode` has;
-            those that the dataclass lacks are unknown.
-        make: The dataclass.
-        check: Called with a value that is to be set; refuses it by a ParameterError.
-        on_set: Called with the new value after a set, and the names of what was set.
-
-    Attributes:
-        value: The current parameters; the same object until a set is accepted.
+        node: Node that has declared its overrides, as a `ManagedNode` has; those that the dataclass
+            lacks are unknown.
+        make: The frozen dataclass.
 
     Raises:
         ParameterError: An override has the wrong type, breaks a rule, or the values contradict
             each other.
     """
+    schema = schema_of(make)
+    entries = schema.entries
+    given = {
+        name: each.value
+        for name, each in node.get_parameters_by_prefix("").items()
+        if not name.startswith(_FOREIGN)
+    }
+    values = {
+        name: entry.converted(given[name]) if name in given else entry.default
+        for name, entry in entries.items()
+    }
+    built: P = schema.build(values)
+    for name in given:
+        node.undeclare_parameter(name)
+    for name, entry in entries.items():
+        _declare(node, entry, plain(values[name]))
+    if unknown := sorted(given.keys() - entries.keys()):
+        listed = ", ".join(f"'{name}'{meant(name, entries)}" for name in unknown)
+        node.get_logger().warning(printable(f"ignored unknown parameters: {listed}"))
+    text = ", ".join(
+        f"{name}={in_yaml(values[name])}{each.unit and f' {each.unit}'}"
+        for name, each in entries.items()
+    )
+    node.get_logger().debug(printable(f"parameters: {text}"))
+    return built
 
-    def __init__(
-        self,
-        node: Node,
-        make: type[P],
-        check: Callable[[P], None] = lambda value: None,
-        on_set: Callable[[P, Collection[str]], None] = lambda value, names: None,
-    ) -> None:
-        self._schema = schema_of(make)
-        self._check_value, self._on_set = check, on_set
-        entries = self._schema.entries
-        given = {
-            name: each.value
-            for name, each in node.get_parameters_by_prefix("").items()
-            if not name.startswith(_FOREIGN)
-        }
-        values = {
-            name: entry.converted(given[name]) if name in given else entry.default
-            for name, entry in entries.items()
-        }
-        self.value: P = self._schema.build(values)
-        for name in given:
-            node.undeclare_parameter(name)
-        for name, entry in entries.items():
-            _declare(node, entry, plain(values[name]))
-        if unknown := sorted(given.keys() - entries.keys()):
-            listed = ", ".join(f"'{name}'{meant(name, entries)}" for name in unknown)
-            node.get_logger().warning(printable(f"ignored unknown parameters: {listed}"))
-        text = ", ".join(
-            f"{name}={in_yaml(values[name])}{each.unit and f' {each.unit}'}"
-            for name, each in entries.items()
-        )
-        node.get_logger().debug(printable(f"parameters: {text}"))
-        node.add_pre_set_parameters_callback(self._convert)
-        node.add_on_set_parameters_callback(self._check)
-        node.add_post_set_parameters_callback(self._take_over)
 
-    def _convert(self, proposal: list[Parameter]) -> list[Parameter]:
-        """Give values the parameters' types if they can be converted; rclpy refuses the others."""
-        converted = []
-        for each in proposal:
-            entry = self._schema.entries.get(each.name)
-            if entry is not None and each.value is not None:
-                with suppress(ParameterError):
-                    each = Parameter(each.name, _type(entry), plain(entry.converted(each.value)))
-            converted.append(each)
-        return converted
+def converted(make: type, proposal: Sequence[Parameter]) -> list[Parameter]:
+    """Return values in the parameters' types where that is possible; rclpy refuses the others."""
+    found = []
+    for each in proposal:
+        entry = schema_of(make).entries.get(each.name)
+        if entry is not None and each.value is not None:
+            with suppress(ParameterError):
+                each = Parameter(each.name, _type(entry), plain(entry.converted(each.value)))
+        found.append(each)
+    return found
 
-    def _check(self, proposal: list[Parameter]) -> SetParametersResult:
-        try:
-            self._check_value(self._with(proposal))
-        except ParameterError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
 
-    def _take_over(self, accepted: list[Parameter]) -> None:
-        if names := [each.name for each in accepted if each.name in self._schema.entries]:
-            self.value = self._with(accepted)
-            self._on_set(self.value, names)
+def updated(value: P, proposal: Sequence[Parameter]) -> P:
+    """Return a dataclass of settings with the values of some parameters; others are passed over.
 
-    def _with(self, proposal: list[Parameter]) -> P:
-        entries = self._schema.entries
-        values = self._schema.values_of(self.value) | {
-            each.name: entries[each.name].converted(each.value)
-            for each in proposal
-            if each.name in entries
-        }
-        built: P = self._schema.build(values)
-        return built
+    Raises:
+        ParameterError: A value breaks a rule, or they contradict each other.
+    """
+    schema = schema_of(type(value))
+    own = [each for each in proposal if each.name in schema.entries]
+    given = {each.name: schema.entries[each.name].converted(each.value) for each in own}
+    built: P = schema.build(schema.values_of(value) | given)
+    return built
 
 
 def _type(entry: Setting) -> Parameter.Type:
