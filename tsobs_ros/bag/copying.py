@@ -3,7 +3,7 @@
 """Copying recorded topics from bag to bag, chunk by chunk.
 
 A chunk states no place in its file, so one of which everything is wanted is copied as it is. Of
-another one the records of the wanted messages are picked out, and compressed anew. No message is
+another one the records of the wanted messages are picked out, and compressed again. No message is
 taken apart either way.
 """
 

@@ -8,7 +8,7 @@ is needed.
 
 The messages that make services and actions visible, `package/srv/<Type>_Event` and
 `package/action/<Type>_FeedbackMessage`, have no file of their own. rosbag2 stores the `.srv` file
-in the place of their definition, and nothing for actions, at which readers stumble. Here they get
+in the place of their definition, and nothing for actions, at which readers fail. Here they get
 the definition they have, put together from the parts of the `.srv` and `.action` files, so that
 readers can decode them; rosbag2 itself does not look at it.
 """
@@ -31,11 +31,11 @@ _FIELD_TYPE = re.compile(
     r"^[ \t]*([A-Za-z0-9_/]+)(?:\[[^\]]*\])?[ \t]+", flags=re.ASCII | re.MULTILINE
 )
 _IDL_INCLUDE = re.compile(r"^#include\s+[\"<]([A-Za-z0-9_/]+)\.idl[\">]", flags=re.MULTILINE)
-# Those that rosbag2 knows: it has a message with a wstring in IDL.
+# Without wstring: rosbag2 stores a message with one in IDL.
 _PRIMITIVES = frozenset({"bool", "byte", "char", "float32", "float64", "string"}) | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
-# What is composed from the parts between the `---` of a .srv or .action file: the type's suffix,
+# Types composed from the parts between the `---` of a .srv or .action file: the type's suffix,
 # and the part's number or a text in which {} is the file's type without suffix.
 _EVENT = (
     "service_msgs/ServiceEventInfo info\n{0}_Request[<=1] request\n{0}_Response[<=1] response\n"
@@ -63,7 +63,7 @@ class MessageDefinition(NamedTuple):
     Attributes:
         type: Its full name, `package/msg/Type`.
         text: The text of its file and of all it depends on.
-        type_hash: Its RIHS01 hash; empty when the installation does not tell.
+        type_hash: Its RIHS01 hash; empty if the installation has none.
         encoding: The language of the text, `ros2msg` or `ros2idl`.
     """
 
@@ -91,8 +91,8 @@ def find_definition(msgtype: str, folders: Sequence[Path] | None = None) -> Mess
     the type or a dependency has no `.msg` file.
 
     Args:
-        msgtype: The type as `package/msg/Type` or `package/Type`, or one of those that services
-            and actions bring along.
+        msgtype: The type as `package/msg/Type` or `package/Type`, or of the messages of
+            a service or an action.
         folders: The share folders to search; those of `share_folders` by default.
 
     Raises:
@@ -112,28 +112,28 @@ def find_definition(msgtype: str, folders: Sequence[Path] | None = None) -> Mess
 
 
 class _Name(NamedTuple):
+    """A type's name, and the name and the part or text of the file that it is composed of."""
+
     package: str
     kind: str
     name: str
+    file: str
+    content: int | str | None = None
 
     @property
     def full(self) -> str:
         return f"{self.package}/{self.kind}/{self.name}"
 
-    def composed_of(self) -> tuple[str, int | str] | None:
-        """Return the name of the file it is made of, and its part or text; None for a message."""
-        for suffix, content in _COMPOSED.get(self.kind, {}).items():
-            if self.name.endswith(suffix):
-                return self.name.removesuffix(suffix), content
-        return None
-
 
 def _parse(msgtype: str) -> _Name:
-    match = _TYPE_NAME.fullmatch(msgtype)
-    name = _Name(match[1], match[2] or "msg", match[3]) if match else None
-    if name is None or (name.kind != "msg" and name.composed_of() is None):
-        raise BagWriteError(f"'{msgtype}' is not a message type: expected package/msg/Type")
-    return name
+    if match := _TYPE_NAME.fullmatch(msgtype):
+        package, kind, name = match[1], match[2] or "msg", match[3]
+        if kind == "msg":
+            return _Name(package, kind, name, name)
+        for suffix, content in _COMPOSED[kind].items():
+            if name.endswith(suffix):
+                return _Name(package, kind, name, name.removesuffix(suffix), content)
+    raise BagWriteError(f"'{msgtype}' is not a message type: expected package/msg/Type")
 
 
 class _Source:
@@ -156,24 +156,22 @@ class _Source:
 
     def type_hash(self, name: _Name) -> str:
         try:
-            base, _ = name.composed_of() or (name.name, "")
-            entries = json.loads(self._find(name, base, "json").read_bytes())["type_hashes"]
+            entries = json.loads(self._find(name, name.file, "json").read_bytes())["type_hashes"]
             return next(str(e["hash_string"]) for e in entries if e["type_name"] == name.full)
         except (BagWriteError, OSError, ValueError, KeyError, TypeError, StopIteration):
             # Packages built before Iron have no hash, and a bag is complete without one.
             return ""
 
     def _text(self, name: _Name, language: str) -> str:
-        composed = name.composed_of()
-        if composed is None or language == "idl":
+        if name.content is None or language == "idl":
             return _read(self._find(name, name.name, language))
-        base, content = composed
-        parts = re.split(r"^---[ \t]*\r?\n?", _read(self._find(name, base, name.kind)), flags=re.M)
-        if isinstance(content, str):
-            return content.format(f"{name.package}/{name.kind}/{base}")
-        if content >= len(parts):
+        text = _read(self._find(name, name.file, name.kind))
+        if isinstance(name.content, str):
+            return name.content.format(f"{name.package}/{name.kind}/{name.file}")
+        parts = re.split(r"^---[ \t]*\r?\n?", text, flags=re.MULTILINE)
+        if name.content >= len(parts):
             raise BagWriteError(f"{name.full}: its .{name.kind} file lacks that part")
-        return _qualified(parts[content], name.package)
+        return _qualified(parts[name.content], name.package)
 
     def _find(self, name: _Name, file: str, extension: str) -> Path:
         relative = f"{name.package}/{name.kind}/{file}.{extension}"

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 from tsobs_ros.bag.cdr import CdrReader
 from tsobs_ros.errors import MessageError
+from tsobs_ros.series import NANOSECONDS
 
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
-_NANOSECONDS = 1_000_000_000
 
 
 class RecordedStatus(NamedTuple):
@@ -35,14 +35,14 @@ class RecordedStatus(NamedTuple):
 def read_statuses(data: bytes) -> Iterator[RecordedStatus]:
     """Yield the statuses of a message in CDR bytes, up to where it is malformed.
 
-    Anybody publishes on /diagnostics, so what is malformed is no error.
+    Any node publishes on /diagnostics, so a malformed message is no error.
     """
     with suppress(MessageError):
         reader = CdrReader(data)
         at = reader.place
         reader.skip(8, "stamp")
         seconds, nanoseconds = struct.unpack_from(f"{reader.order}iI", data, at)
-        stamp = seconds * _NANOSECONDS + nanoseconds
+        stamp = seconds * NANOSECONDS + nanoseconds
         reader.text("frame_id")
         for _ in range(reader.count("status", 1)):
             at = reader.place

@@ -33,10 +33,10 @@ that of an observer without a past.
 """
 
 PARAMETER_TOPICS = (PARAMETERS, PARAMETER_BOUNDS)
-"""What it publishes besides if it learns parameters."""
+"""Published, too, if it learns parameters."""
 
 TORQUE_TOPICS = (TORQUE_DISTURBANCE, TORQUE_DISTURBANCE_BOUND)
-"""What it publishes besides if a design has a torque disturbance; `effort` of the sides."""
+"""Published, too, if a design has a torque disturbance; `effort` of the sides."""
 
 SLOW_PERIOD = 100_000_000
 """Parameters and health change slowly: they are published ten times a second [ns]."""

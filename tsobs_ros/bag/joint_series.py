@@ -42,7 +42,7 @@ class JointSeries:
         values: NaN where a message has none, or a joint has fewer, shape (n, joints, places).
         named: Whether a message has any of a joint's entries, shape (n, joints).
         given: Whether it has a value, NaN or not, shape (n, joints, places).
-        other_names: Entries that nobody wanted, a few of them at most.
+        other_names: Other entries, a few of them at most.
     """
 
     stamps: Times
@@ -140,7 +140,7 @@ def read_blocks(
         wanted: What to read of which topic.
         raw: Topics of any type whose messages to return as bytes; some may be wanted too.
         size: Number of messages in a block, of all topics, divisible by 4; None for one block.
-        on_damage: Told of damage to the bag, up to which everything is returned; else it is raised.
+        on_damage: Called with damage to the bag, up to which all is returned; else it is raised.
 
     Raises:
         BagReadError: The bag has no such topic, a topic is of another type, or it is damaged.
@@ -190,7 +190,7 @@ def require_joint_states(reader: BagReader, topic: str) -> None:
 def until_damage(
     messages: Iterable[Read], on_damage: Callable[[BagReadError], None] | None
 ) -> Iterator[Read]:
-    """Yield messages until the bag turns out to be damaged, and tell of that."""
+    """Yield messages up to damage to the bag, and call with that."""
     try:
         yield from messages
     except BagReadError as error:

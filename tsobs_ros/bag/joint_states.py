@@ -118,7 +118,7 @@ class _Template:
         self._effort = slice(self._velocity.stop + 1, None)
 
     def pack(self, stamp: int, *numbers: Sequence[float]) -> bytes:
-        """Return the message with position, velocity and effort, as many as the lengths say."""
+        """Return the message with position, velocity and effort, as many as the lengths are."""
         sec, nanosec = divmod(stamp, NANOSECONDS)
         position, velocity, effort = numbers
         _, velocities, efforts = self._lengths
@@ -170,7 +170,7 @@ class _Template:
         )
 
     def pack_rows(self, stamps: Stamps, *numbers: Array) -> NDArray[np.uint8]:
-        """Return many messages, a row each, of as many numbers as the lengths say."""
+        """Return many messages, a row each, of as many numbers as the lengths are."""
         data = np.zeros((len(stamps), self._struct.size), np.uint8)
         rows = self._rows(data)
         rows["header"], rows["constant"] = np.void(self._header), np.void(self._constant)
@@ -265,8 +265,8 @@ class JointStateDecoder:
         """Return the message in CDR bytes of either byte order.
 
         Raises:
-            MessageError: The bytes are not a JointState; the text says which field, where in the
-                message, and what came.
+            MessageError: The bytes are not a JointState; the text names the field, its place in the
+                message, and the value.
         """
         template = self._templates.get(len(data))
         message = None if template is None else template.unpack(data)

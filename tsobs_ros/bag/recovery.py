@@ -127,7 +127,7 @@ class Recovery:
         source: The damaged bag.
         output: The bag made of it.
         files: The account of each file.
-        remarks: What else a user should know.
+        remarks: Further facts for a user.
     """
 
     source: Path
@@ -201,7 +201,6 @@ class DamagedFile:
         self._options = options
         self._counts: dict[int, int] = {}
         self._metadata_texts: deque[str] = deque(maxlen=2)
-        self._definitions: dict[int, MessageDefinition | None] = {}
         self._room = _MAX_DESCRIPTIONS
         try:
             with open_regular(path) as stream:
@@ -209,6 +208,7 @@ class DamagedFile:
                 self._find_descriptions(FileWalker(stream, stream.tell(), **options), progress)
         except OSError as error:
             self.account.error = error.strerror or str(error)
+        self._sound = {id_ for id_, schema in self.schemas.items() if _is_sound(schema)}
         # The last one has the most.
         for text in reversed(self._metadata_texts):
             with suppress(ValueError):
@@ -313,16 +313,13 @@ class DamagedFile:
 
     def definition(self, channel: Channel) -> MessageDefinition | None:
         """Return the definition that the file has of a channel's type, if it is intact."""
-        if (schema := self.schemas.get(channel.schema_id)) is None:
-            return None
-        if schema.id not in self._definitions:
-            text = schema.data.decode(errors="replace")
-            definition = MessageDefinition(schema.name, text, "", schema.encoding)
-            self._definitions[schema.id] = definition if _is_sound(definition) else None
-        if (found := self._definitions[schema.id]) is None:
+        schema = self.schemas.get(channel.schema_id)
+        if schema is None or schema.id not in self._sound:
             return None
         hash_ = channel.metadata.get("topic_type_hash", "")
-        return found._replace(type_hash=hash_ if TYPE_HASH.fullmatch(hash_) else "")
+        hash_ = hash_ if TYPE_HASH.fullmatch(hash_) else ""
+        text = schema.data.decode(errors="replace")
+        return MessageDefinition(schema.name, text, hash_, schema.encoding)
 
 
 def _descriptions(content: Records) -> Iterator[McapRecord]:
@@ -335,10 +332,10 @@ def _descriptions(content: Records) -> Iterator[McapRecord]:
                 yield parse_record(description)
 
 
-def _is_sound(definition: MessageDefinition) -> bool:
-    if definition.encoding == "ros2msg":
+def _is_sound(schema: Schema) -> bool:
+    if schema.encoding == "ros2msg":
         try:
-            MessageLayout(definition.type, definition.text)
+            MessageLayout(schema.name, schema.data.decode(errors="replace"))
         except UnknownLayoutError:
             pass
         except ValueError:
@@ -362,7 +359,7 @@ class DamagedBag:
         topics: The topics found, by name.
         metadata: The metadata of the bag, of its folder or else of a file; None if it is lost.
         profiles: The profiles in the headers of the files.
-        remarks: What else a user should know.
+        remarks: Further facts for a user.
 
     Raises:
         BagReadError: There is no bag.
@@ -375,7 +372,7 @@ class DamagedBag:
         self.metadata = next(filter(None, stated), None)
         self.custom_data = next((m.custom_data for m in stated if m and m.custom_data), None)
         self.profiles = {file.profile for file in self.files} - {None}
-        # The header may be what is damaged: what counts is whether messages are in CDR.
+        # The header may be damaged: messages in CDR are enough.
         self.remarks += [
             f"{file.path.name}: its profile is '{file.profile}', expected 'ros2'"
             for file in self.files
@@ -398,15 +395,18 @@ class DamagedBag:
         offered = OfferedQos()
         by_name = {listed.name: listed for listed in self._listed}
         for id_, channel in file.channels.items():
-            topic = channel.topic
-            if channel.message_encoding != "cdr":
-                file.reasons[id_] = f"of {topic}, which is encoded in '{channel.message_encoding}'"
-                continue
-            definition = file.definition(channel) or self._listed_definition(by_name.get(topic))
+            listed = by_name.get(channel.topic)
+            definition = file.definition(channel) or self._listed_definition(listed)
             qos: tuple[QosProfile, ...] = ()
             with suppress(ValueError):
                 qos = offered[channel]
-            self._add(file, id_, topic, definition, qos)
+            if channel.message_encoding != "cdr":
+                reason = f"which is encoded in '{channel.message_encoding}'"
+                file.reasons[id_] = f"of {channel.topic}, {reason}"
+            elif definition is None:
+                file.reasons[id_] = f"of {channel.topic}, whose type is lost"
+            else:
+                self._add(file, id_, channel.topic, definition, qos)
         if file.library.startswith(f"{LIBRARY} "):
             # Our files number the channels in the order in which the metadata lists the topics.
             for id_, listed in enumerate(self._listed, start=1):
@@ -418,12 +418,9 @@ class DamagedBag:
         file: DamagedFile,
         id_: int,
         name: str,
-        definition: MessageDefinition | None,
+        definition: MessageDefinition,
         qos: tuple[QosProfile, ...],
     ) -> None:
-        if definition is None:
-            file.reasons[id_] = f"of {name}, whose type is lost"
-            return
         topic = TopicInfo(name, definition.type, 0, qos, definition.type_hash, definition)
         if self.topics.setdefault(name, topic).type != definition.type:
             file.reasons[id_] = f"of {name} as {definition.type}, which is two types"

@@ -190,7 +190,7 @@ class _Times:
 
 
 def _look_into_indexes(summaries: Sequence[Summary]) -> tuple[dict[str, _Times], int]:
-    """Return what the indexes and the heads of the chunks tell, without reading any message.
+    """Return the times in the indexes of the chunks, without reading any message.
 
     Topics with fewer than two messages are left out, and those in files without message indexes.
     The number is that of the unchecked messages.

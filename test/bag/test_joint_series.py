@@ -1,0 +1,119 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Topics as arrays: the same numbers as message by message, whatever blocks they are read in."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from tsobs_ros.bag import BagReader, BagWriter
+from tsobs_ros.bag.diagnostics import DIAGNOSTICS, read_statuses
+from tsobs_ros.bag.estimate_topics import parameter_names, sides
+from tsobs_ros.bag.joint_series import read_blocks
+from tsobs_ros.bag.joint_states import (
+    JOINT_STATE,
+    JointStateDecoder,
+    JointStateEncoder,
+    joint_names,
+)
+from tsobs_ros.errors import BagReadError, MessageError
+
+COUNT = 50
+NAMES = [("a", "b"), ("b",), ("other", "a"), ("a",)]
+WANTED = [[("a", "position"), ("a", "effort")], [("b", "position")]]
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> BagReader:
+    """A bag of chunks that overlap, with a malformed message."""
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/j", JOINT_STATE)
+        writer.add_topic("/text", "std_msgs/msg/String")
+        for k in range(COUNT):
+            names = NAMES[k % len(NAMES)]
+            encode = JointStateEncoder(names)
+            effort = [2.0 * k] if names == ("a",) else []
+            data = b"\0\1\0\0" if k == 7 else encode(k, [float(k)] * len(names), [], effort)
+            writer.write("/j", data, 100 + (k ^ 3), k)
+            writer.write("/text", b"\0\1\0\0\1\0\0\0\0", 100 + k, k)
+            if k % 6 == 0:
+                writer.flush()
+    return BagReader(tmp_path / "bag")
+
+
+@pytest.mark.parametrize("size", [None, 8, 40])
+def test_blocks_hold_what_the_messages_do(bag: BagReader, size: int | None) -> None:
+    decode, row = JointStateDecoder(), 0
+    messages = list(bag.messages(["/j"]))
+    horizon = -math.inf
+    for block in read_blocks(bag, {"/j": WANTED}, size, raw=["/text", "/j"]):
+        series = block.series["/j"]
+        assert horizon <= series.log_times.min(initial=1000)
+        horizon = block.horizon
+        assert sum(len(data) for _, data in block.raw["/j"].groups) == series.count
+        for k in range(series.count):
+            message, row = messages[row], row + 1
+            assert (series.log_times[k], series.publish_times[k]) == message[3:]
+            expected = np.full((2, 2), np.nan)
+            if message.publish_time != 7:
+                state = decode(message.data)
+                assert series.stamps[k] == state.stamp
+                for joint, name in enumerate("ab"):
+                    assert series.named[k, joint] == (name in state.names)
+                    if name in state.names:
+                        expected[joint, 0] = state.position[state.names.index(name)]
+                if state.effort:
+                    expected[0, 1] = state.effort[0]
+            np.testing.assert_array_equal(series.values[k], expected)
+            np.testing.assert_array_equal(series.given[k], ~np.isnan(expected))
+    assert (row, horizon) == (COUNT, math.inf)
+    assert series.other_names == ("other",)
+    assert set(joint_names(message.data for message in messages)) == {"a", "b", "other"}
+    with pytest.raises(MessageError):
+        joint_names([b""])
+
+
+def test_up_to_damage_everything_is_read(bag: BagReader) -> None:
+    path, last = bag.files[0], bag.summaries[0].spans[-1]
+    data = bytearray(path.read_bytes())
+    data[last.offset + last.size - 20] ^= 255
+    path.write_bytes(data)
+    for names, match in (({"/none": []}, "no topic /none"), ({"/text": []}, "expected sensor")):
+        with pytest.raises(BagReadError, match=match):
+            next(read_blocks(bag, names))
+    with pytest.raises(BagReadError, match="damaged"):
+        list(read_blocks(bag, {"/j": WANTED}))
+    damage: list[BagReadError] = []
+    (block,) = read_blocks(bag, {"/j": WANTED}, on_damage=damage.append)
+    assert len(damage) == 1
+    assert 40 < block.series["/j"].count < COUNT
+
+
+def test_statuses_are_those_that_rosbags_writes_up_to_where_they_are_cut_off() -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    make = {name.rpartition("/")[2]: type_ for name, type_ in store.types.items()}
+    stamp = make["Time"](sec=3, nanosec=4)
+    statuses = [
+        make["DiagnosticStatus"](
+            level=level, name="node: health", message="m", hardware_id="joint",
+            values=[make["KeyValue"](key="k", value=str(level))],
+        )
+        for level in (0, 2)
+    ]  # fmt: skip
+    header = make["Header"](stamp=stamp, frame_id="")
+    array = make["DiagnosticArray"](header=header, status=statuses)
+    data = bytes(store.serialize_cdr(array, DIAGNOSTICS))
+    expected = [
+        (3_000_000_004, level, ("node", "health"), "joint", {"k": str(level)}) for level in (0, 2)
+    ]
+    assert list(read_statuses(data)) == expected
+    assert list(read_statuses(data[:-3])) == expected[:1]
+
+
+def test_names_of_sides_and_parameters_name_their_joint_unless_it_is_alone() -> None:
+    assert sides("elbow") == ("elbow_link", "elbow_motor")
+    assert parameter_names("elbow", ("k",), alone=True) == ("k",)
+    assert parameter_names("elbow", ("k",), alone=False) == ("elbow/k",)
