@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 
 from tsobs_ros.bag import BagReader, BagWriter
-from tsobs_ros.bag.summary import as_text, summarise
+from tsobs_ros.bag.summary import summarise
 
 STRING = "std_msgs/msg/String"
 
@@ -42,11 +42,11 @@ def test_the_last_time_there_is_and_an_empty_bag_are_told(tmp_path: Path) -> Non
     with BagWriter(tmp_path / "far") as writer:
         writer.add_topic("/a", STRING)
         writer.write("/a", b"", 2**63 - 2, 0)
-    assert "Start:        2262-04-11" in as_text(summarise(tmp_path / "far"))
+    assert "Start:        2262-04-11" in summarise(tmp_path / "far").text()
     BagWriter(tmp_path / "empty").close()
     summary = summarise(tmp_path / "empty")
     assert (summary["messages"], summary["start_ns"], summary["duration_ns"]) == (0, None, 0)
-    assert "Start:        none" in as_text(summary)
+    assert "Start:        none" in summary.text()
 
 
 def test_chunks_that_overlap_in_any_way_are_looked_at_in_a_few_steps(tmp_path: Path) -> None:

@@ -35,17 +35,48 @@ from tsobs_ros.files import open_regular
 _FEW_TIMES = 2**16
 
 
-def summarise(bag: str | Path) -> dict[str, Any]:
+class BagSummary(dict[str, Any]):
+    """The summary of a bag, as plain data.
+
+    The problem is the reason for which it was read message by message, empty for a finished bag.
+    `size` is in bytes, log times are in ns since the epoch, the rates of topics in Hz. Unchecked
+    messages are those without a checksum. Unknown values, such as the times of a bag without
+    messages, are None.
+    """
+
+    def text(self) -> str:
+        """Return text in the manner of `ros2 bag info`."""
+        lines = [f"NOT FINISHED: {self['problem']}"] if self["problem"] else []
+        for place, file in enumerate(self["files"]):
+            what = f"{file['name']} ({_bytes(file['size'])}, {file['messages']} messages)"
+            lines.append(f"{'' if place else 'Files:':14}{what}")
+        lines += [
+            f"Bag size:     {_bytes(self['size'])}",
+            f"Storage id:   {self['storage_id']}",
+            f"ROS distro:   {self['ros_distro'] or 'unknown'}",
+            f"Duration:     {self['duration_ns'] * 1e-9:.9f} s",
+            f"Start:        {_time(self['start_ns'])}",
+            f"End:          {_time(self['end_ns'])}",
+            f"Messages:     {self['messages']}",
+        ]
+        if self["unchecked"]:
+            lines.append(f"Unchecked:    {self['unchecked']} {UNCHECKED}")
+        lines += [f"Custom data:  {key}: {value}" for key, value in self["custom_data"].items()]
+        for topic in self["topics"]:
+            rate, gap = topic["rate"], topic["largest_gap_ns"]
+            parts = [topic["name"], topic["type"], f"{topic['messages']} messages", "cdr"]
+            parts += [_qos(topic["qos"])]
+            parts += [] if rate is None else [f"{rate:.4g} Hz"]
+            parts += [] if gap is None else [f"largest gap {gap * 1e-9:.6g} s"]
+            lines.append(f"Topic:        {' | '.join(parts)}")
+        return "\n".join(map(printable, lines))
+
+
+def summarise(bag: str | Path) -> BagSummary:
     """Return the summary of a bag; one that is not finished or is damaged is read through.
 
     Args:
         bag: A bag folder, or one MCAP file.
-
-    Returns:
-        Plain data: the bag, the problem for which it was read message by message (empty for a
-        finished bag), `size` in bytes, log times in ns since the epoch, files, and topics with
-        their rate in Hz. Unchecked messages are those that no checksum covers. What is unknown, as
-        the times of a bag without messages, is None.
 
     Raises:
         BagReadError: There is no bag of ROS 2, or nothing can be read of it.
@@ -65,10 +96,11 @@ def summarise(bag: str | Path) -> dict[str, Any]:
         _topic(topic, times.get(topic.name), found["duration_ns"])
         for topic in reader.topics.values()
     ]
-    return {"bag": str(path), "problem": "", **found, "unchecked": unchecked, "topics": topics}
+    found |= {"unchecked": unchecked, "topics": topics}
+    return BagSummary(bag=str(path), problem="", **found)
 
 
-def _of_damaged(path: Path, error: BagReadError) -> dict[str, Any]:
+def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
     damaged = DamagedBag(path)
     if damaged.profiles - {"ros2"} or not damaged.topics:
         raise error
@@ -89,7 +121,7 @@ def _of_damaged(path: Path, error: BagReadError) -> dict[str, Any]:
     ]
     unchecked = sum(each.unchecked for each in accounts)
     found |= {"unchecked": unchecked, "topics": topics}
-    return {"bag": str(path), "problem": str(error), **found}
+    return BagSummary(bag=str(path), problem=str(error), **found)
 
 
 def _summary(
@@ -128,34 +160,6 @@ def _topic(topic: TopicInfo, times: "_Times | None", duration: int) -> dict[str,
         "largest_gap_ns": gap,
         "rate": steps * 1e9 / span if steps > 0 and span > 0 else None,
     }
-
-
-def as_text(summary: Mapping[str, Any]) -> str:
-    """Return a summary as text in the manner of `ros2 bag info`."""
-    lines = [f"NOT FINISHED: {summary['problem']}"] if summary["problem"] else []
-    for place, file in enumerate(summary["files"]):
-        what = f"{file['name']} ({_bytes(file['size'])}, {file['messages']} messages)"
-        lines.append(f"{'' if place else 'Files:':14}{what}")
-    lines += [
-        f"Bag size:     {_bytes(summary['size'])}",
-        f"Storage id:   {summary['storage_id']}",
-        f"ROS distro:   {summary['ros_distro'] or 'unknown'}",
-        f"Duration:     {summary['duration_ns'] * 1e-9:.9f} s",
-        f"Start:        {_time(summary['start_ns'])}",
-        f"End:          {_time(summary['end_ns'])}",
-        f"Messages:     {summary['messages']}",
-    ]
-    if summary["unchecked"]:
-        lines.append(f"Unchecked:    {summary['unchecked']} {UNCHECKED}")
-    lines += [f"Custom data:  {key}: {value}" for key, value in summary["custom_data"].items()]
-    for topic in summary["topics"]:
-        rate, gap = topic["rate"], topic["largest_gap_ns"]
-        parts = [topic["name"], topic["type"], f"{topic['messages']} messages", "cdr"]
-        parts += [_qos(topic["qos"])]
-        parts += [] if rate is None else [f"{rate:.4g} Hz"]
-        parts += [] if gap is None else [f"largest gap {gap * 1e-9:.6g} s"]
-        lines.append(f"Topic:        {' | '.join(parts)}")
-    return "\n".join(map(printable, lines))
 
 
 class _Times:

@@ -41,10 +41,10 @@ def add_parser(commands: Commands) -> None:
 
 
 def _info(options: argparse.Namespace) -> int:
-    from tsobs_ros.bag.summary import as_text, summarise
+    from tsobs_ros.bag.summary import summarise
 
     summary = summarise(options.bag)
-    show(summary, as_text(summary), options.json)
+    show(summary, summary.text(), options.json)
     return 0
 
 
