@@ -9,11 +9,12 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
+from foreign import write_mcap
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
@@ -37,32 +38,24 @@ def message(number: int) -> bytes:
     return b"\0\1\0\0" + number.to_bytes(8, "little")
 
 
-def write_mcap(
-    path: Path,
-    written: list[Entry],
-    *,
-    chunk_size: int = 200,
-    compression: str = "zstd",
-    topics: tuple[str, ...] = TOPICS,
-    skipped: int = 0,
-    **options: Any,
+def foreign(
+    path: Path, written: list[Entry], *, skipped: int = 0, compression: str = "zstd", **options: Any
 ) -> Path:
-    """Write a file as somebody else's writer may do."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("wb") as stream:
-        writer: Any = Writer(stream, chunk_size, CompressionType[compression.upper()], **options)
-        writer.start("ros2", "somebody else")
-        for _ in range(skipped):
-            writer.register_schema("std_msgs/msg/Other", "ros2msg", b"uint8 data\n")
-        schema = writer.register_schema(BYTES, "ros2msg", TEXT.encode())
-        metadata = {"offered_qos_profiles": QOS, "topic_type_hash": "RIHS01_0"}
-        ids: dict[str, int] = {}
-        for topic in topics:
-            ids[topic] = writer.register_channel(topic, "cdr", schema, metadata)
-        for number, (topic, time) in enumerate(written):
-            writer.add_message(ids[topic], time, message(number), 1000 + number)
-        writer.finish()
-    return path
+    """Write a file as another recorder may do."""
+    calls = [
+        (1 + TOPICS.index(topic), time, message(number), 1000 + number)
+        for number, (topic, time) in enumerate(written)
+    ]
+    others = [(f"std_msgs/msg/Other{k}", "ros2msg", b"uint8 data\n") for k in range(skipped)]
+    metadata = {"offered_qos_profiles": QOS, "topic_type_hash": "RIHS01_0"}
+    return write_mcap(
+        path,
+        calls,
+        schemas=[*others, (BYTES, "ros2msg", TEXT.encode())],
+        channels=[(topic, "cdr", 1 + skipped, metadata) for topic in TOPICS],
+        compression=CompressionType[compression.upper()],
+        **({"chunk_size": 200} | options),
+    )
 
 
 def write_bag(path: Path, written: list[Entry], **options: Any) -> Path:
@@ -141,7 +134,7 @@ def test_readers_give_what_others_recorded(
     is_checked: bool,
 ) -> None:
     with TemporaryDirectory() as folder:
-        file = write_mcap(
+        file = foreign(
             Path(folder) / "other.mcap",
             written,
             compression=compression,
@@ -183,7 +176,7 @@ OTHERS: dict[str, tuple[tuple[str, ...], dict[str, Any], tuple[int, int]]] = {
 def test_of_other_chunks_the_messages_are_picked_out(
     tmp_path: Path, topics: tuple[str, ...], options: dict[str, Any], expected: tuple[int, int]
 ) -> None:
-    file = write_mcap(tmp_path / "other.mcap", WRITTEN, **options)
+    file = foreign(tmp_path / "other.mcap", WRITTEN, **options)
     new = copy(file, tmp_path / "new", topics)
     check(file, new, topics)
     assert stay(file, new) == expected
@@ -207,7 +200,7 @@ def damaged(file: Path, place: int, new: int) -> None:
 def test_a_damaged_chunk_is_not_copied(
     tmp_path: Path, place: int, options: dict[str, Any], match: str
 ) -> None:
-    file = write_mcap(tmp_path / "other.mcap", WRITTEN, compression="none", **options)
+    file = foreign(tmp_path / "other.mcap", WRITTEN, compression="none", **options)
     chunks = ChunkCopy(BagReader(file), TOPICS)
     assert chunks.is_sound("/none")
     damaged(file, place, 9)

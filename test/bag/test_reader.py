@@ -7,15 +7,15 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
+from foreign import CHANNEL, SCHEMA, STRING, write_mcap
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, IndexType
 from rosbags.typesys import Stores, get_typestore
 
 from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
 from tsobs_ros.errors import BagReadError
 
-STRING = "std_msgs/msg/String"
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -31,27 +31,6 @@ def bag(tmp_path: Path) -> Path:
         for topic, time in (("/a", 5), ("/b", 3), ("/a", 15), ("/b", 14), ("/a", 12)):
             writer.write(topic, cdr(f"{topic} {time}"), time, time - 1)
     return tmp_path / "bag"
-
-
-def foreign_file(
-    path: Path,
-    *,
-    profile: str = "ros2",
-    encoding: str = "cdr",
-    schema: tuple[str, bytes] = ("ros2msg", b"string data\n"),
-    schema_id: int = 1,
-    data: bytes = b"",
-    metadata: dict[str, str] | None = None,
-    **options: Any,
-) -> Path:
-    with path.open("wb") as stream:
-        writer = Writer(stream, compression=CompressionType.NONE, **options)
-        writer.start(profile=profile)
-        writer.register_schema(STRING, *schema)
-        channel = writer.register_channel("/a", encoding, schema_id, metadata or {})
-        writer.add_message(channel, log_time=1, data=data, publish_time=1)
-        writer.finish()
-    return path
 
 
 def test_messages_and_topics_are_those_of_all_files_in_log_order(bag: Path) -> None:
@@ -125,21 +104,15 @@ def test_damage_is_noticed_where_it_is_reached_and_chunks_out_of_reach_are_not_r
 @pytest.mark.parametrize("chunked", [True, False])
 def test_files_of_other_writers_settings_are_read(tmp_path: Path, chunked: bool) -> None:
     """As rosbag2's preset `fastwrite`, which makes no chunks, or with chunks not indexed."""
-    path = tmp_path / "x.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(
-            stream,
-            use_chunking=chunked,
-            index_types=IndexType.CHUNK,
-            compression=CompressionType.LZ4,
-            enable_crcs=False,
-        )
-        writer.start(profile="ros2")
-        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
-        channels = [writer.register_channel(topic, "cdr", schema) for topic in ("/a", "/b")]
-        for time in (5, 3, 9, 1):
-            writer.add_message(channels[time % 2], time, bytes(400_000), time)
-        writer.finish()
+    path = write_mcap(
+        tmp_path / "x.mcap",
+        [(1 + time % 2, time, bytes(400_000), time) for time in (5, 3, 9, 1)],
+        channels=[CHANNEL, ("/b", *CHANNEL[1:])],
+        use_chunking=chunked,
+        index_types=IndexType.CHUNK,
+        compression=CompressionType.LZ4,
+        enable_crcs=False,
+    )
     reader = BagReader(path)
     assert [m.log_time for m in reader.messages()] == [1, 3, 5, 9]
     assert [m.log_time for m in reader.messages(["/b"], 3, 9)] == [3, 5]
@@ -162,35 +135,35 @@ def test_what_is_not_there_is_named(bag: Path, tmp_path: Path) -> None:
     ("options", "reason"),
     [
         ({"profile": "ros1"}, "not a bag of ROS 2: its profile is 'ros1'"),
-        ({"encoding": "json"}, "/a is encoded in 'json', not in cdr"),
-        ({"schema_id": 7}, "/a has no type"),
-        ({"metadata": {"offered_qos_profiles": "["}}, "/a: not a list of QoS profiles"),
+        ({"channels": [("/a", "json", 1, {})]}, "/a is encoded in 'json', not in cdr"),
+        ({"channels": [("/a", "cdr", 7, {})]}, "/a has no type"),
+        ({"channels": [("/a", "cdr", 1, {"offered_qos_profiles": "["})]},
+         "/a: not a list of QoS profiles"),
         ({"repeat_channels": False}, "damaged: 1 channels, but 0 in the index"),
     ],
-)
+)  # fmt: skip
 def test_what_is_no_bag_of_ros_2_is_refused(
     tmp_path: Path, options: dict[str, Any], reason: str
 ) -> None:
-    path = foreign_file(tmp_path / "x.mcap", **options)
+    path = write_mcap(tmp_path / "x.mcap", [(1, 1, b"", 1)], **options)
     with pytest.raises(BagReadError, match=rf"x\.mcap: .*{reason}"):
         list(BagReader(path).messages())
 
 
 @pytest.mark.parametrize(
-    ("options", "reason"),
+    ("schema", "data", "reason"),
     [
-        ({"schema": ("ros2idl", b"")}, "defined in 'ros2idl', but only ros2msg"),
-        ({"schema": ("ros2msg", b"string \x1b[2J\n")},
+        ((STRING, "ros2idl", b""), cdr("x"), "defined in 'ros2idl', but only ros2msg"),
+        ((STRING, "ros2msg", b"string \x1b[2J\n"), cdr("x"),
          "the definition of std_msgs/msg/String is malformed"),
-        ({"data": b"\x00\x01\x00\x00\xff\x00"},
-         "the message of /a at 1 ns is not a std_msgs/msg/St"),
+        (SCHEMA, b"\x00\x01\x00\x00\xff\x00", "the message of /a at 1 ns is not a std_msgs/msg/St"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_decoded_is_read_and_its_decoding_refused(
-    tmp_path: Path, capsys, options: dict[str, Any], reason: str
+    tmp_path: Path, capsys, schema: tuple[str, str, bytes], data: bytes, reason: str
 ) -> None:
-    data = options.setdefault("data", cdr("x"))
-    reader = BagReader(foreign_file(tmp_path / "x.mcap", **options))
+    path = write_mcap(tmp_path / "x.mcap", [(1, 1, data, 1)], schemas=[schema])
+    reader = BagReader(path)
     assert [m.data for m in reader.messages()] == [data]
     with pytest.raises(BagReadError, match=reason):
         list(reader.decoded())

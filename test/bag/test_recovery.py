@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import pytest
 import zstandard
+from foreign import CHANNEL, SCHEMA, STRING, write_mcap
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -34,7 +35,6 @@ from tsobs_ros.bag.verification import verify
 from tsobs_ros.bag.walker import FileWalker
 from tsobs_ros.errors import BagReadError, BagWriteError
 
-STRING = "std_msgs/msg/String"
 COMPRESSIONS = ["none", "lz4", "zstd"]
 CHUNKS, PER_CHUNK = 3, 5
 BOMB = zstandard.compress(bytes(2**28))
@@ -182,15 +182,8 @@ def test_what_a_damaged_chunk_held_is_told_by_its_index(tmp_path: Path) -> None:
 
 
 def test_messages_outside_of_chunks_are_recovered_up_to_any_cut(tmp_path: Path) -> None:
-    path = tmp_path / "x.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream, enable_crcs=False, use_chunking=False)
-        writer.start(profile="ros2")
-        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
-        channel = writer.register_channel("/a", "cdr", schema)
-        for number in range(20):
-            writer.add_message(channel, 5 + number, cdr("x" * 9), number)
-        writer.finish()
+    messages = [(1, 5 + number, cdr("x" * 9), number) for number in range(20)]
+    path = write_mcap(tmp_path / "x.mcap", messages, enable_crcs=False, use_chunking=False)
     data = path.read_bytes()
     ends = [end for _, end in places(data, Opcode.MESSAGE)]
     for cut in range(0, len(data), 3):
@@ -398,26 +391,24 @@ def test_holes_in_a_sparse_file_are_not_read(tmp_path: Path) -> None:
 
 
 def test_what_no_bag_can_hold_is_counted(tmp_path: Path) -> None:
-    path = tmp_path / "x.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start(profile="x")
-        string = writer.register_schema(STRING, "ros2msg", b"string data\n")
-        empty = writer.register_schema("std_msgs/msg/Empty", "ros2msg", b"")
-        wrong = writer.register_schema("std_msgs/msg/Wrong", "ros2msg", b"what is this?")
-        idl = writer.register_schema("std_msgs/msg/Bool", "ros2idl", b"module std_msgs {};")
-        channels = [
-            writer.register_channel("/a", "cdr", string),
-            writer.register_channel("/a", "cdr", empty),
-            writer.register_channel("/json", "json", string),
-            writer.register_channel("/lost", "cdr", 9),
-            writer.register_channel("/wrong", "cdr", wrong),
-            writer.register_channel("/idl", "cdr", idl, {"offered_qos_profiles": "["}),
-        ]
-        for channel in channels:
-            writer.add_message(channel, 5, cdr("x"), 5)
-        writer.add_message(channels[0], 2**63, cdr("x"), 5)
-        writer.finish()
+    schemas = [
+        SCHEMA,
+        ("std_msgs/msg/Empty", "ros2msg", b""),
+        ("std_msgs/msg/Wrong", "ros2msg", b"what is this?"),
+        ("std_msgs/msg/Bool", "ros2idl", b"module std_msgs {};"),
+    ]
+    channels = [
+        CHANNEL,
+        ("/a", "cdr", 2, {}),
+        ("/json", "json", 1, {}),
+        ("/lost", "cdr", 9, {}),
+        ("/wrong", "cdr", 3, {}),
+        ("/idl", "cdr", 4, {"offered_qos_profiles": "["}),
+    ]
+    messages = [(id_, 5, cdr("x"), 5) for id_ in range(1, 7)] + [(1, 2**63, cdr("x"), 5)]
+    path = write_mcap(
+        tmp_path / "x.mcap", messages, profile="x", schemas=schemas, channels=channels
+    )
     result = recover(path, tmp_path / "new")
     (file,) = result.files
     assert file.kept == {"/a": 1, "/idl": 1}
@@ -592,14 +583,12 @@ def attack(folder: Path, kind: Callable[[Made, random.Random], bytes], seed: int
         assert Counter(made.entries[0]) <= Counter(found), "the first chunk is lost"
 
 
+@pytest.mark.parametrize(
+    "seeds", [range(6), pytest.param(range(1000, 1100), marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("kind", KINDS)
-def test_damaged_bags(tmp_path: Path, kind: Callable[[Made, random.Random], bytes]) -> None:
-    for seed in range(6):
-        attack(tmp_path / str(seed), kind, seed)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_many_damaged_bags(tmp_path: Path, kind: Callable[[Made, random.Random], bytes]) -> None:
-    for seed in range(1000, 1100):
+def test_damaged_bags(
+    tmp_path: Path, kind: Callable[[Made, random.Random], bytes], seeds: range
+) -> None:
+    for seed in seeds:
         attack(tmp_path / str(seed), kind, seed)

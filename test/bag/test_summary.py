@@ -6,15 +6,12 @@ from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from foreign import STRING, write_mcap
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.writer import Writer
 
 from tsobs_ros.bag import BagReader, BagWriter
 from tsobs_ros.bag.summary import summarise
-
-STRING = "std_msgs/msg/String"
-
 
 WRITTEN = st.lists(st.tuples(st.sampled_from(["/a", "/b"]), st.integers(0, 60)), max_size=30)
 
@@ -51,15 +48,8 @@ def test_the_last_time_there_is_and_an_empty_bag_are_told(tmp_path: Path) -> Non
 
 def test_chunks_that_overlap_in_any_way_are_looked_at_in_a_few_steps(tmp_path: Path) -> None:
     """A thousand chunks of two messages each, the first and the last there are."""
-    with (tmp_path / "x.mcap").open("wb") as stream:
-        writer = Writer(stream, chunk_size=1)
-        writer.start(profile="ros2")
-        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
-        channel = writer.register_channel("/a", "cdr", schema)
-        for number in range(1_000):
-            writer.add_message(channel, number, b"", 0)
-            writer.add_message(channel, 10**9 - number, b"", 0)
-        writer.finish()
+    times = [time for number in range(1_000) for time in (number, 10**9 - number)]
+    write_mcap(tmp_path / "x.mcap", [(1, time, b"", 0) for time in times], chunk_size=1)
     assert summarise(tmp_path / "x.mcap")["topics"][0]["largest_gap_ns"] == 10**9 - 1_998
     times = [message.log_time for message in BagReader(tmp_path / "x.mcap").messages()]
     assert times == sorted(times)

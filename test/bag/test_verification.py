@@ -5,15 +5,16 @@
 import os
 import re
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from foreign import STRING, write_mcap
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import IndexType
 
 from tsobs_ros.bag import BagWriter, QosProfile
 from tsobs_ros.bag.container import MAGIC, RECORD, parse_record
@@ -22,7 +23,6 @@ from tsobs_ros.bag.metadata import profiles_to_yaml
 from tsobs_ros.bag.verification import Verification, verify
 from tsobs_ros.errors import BagReadError
 
-STRING = "std_msgs/msg/String"
 JOINTS = "sensor_msgs/msg/JointState"
 DEFINITION = find_definition(STRING)
 HELLO = b"\0\1\0\0\6\0\0\0hello\0"
@@ -274,30 +274,21 @@ CHANNEL = {
 }
 
 
+A = ("/a", "cdr", 1, CHANNEL)
+
+
 def file_with(
     path: Path,
     *,
     schema: tuple[str, str, bytes] = (STRING, "ros2msg", DEFINITION.text.encode()),
-    channel: tuple[str, str] = ("/a", "cdr"),
-    schema_id: int = 1,
-    metadata: dict[str, str] | None = None,
     data: bytes = HELLO,
     log_time: int = 5,
-    publish_time: int = 5,
     channel_id: int = 1,
-    add: Callable[[Writer], object] = lambda _: None,
+    channels: Sequence[tuple[str, str, int, dict[str, str]]] = (A,),
     **options: Any,
 ) -> Path:
-    with path.open("wb") as stream:
-        writer = Writer(stream, compression=CompressionType.NONE, **options)
-        writer.start(profile="ros2")
-        writer.register_schema(*schema)
-        writer.register_channel(*channel, schema_id, CHANNEL if metadata is None else metadata)
-        add(writer)
-        for _ in range(3):
-            writer.add_message(channel_id, log_time, data, publish_time)
-        writer.finish()
-    return path
+    messages = [(channel_id, log_time, data, 5)] * 3
+    return write_mcap(path, messages, schemas=[schema], channels=channels, **options)
 
 
 def defined(text: str) -> tuple[str, str, bytes]:
@@ -311,15 +302,18 @@ def defined(text: str) -> tuple[str, str, bytes]:
         ({"schema": (STRING, "jsonschema", b"{}")}, "defined in 'jsonschema', not in ros2msg"),
         ({"schema": defined("Other data\n")}, "std_msgs/Other is used, but not defined"),
         ({"schema": defined(f"int8 a\n\n{SEPARATOR}\nX: a/B\n")}, "is not 'MSG: package/Type'"),
-        ({"channel": ("/a", "json")}, "/a: is encoded in 'json', not in cdr"),
-        ({"schema_id": 7}, "/a: has the schema 7, which is not there before it"),
-        ({"metadata": {**CHANNEL, "offered_qos_profiles": "["}}, "/a: not a list of QoS profiles"),
+        ({"channels": [("/a", "json", 1, CHANNEL)]}, "/a: is encoded in 'json', not in cdr"),
+        (
+            {"channels": [("/a", "cdr", 7, CHANNEL)]},
+            "/a: has the schema 7, which is not there before it",
+        ),
+        ({"channels": [("/a", "cdr", 1, {"offered_qos_profiles": "["})]}, "/a: not a list of QoS"),
         ({"channel_id": 7}, "a message is of channel 7, which is not there before it"),
         ({"log_time": 2**63}, "/a: a time does not fit 63 bits"),
         ({"data": HELLO[:-3]}, r"/a: the message at 5 ns is not whole: its .* \(and 2 more\)"),
         ({"data": b""}, "not begin with the header of plain CDR"),
         ({"data": HELLO + bytes(4)}, "/a: the message at 5 ns is not whole: 4 bytes follow"),
-        ({"add": lambda w: w.register_channel("/a", "cdr", 1, CHANNEL)}, "more than one channel"),
+        ({"channels": [A, A]}, "more than one channel"),
         ({"repeat_schemas": False}, "does not repeat the schema"),
         ({"repeat_channels": False}, "does not repeat the channel"),
         ({"use_statistics": False}, "has no index; 'tsobs bag recover'"),
@@ -339,7 +333,7 @@ def test_wrong_content_is_an_error(tmp_path: Path, options: dict[str, Any], patt
         ({"schema": defined("wstring a\n")}, "has a wstring: its messages are not looked into"),
         ({"enable_crcs": False}, "^x.mcap: 3 messages have no checksum: damage in them is not"),
         ({"enable_data_crcs": True, "enable_crcs": False}, ""),
-        ({"add": lambda w: w.add_attachment(1, 1, "a", "b", b"c")}, ""),
+        ({"attachment": True}, ""),
         ({"data": HELLO + bytes(3)}, ""),
     ],
 )
