@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from mcap.records import Channel, Footer, Header, McapRecord, Metadata, Schema, Statistics
 
@@ -198,14 +198,14 @@ class DamagedFile:
         self.metadata: BagMetadata | None = None
         self.topics: dict[int, str] = {}
         self.reasons: dict[int, str] = {}
-        self._options = options
+        self._options, self._bad = options, dict[int, str]()
         self._counts: dict[int, int] = {}
         self._metadata_texts: deque[str] = deque(maxlen=2)
         self._room = _MAX_DESCRIPTIONS
         try:
             with open_regular(path) as stream:
                 self.account.bytes_read = stream.seek(0, 2)
-                self._find_descriptions(FileWalker(stream, stream.tell(), **options), progress)
+                self._find_descriptions(self._walker(stream), progress)
         except OSError as error:
             self.account.error = error.strerror or str(error)
         self._sound = {id_ for id_, schema in self.schemas.items() if _is_sound(schema)}
@@ -214,6 +214,9 @@ class DamagedFile:
             with suppress(ValueError):
                 self.metadata = BagMetadata.from_yaml(text)
                 break
+
+    def _walker(self, stream: IO[bytes]) -> FileWalker:
+        return FileWalker(stream, self.account.bytes_read, bad=self._bad, **self._options)
 
     def _find_descriptions(self, walker: FileWalker, progress: Progress) -> None:
         self.account.damage = walker.damage
@@ -245,7 +248,7 @@ class DamagedFile:
         if account.error:
             return
         with open_regular(self.path) as stream:
-            walker = FileWalker(stream, account.bytes_read, **self._options)
+            walker = self._walker(stream)
             for part in walker.parts(progress):
                 if part.content is None:
                     continue

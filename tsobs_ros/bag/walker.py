@@ -121,6 +121,7 @@ class FileWalker:
         size: The number of bytes to read: the file may be growing.
         keep_unchecked: Whether to give the front of chunks whose checksum fails.
         is_trusted: Whether to read chunks however much they decompress to.
+        bad: Reasons against chunks by their offsets, which a walk adds and the next one keeps.
 
     Attributes:
         damage: The parts that are lost, as far as the file has been read.
@@ -134,14 +135,17 @@ class FileWalker:
         *,
         keep_unchecked: bool = False,
         is_trusted: bool = False,
+        bad: dict[int, str] | None = None,
     ) -> None:
+        self._bad = {} if bad is None else bad
         self.damage: list[Damage] = []
         self.summary: Summary | None = None
         self._descriptor, self._size = stream.fileno(), size
         self._keep_unchecked = keep_unchecked
         self._bytes_left = 2**64 if is_trusted else 2**30 + 100 * size
         self._records_left = 2**64 if is_trusted else 2**19 + size // 6
-        self._vain_left = 64 * size + 2**30
+        # Half of what docs/security.md allows, as a recovery walks twice.
+        self._vain_left = 32 * size + 2**29
         self._written_end = self._end_without_zeros()
         self._data_end = self._size
         # The heads of the chunks that the summary states, by place, and those not found there.
@@ -202,6 +206,8 @@ class FileWalker:
         chunk.data = self._bytes(data_at, end - data_at)
         content, is_checked, reason = None, chunk.uncompressed_crc != 0, ""
         try:
+            if at in self._bad:
+                raise RecordError(self._bad[at])
             if end > self._size:
                 raise RecordError("the file ends inside of a chunk")
             content = self._content(chunk)
@@ -209,7 +215,7 @@ class FileWalker:
             if not (is_checked or self._starts_record(end)):
                 raise RecordError("the chunk has no checksum, and no record follows it")
         except RecordError as error:
-            reason = str(error)
+            self._bad[at] = reason = str(error)
         if content is None or reason:
             del content  # it may be large
             return self._read_damaged_chunk(at, end, chunk, reason)
