@@ -92,6 +92,9 @@ def output_fits(
             )
         )
     states = request.arm.to_physical(found.states[begin:, :4])
+    # Else process noise would take most of it.
+    noise = replace(request.process_noise, motor=0.0)
+    torque_driven = replace(joint, request=replace(request, process_noise=noise))
     traces = Traces(
         recording.time[begin:],
         measured,
@@ -100,7 +103,7 @@ def output_fits(
         found.r[begin:],
         recording.u[begin:],
         states,
-        _unexplained(joint, recording, gate)[0][begin:],
+        _unexplained(torque_driven, recording, gate)[0][begin:],
     )
     return tuple(fits), traces
 
@@ -180,7 +183,7 @@ def _tones(joint: Joint, recording: Recording, gate: float) -> list[Lack]:
 
 
 def _unexplained(joint: Joint, recording: Recording, gate: float) -> tuple[Array, Array]:
-    """Return the torque at the motor that a model without friction lacks, and the states."""
+    """Return the torque at the motor that a model lacks, and the states."""
     request = joint.request
     size = 0.1 * request.arm.reference_torque
     quick = DisturbanceTerm("gauss_markov", {"std": size, "time_constant": 0.05})
@@ -190,7 +193,6 @@ def _unexplained(joint: Joint, recording: Recording, gate: float) -> tuple[Array
         request=replace(
             request, torque_disturbance=TorqueDisturbance((*known.motor, quick), known.link)
         ),
-        friction=(0.0, 0.0),
     )
     states = innovations(looking, recording, gate=gate, with_states=True).states
     torque = states @ looking.request.flow.motor_torque
@@ -201,7 +203,8 @@ def _torques(joint: Joint, recording: Recording, gate: float) -> list[Lack]:
     """Return what a torque depends on that the model has not."""
     request = joint.request
     skip = min(recording.count // 10, round(1.0 / request.period))
-    torque, states = (each[skip:] for each in _unexplained(joint, recording, gate))
+    smooth = replace(joint, friction=(0.0, 0.0))
+    torque, states = (each[skip:] for each in _unexplained(smooth, recording, gate))
     link, link_speed, motor, motor_speed = states.T
     deflection = link - motor
     slow_speed = 0.02 * float(np.abs(motor_speed).max() or 1.0)

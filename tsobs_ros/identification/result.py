@@ -101,8 +101,7 @@ class Traces(NamedTuple):
         residual: Innovations by their expected 1σ, shape (n, p).
         torque: Of the log [N m], shape (n,).
         state: Estimated [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (n, 4).
-        unexplained: Torque at the motor that model and log lack, friction among it [N m], shape
-            (n,).
+        unexplained: Torque at the motor that model and log lack [N m], shape (n,).
     """
 
     time: Array

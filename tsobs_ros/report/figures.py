@@ -20,7 +20,6 @@ from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.report.panels import (
     BAND_COLOUR,
     EVENT_COLOUR,
-    LEVEL_COLOURS,
     SETTLING_COLOUR,
     STYLES,
     TIME,
@@ -112,10 +111,13 @@ def _legend(picture: Picture) -> list[Line2D | Patch]:
 
 
 def _draw(axes: Axes, plot: Plot, picture: Picture) -> None:
-    axes.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
+    if "y" not in plot.logarithmic:
+        axes.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
     axes.tick_params(length=0)
     label = wrap(_plain(plot.title), _LABEL_WIDTH, max_lines=2, placeholder=" …")
     axes.set_ylabel("\n".join(label), linespacing=1.4)
+    for which in plot.logarithmic:
+        axes.set(**{f"{which}scale": "log"})
     axes.set_ylim(plot.limits)
     remark = wrap("  ·  ".join(plot.remark), _REMARK_WIDTH, max_lines=2, placeholder=" …")
     axes.set_title(_plain("\n".join(remark)), loc="left", fontsize=7.8, pad=4)
@@ -132,8 +134,7 @@ def _draw(axes: Axes, plot: Plot, picture: Picture) -> None:
     for place, name in enumerate(plot.rows):
         for strip in plot.strips:
             if strip.name == name:
-                colour = LEVEL_COLOURS.get(strip.level, EVENT_COLOUR)
-                axes.hlines(place, strip.begin, strip.end, color=colour, lw=9)
+                axes.hlines(place, strip.begin, strip.end, color=strip.colour, lw=9)
     if plot.rows:
         axes.set_yticks(range(len(plot.rows)), [_plain(name) for name in plot.rows])
     if plot.level is not None:

@@ -49,7 +49,7 @@ async function draw() {
   }
   const paper = 690;
   addEventListener("beforeprint", () => {
-    for (const { div } of plots) Plotly.relayout(div, { width: paper, height: 190 });
+    for (const { div } of plots) Plotly.relayout(div, { width: paper, height: Math.max(190, div.offsetHeight - 30) });
   });
   addEventListener("afterprint", () => {
     for (const { div } of plots) Plotly.relayout(div, { width: null, height: null, autosize: true });
@@ -58,6 +58,6 @@ async function draw() {
 }
 
 draw().catch((error) => {
-  document.getElementById("failure").textContent =
-    `The figures cannot be drawn: ${error.message}. report.png has them too.`;
+  const failure = document.getElementById("failure");
+  failure.textContent = `The figures cannot be drawn: ${error.message}; ${failure.dataset.elsewhere}.`;
 });

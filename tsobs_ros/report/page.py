@@ -17,7 +17,6 @@ from tsobs_ros.checks import Array
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.report.panels import (
     EVENT_COLOUR,
-    LEVEL_COLOURS,
     SETTLING_COLOUR,
     STYLES,
     TIME,
@@ -85,15 +84,22 @@ def _head(picture: Picture, about: About) -> Iterator[str]:
         text = escape(" ".join(about.sentences))
         yield f'<p class="verdict {kind}"><strong>{verdict}</strong>{text}</p>\n'
     yield f'<p class="muted">{escape(picture.headline)}</p>\n</header>\n<main>\n'
-    yield '<p id="failure" role="status"></p>\n'
-    yield ("<noscript><p>The figures need JavaScript; report.png has them too.</p></noscript>\n")
+    elsewhere = escape(about.elsewhere)
+    yield f'<p id="failure" role="status" data-elsewhere="{elsewhere}"></p>\n'
+    yield f"<noscript><p>The figures need JavaScript; {elsewhere}.</p></noscript>\n"
+    yield from _tables(about.first)
+
+
+def _tables(tables: Sequence[Table]) -> Iterator[str]:
+    for table in tables:
+        text = "" if table.numbers < len(table.head) else ' class="text"'
+        yield f"<section>\n<h2>{escape(table.title)}</h2>\n"
+        yield f'<div class="wide" tabindex="0" role="region" aria-label="{escape(table.title)}">'
+        yield f"<table{text}>{_table(table)}</table></div>\n</section>\n"
 
 
 def _tail(about: About) -> Iterator[str]:
-    for table in about.tables:
-        yield f"<section>\n<h2>{escape(table.title)}</h2>\n"
-        yield f'<div class="wide" tabindex="0" role="region" aria-label="{escape(table.title)}">'
-        yield f"<table>{_table(table)}</table></div>\n</section>\n"
+    yield from _tables(about.tables)
     if about.facts:
         facts = "".join(
             f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in about.facts
@@ -153,9 +159,11 @@ def _figure(plot: Plot, identity: str) -> str:
         for one in plot.own
     )
     legend = f'<ul class="own">{own}</ul>' if own else ""
+    # A row needs room for its name.
+    height = max(220, 24 * len(plot.rows) + 70)
     return (
         f'<figure><figcaption><h3>{escape(plot.title)}</h3><p class="remark">{text}</p>{legend}'
-        f'</figcaption><div class="plot" id="{identity}" role="img" '
+        f'</figcaption><div class="plot" id="{identity}" style="height:{height}px" role="img" '
         f'aria-label="{escape(f"{plot.title} over {plot.axis}. {text}")}"></div></figure>'
     )
 
@@ -175,9 +183,14 @@ def _drawn(plot: Plot, picture: Picture, identity: str) -> dict[str, Any]:
         "yaxis": axis | {"range": list(plot.limits), "nticks": 5},
         "shapes": list(_shapes(plot, picture)),
     }
+    for which in plot.logarithmic:
+        own = layout[f"{which}axis"]
+        own |= {"type": "log", "dtick": 1, "exponentformat": "none"}
+        if "range" in own:
+            own["range"] = np.log10(own["range"]).tolist()
     if plot.rows:
         ticks = {"tickvals": [*range(len(plot.rows))], "ticktext": [*map(escape, plot.rows)]}
-        layout["yaxis"] |= ticks | {"automargin": True}
+        layout["yaxis"] |= ticks | {"automargin": True, "ticklabelstandoff": 4}
     return {"id": identity, "data": list(_traces(plot)), "layout": layout, "follows": follows}
 
 
@@ -195,10 +208,9 @@ def _traces(plot: Plot) -> Iterator[dict[str, Any]]:
         yield trace | (_switch(curve.name, colour) if curve.name in STYLES else {})
     for strip in plot.strips[:_MAX_ROWS]:
         height = float(plot.rows.index(strip.name))
-        colour = LEVEL_COLOURS.get(strip.level, EVENT_COLOUR)
         ends = np.array([strip.begin, strip.end]), np.full(2, height)
-        name = f"{strip.name}, {strip.level.name}"
-        yield _trace(name, *ends, line={"color": colour, "width": 14})
+        name = strip.name if strip.own_colour else f"{strip.name}, {strip.level.name}"
+        yield _trace(name, *ends, line={"color": strip.colour, "width": 14})
 
 
 _DASHES = {"-": "solid", "--": "dash", ":": "dot", ".": "solid"}

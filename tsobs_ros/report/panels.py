@@ -54,6 +54,8 @@ STYLES = {
     "true": Style(ORANGE, 3.0),
     "EKF": Style(GREEN, 1.0, ":"),
     "estimated": Style(BLUE),
+    "simulated": Style(ORANGE, 1.8),
+    "predicted": Style(BLUE),
 }
 """Of the curves that many plots have. The truth is wider, for those who cannot see colours."""
 BAND_COLOUR = BLUE
@@ -79,12 +81,21 @@ class Band(NamedTuple):
 
 
 class Strip(NamedTuple):
-    """A time for which something is reported: what, from when to when [s], and how bad it is."""
+    """A time for which something is reported: what, from when to when [s], and how bad it is.
+
+    On another axis it is a bar, and may have another colour than its level's.
+    """
 
     name: str
     begin: float
     end: float
     level: Level
+    own_colour: str = ""
+
+    @property
+    def colour(self) -> str:
+        """What it is drawn with."""
+        return self.own_colour or LEVEL_COLOURS.get(self.level, EVENT_COLOUR)
 
 
 class Plot(NamedTuple):
@@ -101,6 +112,7 @@ class Plot(NamedTuple):
         spans: Parts of the time that are marked, (begin, end) in seconds.
         level: Size of a constant ± line, e.g. of what is expected of noise.
         axis: Label of the horizontal axis; another one than `TIME` does not follow the others.
+        logarithmic: Its axes that are: some of "xy".
     """
 
     label: str
@@ -113,6 +125,7 @@ class Plot(NamedTuple):
     spans: tuple[tuple[float, float], ...] = ()
     level: float | None = None
     axis: str = TIME
+    logarithmic: str = ""
 
     @property
     def title(self) -> str:
@@ -150,11 +163,11 @@ class TimingSummary(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """What the figure and the page of a run show.
+    """What the figure and the page of a run, or of a fit, show.
 
     Attributes:
-        name: The run's origin.
-        headline: A line on the run as a whole.
+        name: Its origin.
+        headline: A line on it as a whole.
         rows: A plot, or one of values and one of their errors.
         time_range: Begin and end of the time axis [s]: all measurements and estimates.
         unsettled: Parts that do not count as settled, (begin, end) in seconds.
@@ -166,9 +179,9 @@ class Picture(NamedTuple):
     headline: str
     rows: tuple[tuple[Plot, ...], ...]
     time_range: tuple[float, float]
-    unsettled: tuple[tuple[float, float], ...]
-    jumps: tuple[tuple[float, str], ...]
-    timing: TimingSummary
+    unsettled: tuple[tuple[float, float], ...] = ()
+    jumps: tuple[tuple[float, str], ...] = ()
+    timing: TimingSummary = TimingSummary()
 
     @property
     def plots(self) -> tuple[Plot, ...]:
@@ -210,7 +223,7 @@ def picture(
         inputs_of(run.request), samples.values.T[len(outputs) :], strict=False
     ):
         if np.isfinite(values).any():
-            singles.append(_lines(name, unit, {"applied": (times, values)}, MAX_GAP))
+            singles.append(plot_lines(name, unit, {"applied": (times, values)}, MAX_GAP))
     if diagnosed.faults:
         singles.append(_faults(diagnosed.faults))
     singles += _innovations(run, metrics, innovation_std, outputs, period)
@@ -226,9 +239,9 @@ def picture(
             if name.startswith(what)
         }
         if found:
-            singles.append(_lines(f"{what} of the node", "ms", found))
+            singles.append(plot_lines(f"{what} of the node", "ms", found))
     if diagnosed.reject_rates:
-        singles.append(_lines("rejected", "1/s", diagnosed.reject_rates))
+        singles.append(plot_lines("rejected", "1/s", diagnosed.reject_rates))
     measured = float(run.measurements.seconds(run.origin).max(initial=0.0))
     return Picture(
         name=run.name,
@@ -308,9 +321,18 @@ def _with_gaps(times: Array, values: Array, max_gap: float) -> tuple[Array, Arra
     return np.insert(times, places, between), np.insert(values, places, np.nan, axis=0)
 
 
-def _curve(
+def thinned_curve(
     name: str, times: Array, values: Array, style: Style | None = None, max_gap: float = MAX_GAP
 ) -> Curve:
+    """Return a curve of no more points than `MAX_CURVE`, with NaN in its gaps.
+
+    Args:
+        name: Its name.
+        times: In ascending order [s], shape (n,).
+        values: Shape (n,).
+        style: Its look; that of its name if None.
+        max_gap: A longer time without a value is a gap [s].
+    """
     style = style or STYLES[name]
     if style.dash == "." and len(times) > MAX_CURVE:
         style = style._replace(dash="-")  # only the extremes are left
@@ -332,21 +354,35 @@ def _bands(times: Array, centre: Array, bound: Array, max_gap: float = MAX_GAP) 
     return tuple(made)
 
 
-def _lines(
+def plot_lines(
     label: str,
     unit: str,
     curves: Mapping[str, tuple[Array, Array]],
     max_gap: float = math.inf,
     remark: Sequence[str] = (),
 ) -> Plot:
+    """Return a plot of curves, each in another colour.
+
+    Args:
+        label: The quantity.
+        unit: Of its values.
+        curves: Times [s] and values of shape (n,), by name.
+        max_gap: A longer time without a value is a gap [s].
+        remark: Phrases on it.
+    """
     styled = zip(curves.items(), cycle(_OTHERS), strict=False)
-    drawn = tuple(_curve(name, *values, style, max_gap) for (name, values), style in styled)
-    limits = _around([values for _, values in curves.values()], zero=len(curves) > 1)
+    drawn = tuple(thinned_curve(name, *values, style, max_gap) for (name, values), style in styled)
+    limits = limits_around([values for _, values in curves.values()], zero=len(curves) > 1)
     return Plot(label, unit, limits, drawn, tuple(remark))
 
 
-def _around(values: Iterable[Array], *, zero: bool = False) -> tuple[float, float]:
-    """Return a range with all finite values, and with zero if that is asked for."""
+def limits_around(values: Iterable[Array], *, zero: bool = False) -> tuple[float, float]:
+    """Return a range with all finite values and a margin.
+
+    Args:
+        values: Of any shape.
+        zero: Whether it has zero too.
+    """
     finite = [each[np.isfinite(each)] for each in values]
     ends = [float(end) for each in finite if len(each) for end in (each.min(), each.max())]
     low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
@@ -379,18 +415,18 @@ def _of_quantity(
     if place is not None and len(measured[0]):
         at, samples = measured
         values = samples.values[:, place]
-        curves.append(_curve("measured", at, values))
+        curves.append(thinned_curve("measured", at, values))
         edges += _quantiles(values, 0.002, 0.998)
     if one.truth is not None:
         truth = one.truth.values[:, 0]
-        curves.append(_curve("true", one.truth.seconds(run.origin), truth))
+        curves.append(thinned_curve("true", one.truth.seconds(run.origin), truth))
         if len(finite := truth[np.isfinite(truth)]):
             edges += [float(finite.min()), float(finite.max())]
     rival_times = None if rival is None else (rival.stamps - run.origin) / NANOSECONDS
     theirs = None if rival is None else rival.of(quantity)
     if theirs is not None and rival_times is not None:
-        curves.append(_curve("EKF", rival_times, theirs.values))
-    curves.append(_curve("estimated", times, one.values))
+        curves.append(thinned_curve("EKF", rival_times, theirs.values))
+    curves.append(thinned_curve("estimated", times, one.values))
     low, high = (min(edges), max(edges)) if edges else (-1.0, 1.0)
     margin = 0.08 * (high - low) or 0.1
     remark = _remark(metrics, quantity)
@@ -401,10 +437,10 @@ def _of_quantity(
         return (Plot(quantity.name, quantity.unit, limits, tuple(curves), remark, bands),)
     size = _max_error(run, metrics, error, one.bounds) or 1.0
     ends = times[[0, -1]]
-    wrong = [_curve("true", ends, np.zeros(2), max_gap=math.inf)]
+    wrong = [thinned_curve("true", ends, np.zeros(2), max_gap=math.inf)]
     if theirs is not None and rival_times is not None:
-        wrong.append(_curve("EKF", rival_times, theirs.error))
-    wrong.append(_curve("estimated", times, error))
+        wrong.append(thinned_curve("EKF", rival_times, theirs.error))
+    wrong.append(thinned_curve("estimated", times, error))
     bands_of_error = _bands(times, np.zeros(len(times)), one.bounds)
     label = f"{quantity.name}: error"
     return (
@@ -474,7 +510,7 @@ def _innovations(
         nis = metrics.output_nis[place] if metrics.output_nis else None
         remark = [f"– – ±{SIGMAS:g}σ expected"] if std else []
         remark += [] if nis is None else [f"mean square {nis:.2f} × expected"]
-        curve = _curve("measured", times[there], values[there])._replace(name="innovation")
+        curve = thinned_curve("measured", times[there], values[there])._replace(name="innovation")
         level = SIGMAS * std or None
         yield Plot(label, unit, (-size, size), (curve,), tuple(remark), level=level)
         yield from _autocorrelation(label, np.where(settled, values, np.nan), period)
@@ -516,9 +552,9 @@ def _learnt(run: RecordedRun, names: Sequence[str]) -> Iterator[Plot]:
         bounds = align(run.parameter_bound, run.parameters.stamps)
     for name, value, bound in zip(names, values.T, bounds.T, strict=True):
         bands = _bands(times, value, bound, _SLOW_GAP)
-        limits = _around([value, bands[0].lower, bands[0].upper])
+        limits = limits_around([value, bands[0].lower, bands[0].upper])
         remark = (f"at the end {value[-1]:.3g} ± {bound[-1]:.2g}",)
-        curve = _curve("estimated", times, value, max_gap=_SLOW_GAP)
+        curve = thinned_curve("estimated", times, value, max_gap=_SLOW_GAP)
         yield Plot(f"learnt change of {name}", "", limits, (curve,), remark, bands)
 
 
@@ -540,10 +576,10 @@ def _health(times: Array, values: Array) -> Plot:
     return Plot(
         "noise scale",
         "design's = 1",
-        _around([scale, coloured, np.array([1.5])], zero=True),
+        limits_around([scale, coloured, np.array([1.5])], zero=True),
         (
-            _curve("noise scale", times, scale, Style(BLUE), _SLOW_GAP),
-            _curve("coloured power", times, coloured, Style(MUTED, 1.0, "--"), _SLOW_GAP),
+            thinned_curve("noise scale", times, scale, Style(BLUE), _SLOW_GAP),
+            thinned_curve("coloured power", times, coloured, Style(MUTED, 1.0, "--"), _SLOW_GAP),
         ),
         remark,
         spans=tuple(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True)),
@@ -573,5 +609,5 @@ def _intervals(times: Array, found: TimingSummary) -> Plot:
         f"median {found.rate:.4g} Hz, jitter {1e3 * found.jitter:.3f} ms",
         f"{found.lost} lost, {found.gaps} gaps, at most {1e3 * found.max_interval:.3g} ms",
     )
-    curve = _curve("measured", times[1:], steps, max_gap=math.inf)._replace(name="interval")
-    return Plot("measurement interval", "ms", _around([steps], zero=True), (curve,), remark)
+    curve = thinned_curve("measured", times[1:], steps, max_gap=math.inf)._replace(name="interval")
+    return Plot("measurement interval", "ms", limits_around([steps], zero=True), (curve,), remark)

@@ -45,9 +45,11 @@ class About(NamedTuple):
     Attributes:
         level: How well the run went.
         sentences: How the run went, in plain words.
-        tables: Its tables, in order.
+        tables: Its other tables, in order.
         facts: Names and values of what it was made with.
         remarks: Limits of the report.
+        elsewhere: What shows the same without JavaScript.
+        first: Tables above the panels, in order.
     """
 
     level: Level = Level.OK
@@ -55,6 +57,8 @@ class About(NamedTuple):
     tables: Sequence[Table] = ()
     facts: Sequence[tuple[str, str]] = ()
     remarks: Sequence[str] = ()
+    elsewhere: str = "report.png has them too"
+    first: Sequence[Table] = ()
 
 
 class Summary(NamedTuple):
