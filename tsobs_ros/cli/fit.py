@@ -8,7 +8,7 @@ from pathlib import Path
 from tsobs_ros.cli.common import Commands, add_json, note, progress, show
 from tsobs_ros.cli.estimate import pairs
 from tsobs_ros.errors import ParameterError, printable
-from tsobs_ros.files import require_new
+from tsobs_ros.files import require_nameable, require_new, written_whole
 
 
 def add_parser(commands: Commands) -> None:
@@ -17,6 +17,10 @@ def add_parser(commands: Commands) -> None:
     fit.add_argument("request", type=Path, help="YAML with the numbers of data sheets")
     fit.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="CSV logs or bags")
     fit.add_argument("--output", type=Path, required=True, metavar="FILE", help="fitted request")
+    fit.add_argument(
+        "--report", type=Path, metavar="PAGE.html",
+        help="page of the fit: its numbers, predictions, residuals, and what the model lacks",
+    )  # fmt: skip
     fit.add_argument("--force", action="store_true", help="replace existing files")
     fit.add_argument(
         "--free", action="append", default=[], metavar="NAME",
@@ -49,7 +53,13 @@ def run(options: argparse.Namespace) -> int:
     from tsobs_ros.identification.writing import request_text
     from tsobs_ros.yaml_files import write_yaml
 
-    require_new([options.output], force=options.force)
+    report: Path | None = options.report
+    require_new([options.output, *([report] if report else [])], force=options.force)
+    if report:
+        # Here, so that a library that is missing shows before the work.
+        from tsobs_ros.report.fit import write_page
+
+        require_nameable(report)
     request = load_request(options.request)
     if not isinstance(request, ArmRequest):
         raise ParameterError(f"{options.request}: expected a request for an arm, not a T-S system")
@@ -67,10 +77,19 @@ def run(options: argparse.Namespace) -> int:
         )
     names = ", ".join(each.name for each in options.logs)
     write_yaml(options.output, request_text(found, names))
+    page = ""
+    if report:
+        with written_whole(report.parent, force=options.force) as folder:
+            write_page(folder / report.name, found, names)
+        page = f"\npage: {printable(str(report))}"
     show(
-        {"request": str(options.output), **found.summary()},
+        {
+            "request": str(options.output),
+            "report": str(report) if report else None,
+            **found.summary(),
+        },
         f"{found}\nwritten to {printable(str(options.output))}; next: tsobs design "
-        f"{printable(str(options.output))} --output my_arm.design.yaml",
+        f"{printable(str(options.output))} --output my_arm.design.yaml{page}",
         options.json,
     )
     if not all(each.seen for each in found.numbers if each.name.startswith("arm.")):
