@@ -2,29 +2,113 @@
 # SPDX-License-Identifier: Apache-2.0
 """A page of a fit has its numbers, what they predict and what is left, and needs only itself."""
 
-import shutil
-from dataclasses import replace
+import json
+from contextlib import redirect_stdout
+from io import StringIO
 
+import numpy as np
 import pytest
 
 import tsobs_ros as ts
 from tsobs_ros.cli.main import main
-from tsobs_ros.design.request import Output
-from tsobs_ros.identification.result import Lack
-from tsobs_ros.report.fit import write_page
 
-HOSTILE = "<script>alert(1)</script>.csv"
-FREE = ("stiffness", "motor_friction", "torque.offset", "link_damping", "motor_angle")
+HOSTILE = "<b>arm&.csv"
+REQUEST = """\
+design:
+  arm: {link_inertia: 1.0, motor_inertia: 0.3, stiffness: 13.0, gravity_torque: 10.0}
+  outputs:
+    - {measures: motor_angle, measurement_std: 0.002}
+    - {measures: link_angle, measurement_std: 0.002}
+  x_max: 3.0
+"""
+FREE = ("stiffness", "motor_friction", "link_damping", "link_angle.measurement_std")
+
+
+def torque(time: float) -> float:
+    return 4.0 if time % 1.7 < 0.8 else -3.0 if time % 1.1 < 0.6 else 1.0
 
 
 @pytest.fixture(scope="module")
-def recorded():
-    """Return a request whose stiffness is wrong, and a run of an arm that has friction."""
-    request = ts.ArmRequest(x_max=3.0, uncertainty={}).with_outputs(
-        [Output("motor_angle", 0.002), Output("link_angle", 0.002)]
+def command(tmp_path_factory):
+    """Return how to fit to a run of an arm of another stiffness with friction, and the page."""
+    folder = tmp_path_factory.mktemp("fit")
+    sheet, log = folder / "sheet.request.yaml", folder / HOSTILE
+    sheet.write_text(REQUEST.replace("13.0", "10.0"))
+    friction = {"motor_coulomb": 0.4}
+    run = ts.simulate(ts.load_request(sheet), duration=8.0, torque=torque, friction=friction)
+    sheet.write_text(REQUEST)
+    table = np.column_stack([run.time, run.angle, run.torque])
+    titles = "time [s],motor_angle [rad],link_angle [rad],torque [Nm]"
+    np.savetxt(log, table, delimiter=",", header=titles, comments="")
+    output, page = folder / "fitted.request.yaml", folder / "pages" / "fit.html"
+    return ["fit", str(sheet), str(log), "--output", str(output), "--report", str(page)], page
+
+
+@pytest.fixture(scope="module")
+def page(command):
+    """Return the page of a fit."""
+    words, path = command
+    with redirect_stdout(StringIO()) as shown:
+        assert main([*words, *(word for name in FREE for word in ("--free", name))]) == 0
+    assert shown.getvalue().endswith(f"\npage: {path}\n")
+    return path
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_a_page_of_a_fit_has_its_sections_and_clips_nothing(browser, page, width) -> None:
+    context, noise = browser.new_context(viewport={"width": width, "height": 900}), []
+    tab = context.new_page()
+    tab.on("console", lambda message: noise.append(message.text))
+    tab.on("pageerror", lambda error: noise.append(str(error)))
+    tab.goto(page.as_uri())
+    tab.wait_for_selector("body[data-drawn]")
+
+    assert tab.title() == f"Fit to {HOSTILE}"
+    verdict = tab.locator("p.verdict").inner_text()
+    assert verdict.startswith("! Mind:Of the motor angle and the link angle in the held-out 2 s,")
+    assert "The recordings hardly show 1 of 4 numbers: link damping." in verdict
+    assert "The model lacks Coulomb friction of the motor, 0." in verdict
+    assert tab.locator("h2").all_inner_texts() == [
+        "Numbers", "Prediction", "What the model lacks", "What the recordings do not show",
+        "What it was made with", *["Remarks"] * tab.locator("h2", has_text="Remarks").count(),
+    ]  # fmt: skip
+    rows = tab.locator("table").first.locator("tbody tr")
+    cells = [row.locator("td").all_inner_texts() for row in rows.all()]
+    assert {row[0]: (row[1], row[4], row[5]) for row in cells} == {
+        "stiffness": ("13", "N m/rad", "yes"),
+        "link damping": ("0", "N m s/rad", "hardly"),
+        "motor friction": ("0", "N m", "yes"),
+        "link angle: noise": ("0.002", "rad", "yes"),
+    }
+    assert abs(float(cells[0][2]) - 10.0) < 0.3
+    assert tab.locator("h3").all_inner_texts() == [
+        "motor angle [rad]", "residual of motor angle [expected 1σ]",
+        "link angle [rad]", "residual of link angle [expected 1σ]",
+        "torque [N m]", "friction and unexplained torque [N m]",
+        "unexplained torque [N m]", "unexplained torque [N m]",
+        "residual of motor angle: power by that of white noise",
+        "residual of link angle: power by that of white noise",
+        "1σ of each number by its value",
+    ]  # fmt: skip
+    # Nothing is wider than the window, and no label of an axis leaves its figure.
+    assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert tab.evaluate(
+        "[...document.querySelectorAll('.plot')].every((plot) => {"
+        " const box = plot.getBoundingClientRect();"
+        " return [...plot.querySelectorAll('.xtick, .ytick, .xtitle')].every((one) => {"
+        "  const own = one.getBoundingClientRect();"
+        "  return own.left >= box.left - 1 && own.right <= box.right + 1 &&"
+        "   own.top >= box.top - 1 && own.bottom <= box.bottom + 1; }); })"
     )
-    run = ts.simulate(
-        request, duration=12.0, friction={"motor_coulomb": 0.4},
-        torque=lambda t: 4.0 if t % 1.7 < 0.8 else -3.0 if t % 1.1 < 0.6 else 1.0,
-    )  # fmt: skip
-    return replace(request, arm=replace(request.arm, stiffness=13.0)), run
+    context.close()
+    assert noise == []
+
+
+def test_a_page_is_not_replaced_unless_asked_for(command, page, capsys) -> None:
+    words = [*command[0], "--free", "stiffness", "--json"]
+
+    assert main(words) == 1
+    assert "--force replaces it" in capsys.readouterr().err
+    assert main([*words, "--force", "--held-out", "0"]) == 0
+    assert json.loads(capsys.readouterr().out)["report"] == str(page)
+    assert "in the last (fitted) 4 s, it predicts" in page.read_text()

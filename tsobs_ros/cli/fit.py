@@ -83,11 +83,7 @@ def run(options: argparse.Namespace) -> int:
             write_page(folder / report.name, found, names)
         page = f"\npage: {printable(str(report))}"
     show(
-        {
-            "request": str(options.output),
-            "report": str(report) if report else None,
-            **found.summary(),
-        },
+        {"request": str(options.output), "report": report and str(report), **found.summary()},
         f"{found}\nwritten to {printable(str(options.output))}; next: tsobs design "
         f"{printable(str(options.output))} --output my_arm.design.yaml{page}",
         options.json,

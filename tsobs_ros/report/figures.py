@@ -111,13 +111,10 @@ def _legend(picture: Picture) -> list[Line2D | Patch]:
 
 
 def _draw(axes: Axes, plot: Plot, picture: Picture) -> None:
-    if "y" not in plot.logarithmic:
-        axes.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
+    axes.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
     axes.tick_params(length=0)
     label = wrap(_plain(plot.title), _LABEL_WIDTH, max_lines=2, placeholder=" …")
     axes.set_ylabel("\n".join(label), linespacing=1.4)
-    for which in plot.logarithmic:
-        axes.set(**{f"{which}scale": "log"})
     axes.set_ylim(plot.limits)
     remark = wrap("  ·  ".join(plot.remark), _REMARK_WIDTH, max_lines=2, placeholder=" …")
     axes.set_title(_plain("\n".join(remark)), loc="left", fontsize=7.8, pad=4)

@@ -11,6 +11,7 @@ import numpy as np
 from tsobs_ros import __version__
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.health import Level
+from tsobs_ros.identification.fit import GATE
 from tsobs_ros.identification.result import Fit, OutputFit
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.report.page import write_html
@@ -22,23 +23,17 @@ from tsobs_ros.report.panels import (
     Strip,
     Style,
     limits_around,
-    plot_lines,
     thinned_curve,
 )
 from tsobs_ros.report.quantities import outputs_of
 from tsobs_ros.report.summary import About, Table
-from tsobs_ros.style import BLUE, MUTED, ORANGE
-
-_OUTLIER = 6.0
+from tsobs_ros.style import BLUE, MUTED, ORANGE, RED
 
 _EXPECTED = (0.8, 1.25)
 """Innovations by their expected size, of a model that is about right."""
 
-_CORRELATED = 0.2
-"""Correlation of neighbouring innovations from which on there is something left to predict."""
-
-_SIMULATED = 50.0
-"""Fit of a simulation [%] below which the torque alone does not explain the motion."""
+_CORRELATED, _SIMULATED = 0.2, 50.0
+"""Correlation of neighbours from which on there is more to predict, and a poor simulation [%]."""
 
 _DOTS, _GROUPS = 2500, 40
 """Dots over another quantity than time, and groups of neighbours whose means are drawn."""
@@ -47,6 +42,7 @@ _MAX_LENGTH = 4096
 """Samples of which a spectrum is made, and of many such parts the mean."""
 
 _WORDS = {"measurement_std": "noise", "std": "size"}
+_SEEN = ("hardly", "yes")
 
 
 def write_page(path: Path, fit: Fit, names: str) -> None:
@@ -62,27 +58,23 @@ def write_page(path: Path, fit: Fit, names: str) -> None:
     """
     seconds = float(fit.traces.time[-1] - fit.traces.time[0])
     part = f"the {'held-out' if fit.samples[1] else 'last (fitted)'} {seconds:.3g} s"
-    level, sentences = _verdict(fit, part)
-    counts = (len(fit.numbers), *fit.samples, fit.outliers)
-    headline = "{:,} numbers  ·  {:,} samples fitted  ·  {:,} held out  ·  {:,} outliers"
+    counts = "{:,} numbers  ·  {:,} samples fitted  ·  {:,} held out  ·  {:,} outliers".format(
+        len(fit.numbers), *fit.samples, fit.outliers
+    )
+    fitted = "{:.4g} before, {:.4g} after".format(*fit.log_likelihood)
+    held_out = "{:.4g} before, {:.4g} after".format(*fit.log_likelihood_held_out)
     facts = [
         ("recordings", names),
         ("rate", f"{fit.request.rate:g} Hz"),
-        ("log likelihood per sample", "{:.4g} before, {:.4g} after".format(*fit.log_likelihood)),
-        ("the same, held out", "{:.4g} before, {:.4g} after".format(*fit.log_likelihood_held_out)),
+        ("log likelihood per sample", fitted + f"; held out {held_out}" * bool(fit.samples[1])),
         ("version of this report", f"tsobs_ros {__version__}"),
     ]
-    about = About(
-        level,
-        sentences,
-        facts=facts if fit.samples[1] else [*facts[:3], facts[4]],
-        remarks=fit.notes,
-        elsewhere="the tables have the numbers",
-        first=[table for table in _tables(fit, part) if table.rows],
-    )
+    tables = [table for table in _tables(fit, part) if table.rows]
+    elsewhere = "the tables have the numbers"
+    about = About(*_verdict(fit, part), (), facts, fit.notes, elsewhere, tables)
     span = float(fit.traces.time[0]), float(fit.traces.time[-1])
-    shown = f"{headline.format(*counts)}  ·  figures: {part}"
-    write_html(Picture(f"Fit to {names}", shown, tuple(_rows(fit)), span), path, about)
+    headline = f"{counts}  ·  figures: {part}"
+    write_html(Picture(f"Fit to {names}", headline, tuple(_rows(fit)), span), path, about)
 
 
 def _verdict(fit: Fit, part: str) -> tuple[Level, tuple[str, ...]]:
@@ -98,43 +90,33 @@ def _verdict(fit: Fit, part: str) -> tuple[Level, tuple[str, ...]]:
     before, after = fit.log_likelihood_held_out
     if after < before:
         faults.append("The numbers before explain the part that was held out better.")
-    hidden = [_words(each.name) for each in fit.numbers if not each.seen]
-    seen = f"The recordings show all of the {len(fit.numbers)} numbers."
-    if hidden:
-        seen = (
-            f"The recordings hardly show {len(hidden)} of {len(fit.numbers)} numbers: "
-            f"{_listed(hidden)}."
-        )
+    hidden = [each.name for each in fit.numbers if not each.seen]
+    of = f"{len(hidden)} of {len(fit.numbers)} numbers: {_listed([*map(_words, hidden)])}"
+    seen = f"The recordings hardly show {of}." if hidden else "The recordings show all numbers."
     lacks = "; ".join(each.what for each in fit.lacks)
     lack = f"The model lacks {lacks or 'nothing that the recordings show'}."
-    unseen = any(each.name.startswith("arm.") and not each.seen for each in fit.numbers)
+    unseen = any(name.startswith("arm.") for name in hidden)
     level = Level.WARN if faults or fit.lacks or unseen else Level.OK
     return Level.ERROR if after < before else level, (prediction, *faults, seen, lack)
 
 
 def _faults(output: OutputFit) -> Iterator[str]:
     """Yield what is wrong with the prediction of an output."""
-    name = _words(output.name)
-    if not _EXPECTED[0] <= output.innovation_std <= _EXPECTED[1]:
-        size = f"{output.innovation_std:.3g} times as large as expected"
-        yield f"The innovations of the {name} are {size}."
+    name, size = _words(output.name), output.innovation_std
+    if not _EXPECTED[0] <= size <= _EXPECTED[1]:
+        yield f"The innovations of the {name} are {size:.3g} times as large as expected."
     if abs(output.correlation) > _CORRELATED:
-        yield (
-            f"Neighbouring innovations of the {name} are correlated by {output.correlation:.2f}: "
-            "they could be predicted better."
-        )
+        yield f"Neighbouring innovations of the {name} are correlated by {output.correlation:.2f}."
     if output.free_run < _SIMULATED:
         yield f"The torque alone does not explain the {name}."
 
 
 def _tables(fit: Fit, part: str) -> Iterator[Table]:
     """Yield the tables of a page, empty ones among them."""
-    numbers = [
-        (_words(name), f"{before:.4g}", f"{value:.4g}", f"{std:.2g}", unit)
-        for name, unit, before, value, std, *_ in fit.numbers
+    rows = [
+        (_words(n.name), f"{n.before:.4g}", f"{n.value:.4g}", f"{n.std:.2g}", n.unit, _SEEN[n.seen])
+        for n in fit.numbers
     ]
-    shown = ["yes" if each.seen else "hardly" for each in fit.numbers]
-    rows = [(*row, word) for row, word in zip(numbers, shown, strict=True)]
     yield Table("Numbers", ("number", "before", "fitted", "1σ", "unit", "shown"), rows)
     predicted = [
         (_words(name), f"{ahead:.4g}", f"{run:.4g}", f"{std:.3g}", f"{near:.2f}", f"{white:.2g}")
@@ -166,15 +148,17 @@ def _rows(fit: Fit) -> Iterator[tuple[Plot, ...]]:
     outputs = list(zip(outputs_of(fit.request), fit.outputs, *columns, strict=True))
     for (name, unit), one, measured, simulated, predicted, r in outputs:
         values = {"measured": measured, "simulated": simulated, "predicted": predicted}
-        curves = tuple(thinned_curve(key, time, each, max_gap=gap) for key, each in values.items())
         remark = (
             f"{_percent(one.one_step)} predicted one sample ahead",
             f"{_percent(one.free_run)} simulated, from the estimate every {one.horizon:g} s",
         )
+        curves = tuple(thinned_curve(key, time, y, max_gap=gap) for key, y in values.items())
         value = Plot(name, unit, limits_around(values.values()), curves, remark)
         yield value, _residual(name, time, r, gap)
-    torques = {"applied": (time, traces.torque), "unexplained": (time, rest)}
-    yield (plot_lines("torque", "N m", torques, gap),)
+    applied = thinned_curve("applied", time, traces.torque, Style(BLUE), gap)
+    unexplained = thinned_curve("unexplained", time, rest, Style(RED), gap)
+    limits = limits_around([traces.torque, rest])
+    yield (Plot("torque", "N m", limits, (applied, unexplained)),)
     link, _, motor, speed = traces.state.T
     friction, nothing = -fit.joint.friction[0] * np.sign(speed), np.zeros(len(time))
     label = "unexplained torque"
@@ -201,8 +185,7 @@ def _percent(value: float) -> str:
 
 
 def _listed(names: list[str]) -> str:
-    *most, last = names
-    return f"{', '.join(most)} and {last}" if most else last
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def _residual(name: str, time: Array, r: Array, gap: float) -> Plot:
@@ -211,7 +194,7 @@ def _residual(name: str, time: Array, r: Array, gap: float) -> Plot:
     time, r = time[there], r[there]
     share = 100.0 * float((np.abs(r) > SIGMAS).sum()) / max(len(r), 1)
     curve = thinned_curve("measured", time, r, max_gap=gap)._replace(name="residual")
-    size = min(max(4.5, 1.1 * float(np.abs(r).max(initial=0.0))), 2.0 * _OUTLIER)
+    size = min(max(4.5, 1.1 * float(np.abs(r).max(initial=0.0))), 2.0 * GATE)
     remark = (f"– – ±{SIGMAS:g}σ", f"{share:.2g} % outside; 0.27 % if normal")
     label = f"residual of {name}"
     return Plot(label, "expected 1σ", (-size, size), (curve,), remark, level=SIGMAS)
@@ -236,7 +219,7 @@ def _spectrum(name: str, r: Array, period: float) -> Iterator[tuple[Plot]]:
     length = min(1 << (len(r) // 8).bit_length(), _MAX_LENGTH)
     if length < 16:
         return
-    r = np.nan_to_num(np.clip(r, -_OUTLIER, _OUTLIER))
+    r = np.nan_to_num(np.clip(r, -GATE, GATE))
     window: Array = np.hanning(length)
     parts = np.lib.stride_tricks.sliding_window_view(r, length)[:: length // 2] * window
     power = np.square(np.abs(np.fft.rfft(parts))).mean(axis=0)[1:-1] / np.square(window).sum()
@@ -247,9 +230,8 @@ def _spectrum(name: str, r: Array, period: float) -> Iterator[tuple[Plot]]:
     curves = Curve("residual", hertz, np.maximum(power, 1e-6), Style(BLUE)), white
     limits = max(min(float(power.min()), 0.1), 1e-6) / 1.3, 1.3 * max(float(power.max()), 10.0)
     remark = (f"white noise: 1 ± {2.0 * deviation:.2g} at 95 % of the frequencies",)
-    label, axis = f"power of the residual of {name}", "frequency [Hz]"
-    plot = Plot(label, "white noise = 1", limits, curves, remark, axis=axis, logarithmic="xy")
-    yield (plot,)
+    label = f"residual of {name}: power by that of white noise"
+    yield (Plot(label, "", limits, curves, remark, axis="frequency [Hz]", logarithmic="xy"),)
 
 
 def _information(fit: Fit) -> Plot:

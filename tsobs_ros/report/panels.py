@@ -112,7 +112,7 @@ class Plot(NamedTuple):
         spans: Parts of the time that are marked, (begin, end) in seconds.
         level: Size of a constant ± line, e.g. of what is expected of noise.
         axis: Label of the horizontal axis; another one than `TIME` does not follow the others.
-        logarithmic: Its axes that are: some of "xy".
+        logarithmic: Axes that are logarithmic on a page: some of "xy".
     """
 
     label: str
@@ -223,7 +223,7 @@ def picture(
         inputs_of(run.request), samples.values.T[len(outputs) :], strict=False
     ):
         if np.isfinite(values).any():
-            singles.append(plot_lines(name, unit, {"applied": (times, values)}, MAX_GAP))
+            singles.append(_lines(name, unit, {"applied": (times, values)}, MAX_GAP))
     if diagnosed.faults:
         singles.append(_faults(diagnosed.faults))
     singles += _innovations(run, metrics, innovation_std, outputs, period)
@@ -239,9 +239,9 @@ def picture(
             if name.startswith(what)
         }
         if found:
-            singles.append(plot_lines(f"{what} of the node", "ms", found))
+            singles.append(_lines(f"{what} of the node", "ms", found))
     if diagnosed.reject_rates:
-        singles.append(plot_lines("rejected", "1/s", diagnosed.reject_rates))
+        singles.append(_lines("rejected", "1/s", diagnosed.reject_rates))
     measured = float(run.measurements.seconds(run.origin).max(initial=0.0))
     return Picture(
         name=run.name,
@@ -354,22 +354,13 @@ def _bands(times: Array, centre: Array, bound: Array, max_gap: float = MAX_GAP) 
     return tuple(made)
 
 
-def plot_lines(
+def _lines(
     label: str,
     unit: str,
     curves: Mapping[str, tuple[Array, Array]],
     max_gap: float = math.inf,
     remark: Sequence[str] = (),
 ) -> Plot:
-    """Return a plot of curves, each in another colour.
-
-    Args:
-        label: The quantity.
-        unit: Of its values.
-        curves: Times [s] and values of shape (n,), by name.
-        max_gap: A longer time without a value is a gap [s].
-        remark: Phrases on it.
-    """
     styled = zip(curves.items(), cycle(_OTHERS), strict=False)
     drawn = tuple(thinned_curve(name, *values, style, max_gap) for (name, values), style in styled)
     limits = limits_around([values for _, values in curves.values()], zero=len(curves) > 1)
