@@ -207,9 +207,7 @@ class CsvFile:
         try:
             for cells in reader:
                 if reader.line_num > last + 1:
-                    raise LogError(
-                        f"line {last + 1}: a quote opens a cell that is not closed there"
-                    )
+                    raise LogError(f"line {last + 1}: {_OPEN_QUOTE}")
                 last = reader.line_num
                 if cells and not cells[0].startswith(_COMMENTS) and any(cells):
                     yield last, cells
@@ -266,8 +264,6 @@ def _is_passed_over(line: str) -> bool:
 
 def _encoding(head: bytes) -> str:
     """Return the encoding of a file that begins like this."""
-    if not head:
-        raise LogError("the file is empty")
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
     if b"\0" in head or head.startswith((b"\x1f\x8b", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd")):

@@ -10,10 +10,11 @@ import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -22,18 +23,20 @@ from numpy.typing import NDArray
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import encode_text
 from tsobs_ros.bag.container import MAGIC
+from tsobs_ros.bag.copying import ChunkCopy
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.joint_series import RawMessages, Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
-from tsobs_ros.bag.message_series import MessageSeries
+from tsobs_ros.bag.message_series import Message, MessageSeries
 from tsobs_ros.bag.metadata import QosProfile
+from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.bag.tick_log import DEFINITION, TICK_LOG, encode_ticks
 from tsobs_ros.bag.writer import BagWriter, whole_bag
 from tsobs_ros.checks import Flags
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
-from tsobs_ros.errors import BagWriteError, LogError, ModelError
+from tsobs_ros.errors import BagReadError, BagWriteError, LogError, ModelError
 from tsobs_ros.estimation.health import judge_rate
 from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import ObserverSettings, contender, make_estimator, make_tracker
@@ -42,7 +45,6 @@ from tsobs_ros.replay.health import EventFinder, Health, HealthSum, JointEvent
 from tsobs_ros.replay.live import COMPARED, Agreement, LiveComparison
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.loop import Loop, Table
-from tsobs_ros.replay.output import EstimateBag
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.replay.windows import Window, Windows
@@ -431,7 +433,8 @@ def make_runs(
             tables have everything.
 
     Raises:
-        LogError: The angles of a log seem to be in degrees, though nobody stated their unit.
+        BagReadError: The bag does not have what the designs measure.
+        LogError: The log does not.
     """
     observers = list(observers)
     for observer in observers:
@@ -463,15 +466,13 @@ def run_all(
         BagWriteError: The folder exists, the definition of JointStates is not to be found, or the
             bag cannot be written.
     """
-
     with ExitStack() as stack:
         # The core runs for several observers at once.
         pool = stack.enter_context(ThreadPoolExecutor(min(len(runs), os.cpu_count() or 1)))
-        bag = (
-            None
-            if output is None
-            else stack.enter_context(_new_bag(source, runs, output, estimates_only))
-        )
+        bag = None
+        if output is not None:
+            written = whole_bag(output, custom_data={"estimated from": str(source.path)})
+            bag = _NewBag(source, runs, stack.enter_context(written), estimates_only)
         for window in runs[0].windows:
             work = partial(Run.run, window=window, encode=bag is not None)
             each = pool.map(work, runs) if len(runs) > 1 else map(work, runs)
@@ -484,16 +485,52 @@ def run_all(
             bag.write([], math.inf)
 
 
-@contextmanager
-def _new_bag(
-    source: Source, runs: Sequence[Run], output: Path, estimates_only: bool
-) -> Iterator[EstimateBag]:
-    """Open the new bag, with all its topics and what is run in it."""
-    own = (topic.definition for topic in source.topics if topic.type == JOINT_STATE)
-    definition = next(own, None) or find_definition(JOINT_STATE)
-    with whole_bag(output, custom_data={"estimated from": str(source.path)}) as writer:
-        bag = EstimateBag(source, writer, estimates_only=estimates_only)
+class _NewBag:
+    """A bag of recorded messages and of those of runs; of equal log times the recorded ones first.
+
+    Recorded chunks are copied as they are. Where that cannot be, messages are copied one by one.
+    """
+
+    def __init__(
+        self, source: Source, runs: Sequence[Run], writer: BagWriter, estimates_only: bool
+    ) -> None:
+        self._source, self._writer = source, writer
+        self._waiting: list[MessageSeries] = []
+        self._chunks: ChunkCopy | None = None
+        self._recorded: Iterator[BagMessage] = iter(())
+        if not estimates_only:
+            self._chunks = source.chunks()
+            if self._chunks is None:
+                self._recorded = source.messages()
+            for one in source.topics:
+                ids = None if self._chunks is None else self._chunks.ids(one.name)
+                writer.add_topic(
+                    one.name, one.type, one.qos_profiles, definition=one.definition, ids=ids
+                )
+        self._next = next(self._recorded, None)
+        own = (topic.definition for topic in source.topics if topic.type == JOINT_STATE)
+        definition = next(own, None) or find_definition(JOINT_STATE)
         # First of all, so that it comes first among the messages of its time.
         for run in runs:
             run.begin(writer, definition)
-        yield bag
+
+    def write(self, made: Iterable[MessageSeries], horizon: float) -> None:
+        """Write all messages before a log time [ns], of a chunk those behind it too."""
+        known = [*self._waiting, *made]
+        due = [one.take(one.log_times < horizon) for one in known]
+        rest = (one.take(one.log_times >= horizon) for one in known)
+        self._waiting = [one for one in rest if len(one.log_times)]
+        recorded: list[Message] = []
+        while self._next is not None and self._next.log_time < horizon:
+            recorded.append(self._next)
+            self._next = next(self._recorded, None)
+        if recorded:
+            new = (message for one in due for message in one.messages())
+            self._writer.write_all(sorted([*recorded, *new], key=itemgetter(3)))
+            return
+        if self._chunks is not None:
+            try:
+                self._chunks.up_to(horizon, self._writer)
+            except BagReadError as error:
+                self._source.damage, self._chunks = error, None
+        self._writer.write_series(due)

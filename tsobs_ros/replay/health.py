@@ -21,8 +21,7 @@ from tsobs_ros.estimation.events import (
 )
 from tsobs_ros.estimation.health import judged, words
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
-from tsobs_ros.replay.thinning import ThinnedValues
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.series import NANOSECONDS, ThinnedValues
 
 C = TypeVar("C", bound=IntEnum)
 

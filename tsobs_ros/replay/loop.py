@@ -18,9 +18,8 @@ from tsobs_ros.estimation.estimator import Estimator, Rows
 from tsobs_ros.estimation.history import GATED, NON_FINITE, REASONS, USED
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.replay.thinning import ThinnedValues
 from tsobs_ros.replay.windows import Window
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.series import NANOSECONDS, ThinnedValues
 
 _FOREVER = 2**62
 _ENOUGH = 8
