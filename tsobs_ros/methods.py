@@ -215,8 +215,12 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
             f"be observed by {others}"
         )
     if method in FILTERS:
+        uncertainty = request.uncertainty_model if method == "ekf_augmented" else None
+        if uncertainty is not None and not uncertainty.count:
+            raise ModelError("method ekf_augmented: the design calls no parameter uncertain")
         gate = baselines.GATE if is_arm and method != "ekf_plain" else math.inf
-        return _extended_kalman(request, learns=method == "ekf_augmented", gate=gate)
+        covariances = (request.measurement_covariance, request.initial_covariance)
+        return baselines.extended_kalman(request.flow, *covariances, uncertainty, gate=gate)
     if method == "certified":
         estimator = design.supervised(
             settings.settle_time,
@@ -282,11 +286,3 @@ def make_tracker(
         restart_after=settings.stale_after,
     )
     return Tracker(estimator or make_estimator(design, settings), options)
-
-
-def _extended_kalman(request: ArmRequest | TSRequest, *, learns: bool, gate: float) -> Estimator:
-    uncertainty = request.uncertainty_model if learns else None
-    if uncertainty is not None and not uncertainty.count:
-        raise ModelError("method ekf_augmented: the design calls no parameter uncertain")
-    covariances = (request.measurement_covariance, request.initial_covariance)
-    return baselines.extended_kalman(request.flow, *covariances, uncertainty, gate=gate)

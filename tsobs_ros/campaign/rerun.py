@@ -9,13 +9,13 @@ import numpy as np
 
 from tsobs_ros.bag.estimate_topics import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, sides
 from tsobs_ros.bag.joint_states import JOINT_STATE
-from tsobs_ros.bag.message_series import Message
+from tsobs_ros.bag.message_series import MessageSeries
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.campaign.batches import stamps_of
 from tsobs_ros.campaign.definition import Campaign, CampaignError
 from tsobs_ros.campaign.drawing import draw
-from tsobs_ros.design.signals import Place, signals
+from tsobs_ros.design.signals import Place, positions, signals
 from tsobs_ros.replay.estimate import Observer, make_runs, open_source, run_all
 from tsobs_ros.replay.places import Layout
 from tsobs_ros.simulation.plant import Plant
@@ -60,10 +60,7 @@ def _record(campaign: Campaign, run: int, bag: Path) -> None:
             np.hstack([runs.measurements, runs.torques]),
         ),
         TRUE_STATES: (own.states, runs.physical),
-        TRUE_DISTURBANCE: (
-            [Place(name, "position") for name in own.disturbances],
-            runs.disturbances,
-        ),
+        TRUE_DISTURBANCE: (positions(own.disturbances), runs.disturbances),
         # The motor's first, as in the truth of a run.
         TRUE_TORQUE: (
             [Place(name, "effort") for name in reversed(sides(JOINT))],
@@ -77,11 +74,10 @@ def _record(campaign: Campaign, run: int, bag: Path) -> None:
         "campaign": campaign.identity,
     }
     with BagWriter(bag, custom_data=notes) as writer:
-        messages: list[Message] = []
+        series = []
         for name, (places, values) in topics.items():
             writer.add_topic(f"/{name}", JOINT_STATE, [QosProfile()])
             there = measured if name == "joint_measurements" else np.ones(len(stamps), np.bool_)
-            data = Layout(places).encode(stamps[there], values[there])
-            for stamp, message in zip(stamps[there].tolist(), data, strict=True):
-                messages.append((f"/{name}", JOINT_STATE, message, stamp, stamp))
-        writer.write_all(sorted(messages, key=lambda message: message[3]))
+            times, data = stamps[there], Layout(places).encode(stamps[there], values[there])
+            series.append(MessageSeries(f"/{name}", JOINT_STATE, times, times, data))
+        writer.write_series(series)
