@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
-from staging import to_nanoseconds
+from staging import diagnostics, to_nanoseconds, values
 from staging.arm import Arm
 
 from tsobs_ros.estimation.records import RejectReason
@@ -100,20 +99,16 @@ def test_after_each_flood_the_observer_goes_on_and_a_signal_ends_it_in_the_last(
     ros: Any, ros_process: Callable[..., Any]
 ) -> None:
     process = ros_process("observer")
-    sensor, estimated, counts = Sensor(ros), [0], [Counter[str]()]
+    sensor, estimated, statuses = Sensor(ros), [0], diagnostics(ros)
     node = ros.node("watch")
     node.create_subscription(
         JointState, "observer/joint_states",
         lambda message: estimated.append(to_nanoseconds(message.header.stamp)), BEST_EFFORT,
     )  # fmt: skip
 
-    def keep(array: DiagnosticArray) -> None:
-        for status in array.status:
-            if status.name == "observer: measurements":
-                kept = (item for item in status.values if item.key != "remedy")
-                counts.append(Counter({item.key: int(item.value) for item in kept}))
-
-    node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
+    def counts() -> Counter[str]:
+        of_all = values(statuses["observer: measurements"]) if statuses else {}
+        return Counter({key: int(value) for key, value in of_all.items() if key != "remedy"})
 
     def goes_on(condition: Callable[[], bool], what: str) -> None:
         def met() -> bool:
@@ -127,18 +122,18 @@ def test_after_each_flood_the_observer_goes_on_and_a_signal_ends_it_in_the_last(
     goes_on(lambda: len(estimated) > 100, "the first estimates")
     for name, (make, reason) in FLOODS.items():
         grow = ["received"] if reason is None else ["received", f"rejected: {reason}"]
-        limits = {key: counts[-1][key] + 1000 for key in grow}
+        limits = {key: counts()[key] + 1000 for key in grow}
         sensor.flood(make)
         end = time.time_ns()
         goes_on(lambda end=end: estimated[-1] > end, f"an estimate after the flood: {name}")
         since = len(estimated)
         goes_on(lambda since=since: len(estimated) > since + 50, f"its rate after: {name}")
         goes_on(
-            lambda limits=limits: all(counts[-1][key] > limits[key] for key in limits),
+            lambda limits=limits: all(counts()[key] > limits[key] for key in limits),
             f"the counts of the flood: {name}",
         )
-        rejected = {key: value for key, value in counts[-1].items() if key.startswith("rejected")}
-        assert counts[-1]["received"] == counts[-1]["used"] + sum(rejected.values()), name
+        rejected = {key: value for key, value in counts().items() if key.startswith("rejected")}
+        assert counts()["received"] == counts()["used"] + sum(rejected.values()), name
     lasted = time.monotonic() - began
 
     process.signal(signal.SIGINT)

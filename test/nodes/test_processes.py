@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from staging import diagnostics, values
 
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.estimate_topics import TOPICS as OF_EVERY_OBSERVER
@@ -186,13 +186,7 @@ def end(signals: dict[Any, int]) -> None:
 def test_the_shipped_parameters_fit_together_and_the_recorder_awaits_nothing_for_ever(
     ros: Any, ros_process: Process, tmp_path: Path
 ) -> None:
-    bag, statuses = tmp_path / "bag", dict[str, DiagnosticStatus]()
-    ros.node("watch").create_subscription(
-        DiagnosticArray,
-        "/diagnostics",
-        lambda array: statuses.update({each.name: each for each in array.status}),
-        10,
-    )
+    bag, statuses = tmp_path / "bag", diagnostics(ros)
     parameters = {"recorder": {"output": str(bag)}}
     processes = {
         name: ros_process(
@@ -204,9 +198,8 @@ def test_the_shipped_parameters_fit_together_and_the_recorder_awaits_nothing_for
     def records_all() -> bool:
         if not statuses.keys() >= {"recorder: recording", "recorder: topics"}:
             return False
-        counted = statuses["recorder: topics"].values
-        counts = {item.key: int(item.value.split()[0]) for item in counted}
-        there = all(counts.get(f"/{topic}", 0) >= 20 for topic in TOPICS)
+        counts = values(statuses["recorder: topics"])
+        there = all(int(counts.get(f"/{each}", "0").split()[0]) >= 20 for each in TOPICS)
         return there and statuses["recorder: recording"].message == "recording"
 
     ros.spin_until(records_all, TIMEOUT, "20 messages of each topic")

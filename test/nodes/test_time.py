@@ -7,19 +7,9 @@ import pytest
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
+from staging import values
 from staging.arm import Arm
-from staging.stage import (
-    BEGIN,
-    MS,
-    OUTPUTS,
-    PERIOD,
-    SIGMAS,
-    Event,
-    Stage,
-    good,
-    replayed,
-    values,
-)
+from staging.stage import BEGIN, MS, OUTPUTS, PERIOD, SIGMAS, Event, Stage, good, replayed
 
 from tsobs_ros.estimation.history import GATED
 from tsobs_ros.nodes.observer import Observer

@@ -10,8 +10,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import JointState
-from staging import to_stamp
-from staging.stage import BEGIN, PERIOD, Event, Stage, replayed, values
+from staging import to_stamp, values
+from staging.stage import BEGIN, PERIOD, Event, Stage, replayed
 
 from tsobs_ros.design.file import load_design, load_request, save_design
 from tsobs_ros.design.synthesis import synthesise

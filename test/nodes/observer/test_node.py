@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
-from staging import to_stamp
+from staging import to_stamp, values
 from staging.arm import Arm
 from staging.stage import (
     BEGIN,
@@ -23,7 +23,6 @@ from staging.stage import (
     good,
     replayed,
     tracker_of,
-    values,
 )
 from std_srvs.srv import SetBool, Trigger
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -14,6 +13,7 @@ from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from staging import diagnostics
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
@@ -100,9 +100,9 @@ def test_under_simulated_time_messages_wait_for_the_clock(ros, recording) -> Non
     ros.spin_until(lambda: clock.get_subscription_count() == 1, what="the clock's match")
     for message in recording.joint_states(3):
         publisher.publish(message)
-    diagnostics: list[Any] = []
-    node.create_subscription(DiagnosticArray, "/diagnostics", diagnostics.append, 10)
-    ros.spin_until(lambda: len(diagnostics) >= 1, what="a second of simulated standstill")
+    statuses = diagnostics(ros)
+    ros.spin_until(lambda: bool(statuses), what="a second of simulated standstill")
+    assert statuses["recorder: recording"].message == "waiting for /clock"
     assert recorder.statistics.messages == 0
 
     tick = Clock()

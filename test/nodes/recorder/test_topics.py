@@ -10,13 +10,14 @@ from typing import Any
 
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 from rclpy.service_introspection import ServiceIntrospectionState
 from sensor_msgs.msg import JointState
 from service_msgs.msg import ServiceEventInfo
+from staging import diagnostics, values
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from stereo_msgs.msg import DisparityImage
@@ -134,25 +135,21 @@ def test_what_a_full_queue_drops_is_lost_and_a_restart_hides_none(ros, recording
 
 def test_diagnostics_report_counts_and_what_is_awaited(ros, recording) -> None:
     recorder = recording.start(topics=["joints"])
-    node = ros.node("source")
-    statuses: list[Any] = []
-    node.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda array: statuses.extend(array.status), 10
-    )
+    statuses = diagnostics(ros)
     ros.spin_until(lambda: bool(statuses), what="diagnostics")
-    assert [status.name for status in statuses[:2]] == ["recorder: recording", "recorder: topics"]
-    assert statuses[0].level == DiagnosticStatus.WARN
-    assert statuses[0].message == "waiting for /joints"
+    assert set(statuses) == {"recorder: recording", "recorder: topics"}
+    waiting = statuses["recorder: recording"]
+    assert (waiting.level, waiting.message) == (DiagnosticStatus.WARN, "waiting for /joints")
 
-    publisher = node.create_publisher(JointState, "joints", 10)
+    publisher = ros.node("source").create_publisher(JointState, "joints", 10)
     recording.publish(recorder, publisher, recording.joint_states(2))
-    ros.spin_until(lambda: statuses[-2].message == "recording", what="the news")
-    values = {item.key: item.value for item in statuses[-2].values}
-    assert statuses[-2].level == DiagnosticStatus.OK
-    assert (values["messages"], values["lost"]) == ("2", "0")
-    (item,) = statuses[-1].values
-    assert item.key == "/joints"
-    assert re.fullmatch(r"2 messages, 0 lost since 2\S+Z?, 0 published before", item.value)
+    ros.spin_until(lambda: statuses["recorder: recording"].message == "recording", what="the news")
+    assert statuses["recorder: recording"].level == DiagnosticStatus.OK
+    counts = values(statuses["recorder: recording"])
+    assert (counts["messages"], counts["lost"]) == ("2", "0")
+    ((topic, text),) = values(statuses["recorder: topics"]).items()
+    assert topic == "/joints"
+    assert re.fullmatch(r"2 messages, 0 lost since 2\S+Z?, 0 published before", text)
 
 
 def test_a_late_publisher_that_offers_less_is_recorded_and_takes_nothing_from_others(

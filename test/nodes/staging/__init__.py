@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.srv import GetState
 from rclpy.parameter import Parameter
 from rclpy.time import Time
@@ -58,6 +59,23 @@ def call(ros: Any, node: Any, kind: Any, name: str, request: Any = None) -> Any:
     ros.spin_until(future.done, 30.0, f"the answer of {name}")
     node.destroy_client(client)
     return future.result()
+
+
+def diagnostics(ros: Any) -> dict[str, DiagnosticStatus]:
+    """Return the newest statuses by their names, kept up to date as the graph spins."""
+    found: dict[str, DiagnosticStatus] = {}
+    ros.node("diagnostics").create_subscription(
+        DiagnosticArray,
+        "/diagnostics",
+        lambda array: found.update({each.name: each for each in array.status}),
+        10,
+    )
+    return found
+
+
+def values(status: DiagnosticStatus) -> dict[str, str]:
+    """Return the values of a status by their keys."""
+    return {item.key: item.value for item in status.values}
 
 
 def estimated_again(bag: Path, output: Path, design: Design) -> Run:

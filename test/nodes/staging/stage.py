@@ -248,11 +248,6 @@ class Stage:
         return now == self.now and not any(each.is_ready() for each in own)
 
 
-def values(status: DiagnosticStatus) -> dict[str, str]:
-    """Return the values of a status by their keys."""
-    return {item.key: item.value for item in status.values}
-
-
 def tracker_of(observer: Observer) -> Tracker:
     """Return a new tracker like the observer's."""
     return Tracker(observer.joints[0].tracker.estimator, observer.joints[0].tracker.options)
