@@ -14,6 +14,7 @@ Models and designs:
     TSModel           any Takagi-Sugeno system, by its matrices and memberships
     ArmRequest        the arm, its sensor and disturbance, and the domain to certify
     load_request      a request from a YAML file
+    excite            a torque motion that shows a request's numbers (needs scipy)
     fit               a request's numbers from recordings (needs scipy)
     synthesise        a certified gain for a request (needs cvxpy)
     Design            a gain with its proof; makes observers
@@ -62,6 +63,8 @@ if TYPE_CHECKING:
     from tsobs_ros.estimation.records import Measurement as Measurement
     from tsobs_ros.estimation.tracker import Tracker as Tracker
     from tsobs_ros.exported import export_c as export_c
+    from tsobs_ros.identification.excitation import excite as excite
+    from tsobs_ros.identification.fit import fit as fit
     from tsobs_ros.methods import ObserverSettings as ObserverSettings
     from tsobs_ros.methods import make_tracker as make_tracker
     from tsobs_ros.model.arm import ElasticJointArm as ElasticJointArm
@@ -85,6 +88,7 @@ _HOMES = {
     "compare": "api",
     "estimate": "api",
     "estimate_bag": "api",
+    "excite": "identification.excitation",
     "export_c": "exported",
     "fit": "identification.fit",
     "load_design": "design.file",

@@ -20,6 +20,7 @@ from tsobs_ros.cli import (
     demo,
     design,
     estimate,
+    excite,
     export,
     fit,
     paper,
@@ -34,6 +35,7 @@ from tsobs_ros.streams import Parser
 
 _COMMANDS = (
     demo,
+    excite,
     fit,
     design,
     estimate,

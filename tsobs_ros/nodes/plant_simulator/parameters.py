@@ -19,6 +19,7 @@ from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import design_paths
 from tsobs_ros.nodes.plant_simulator.scenarios import scenarios_of
+from tsobs_ros.nodes.plant_simulator.torque_file import PLAYED, TorqueFile
 from tsobs_ros.plants import request_in
 from tsobs_ros.settings import live_setting, setting, settings_group
 from tsobs_ros.simulation.integrator import Friction, Payload
@@ -102,21 +103,26 @@ class DisturbanceParameters:
 class ExcitationParameters:
     """The torque in the absence of a command."""
 
-    kind: str = live_setting("sine", "Torque signal", choices=tuple(EXCITATIONS))
+    kind: str = live_setting("sine", "Torque signal", choices=tuple(PLAYED))
     amplitude: float = live_setting(1.0, "Amplitude; of a multisine, of all its tones", unit="N m")
     frequency: float = live_setting(1.0, "Frequency of sine and square", unit="rad/s")
     lowest: float = live_setting(0.5, "Lowest frequency of multisine and chirp", unit="rad/s")
     highest: float = live_setting(6.0, "Highest frequency of multisine and chirp", unit="rad/s")
     tones: int = live_setting(8, "Tones of a multisine", minimum=1, maximum=1000)
     sweep: float = live_setting(20.0, "Length of a chirp's sweep", unit="s")
+    file: str = live_setting(
+        "",
+        "CSV file of the kind file, such as that of tsobs excite: columns time [s] and torque "
+        "[N m], held from line to line; 0 after the last one",
+    )
 
     def build(self) -> Signal:
         """Return the excitation; every kind is checked, the chosen one is returned."""
-        signals = {
+        signals: dict[str, Signal] = {
             name: kind(**{number: getattr(self, number) for number in numbers_of(kind)})
             for name, kind in EXCITATIONS.items()
         }
-        return signals[self.kind]
+        return TorqueFile(self.file) if self.kind == TorqueFile.kind else signals[self.kind]
 
 
 @dataclass(frozen=True)

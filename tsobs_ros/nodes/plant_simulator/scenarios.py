@@ -15,11 +15,12 @@ from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.nodes.plant_simulator.torque_file import PLAYED
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.simulation.integrator import Payload
 from tsobs_ros.simulation.plant import Mismatch, Scenario, TorqueDisturbance
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Signal, signal_of
+from tsobs_ros.simulation.signals import KINDS, Signal, signal_of
 from tsobs_ros.simulation.systems import SystemScenario
 from tsobs_ros.yaml_files import load_yaml
 
@@ -45,7 +46,7 @@ def scenarios_of(parameters: "PlantSimulatorParameters") -> dict[str, Scenario |
         is_arm = isinstance(request, ArmRequest)
         disturbed = (*request.output_names, *(torques if is_arm else ()))
         signals[joint] = {
-            name: partial(signal_of, KINDS if name in disturbed else EXCITATIONS)
+            name: partial(signal_of, KINDS if name in disturbed else PLAYED)
             for name in (*request.output_names, *request.input_names, *disturbed)
         }
         names = [each.name for each in uncertain] if is_arm else request.uncertainty_model.names

@@ -1,0 +1,390 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Motions that a joint can be moved by: tones of its angle, the torque for them, and their limits.
+
+The link angle is prescribed, q₁ = Σ w(t) aᵢ sin(ωᵢt + φᵢ) with a window w that begins and ends at
+rest, and the torque follows from the nominal arm backwards (the link angle is its flat output):
+
+    τ = J₁ q̈₁ + b₁ q̇₁ + mgl sin q₁,   q₂ = q₁ + τ/k,   u = J₂ q̈₂ + b₂ q̇₂ + τ
+
+So the nominal arm starts and ends at rest, and one without gravity does not drift: the torque's
+momentum and the way it goes have a mean of zero. Other arms do about the same; how far they go is
+simulated.
+"""
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from tsobs_ros.checks import Array, positive
+from tsobs_ros.design.request import NO_LIMIT, ArmRequest
+from tsobs_ros.errors import ModelError
+from tsobs_ros.identification.joint import UNCERTAINTY
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.simulation.integrator import ArmMotion, Friction
+from tsobs_ros.simulation.plant import Scenario
+
+WORKERS = 2
+
+_ANGLE_SHARE = 0.9
+"""Largest angle by the request's domain."""
+
+_BOUND = 0.3
+"""Relative error of a number about which the request says nothing."""
+
+_RUBBING = 0.04
+"""Largest Coulomb friction of arms that are drawn, by the torque of reference."""
+
+_SLOW_SHARE = 0.4
+"""Share of the slow part in the duration."""
+
+_SLOW_PERIODS = 2.0
+"""Periods of the slowest tone in the slow part."""
+
+_SLOW_TONES, _FAST_TONES = 5, 20
+_KNOTS = 5
+"""Frequencies of the fast part at which its amplitudes are chosen."""
+
+_BEYOND = 2.5
+"""Fastest tone by the joint's resonance."""
+
+_EDGE = 0.2
+"""Share of a part in which its window rises, and falls."""
+
+_TAIL = 2.0
+"""Time after the end in which the limits must still hold [s]."""
+
+
+class Limits(NamedTuple):
+    """Largest torque [N m], angle [rad] and velocity [rad/s] of link and motor."""
+
+    torque: float
+    angle: float
+    velocity: float
+
+    @classmethod
+    def of(
+        cls,
+        request: ArmRequest,
+        torque: float | None = None,
+        angle: float | None = None,
+        velocity: float | None = None,
+    ) -> "Limits":
+        """Return limits, those that are left out from a request.
+
+        Raises:
+            ModelError: A limit is out of range.
+        """
+        arm, known = request.arm, request.torque_limit
+        largest = known if known and known < NO_LIMIT else math.inf
+        if torque is None:
+            torque = min(0.5 * largest, arm.reference_torque)
+        if positive("max_torque", torque) > largest:
+            raise ModelError(
+                f"max_torque: expected at most the request's torque_limit = {largest:g} N m, got "
+                f"{torque:g}"
+            )
+        angle = _ANGLE_SHARE * request.x_max if angle is None else positive("max_angle", angle)
+        if angle > request.max_angle:
+            raise ModelError(
+                f"max_angle: expected at most the request's x_max = {request.x_max:g} rad, got "
+                f"{angle:g}"
+            )
+        if velocity is None:
+            velocity = float(request.reach[1])
+        return cls(torque, angle, positive("max_velocity", velocity))
+
+
+class TrialArm(NamedTuple):
+    """An arm that a request may mean, and its Coulomb friction at motor and link [N m]."""
+
+    arm: ElasticJointArm
+    friction: tuple[float, float] = (0.0, 0.0)
+
+
+def trial_arms(request: ArmRequest, draws: int, seed: int) -> list[TrialArm]:
+    """Return arms within a request's uncertainty: the nominal one, the corners and random ones.
+
+    Args:
+        request: Of the nominal arm; ±30 % where it names no uncertainty.
+        draws: Number of random ones.
+        seed: Of them.
+    """
+    arm, rng = request.arm, np.random.default_rng((seed, 1))
+    names = [name for name in UNCERTAINTY if getattr(arm, name)]
+    bounds = [min(request.uncertainty.get(UNCERTAINTY[name], _BOUND), 0.9) for name in names]
+    signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * len(names)), -1).reshape(-1, len(names))
+    found = [TrialArm(arm), *(TrialArm(_changed(arm, names, row * bounds)) for row in signs)]
+    for place in range(draws):
+        drawn = _changed(arm, names, rng.uniform(-1.0, 1.0, len(names)) * bounds)
+        for name in ("link_damping", "motor_damping"):
+            own = getattr(arm, name)
+            bound = request.uncertainty.get(name, _BOUND * own)
+            drawn = replace(drawn, **{name: max(0.0, own + bound * float(rng.uniform(-1.0, 1.0)))})
+        rub = _RUBBING * arm.reference_torque * rng.uniform(size=2) * (place % 2)
+        found.append(TrialArm(drawn, (float(rub[0]), float(rub[1]))))
+    return found
+
+
+def _changed(arm: ElasticJointArm, names: Sequence[str], errors: Array) -> ElasticJointArm:
+    """Return an arm with relative errors; those of inertias are of their inverses."""
+    changes = {}
+    for name, error in zip(names, errors.tolist(), strict=True):
+        inverse = UNCERTAINTY[name].endswith("inverse_inertia")
+        changes[name] = getattr(arm, name) * ((1.0 + error) ** (-1.0 if inverse else 1.0))
+    return replace(arm, **changes)
+
+
+def simulated(
+    request: ArmRequest,
+    trial: TrialArm,
+    torque: Array,
+    noise: ProcessNoise = ProcessNoise(0.0, 0.0),  # noqa: B008 (it is frozen)
+) -> Array:
+    """Return the true [q₁, q̇₁, q₂, q̇₂] of an arm from rest under a torque, shape (n, 4)."""
+    scenario = Scenario(
+        arm=trial.arm,
+        friction=Friction(motor_coulomb=trial.friction[0], link_coulomb=trial.friction[1]),
+        rate=request.rate,
+        process_noise=noise,
+        initial_state=(0.0,) * 4,
+        initial_spread=(0.0,) * 4,
+    )
+    inputs, torques = torque.reshape(1, -1, 1).copy(), np.zeros((1, len(torque), 2))
+    return np.asarray(ArmMotion(scenario, [0]).move(0, inputs, torques)[0][0])
+
+
+class Scaled(NamedTuple):
+    """A motion within limits.
+
+    Attributes:
+        torque: Shape (n,) [N m].
+        scale: What the angle was multiplied by.
+        reached: Largest torque [N m], angle [rad] and velocity [rad/s], shape (parts, 3).
+    """
+
+    torque: Array
+    scale: float
+    reached: Array
+
+    @property
+    def largest(self) -> Limits:
+        """Of all parts."""
+        return Limits(*self.reached.max(axis=0).tolist())
+
+
+class Part(NamedTuple):
+    """Consecutive samples with tones of their own.
+
+    Attributes:
+        begin: The first sample.
+        end: The one behind the last.
+        frequencies: Of the tones [rad/s], shape (tones,).
+        knots: Numbers that their amplitudes are interpolated from.
+    """
+
+    begin: int
+    end: int
+    frequencies: Array
+    knots: int
+
+
+class Genes(NamedTuple):
+    """What is searched for.
+
+    Attributes:
+        phases: Of the tones of each part [rad].
+        levels: Logarithms of torques at the knots of each part.
+        shares: Logarithms of the parts' sizes, shape (parts,).
+    """
+
+    phases: tuple[Array, ...]
+    levels: tuple[Array, ...]
+    shares: Array
+
+
+def slowest_mode(arm: ElasticJointArm) -> float:
+    """Return the frequency of the arm's swing, or half of the joint's resonance [rad/s]."""
+    swing = math.sqrt(arm.gravity_torque / (arm.link_inertia + arm.motor_inertia))
+    return min(swing or math.inf, 0.5 * resonance(arm))
+
+
+def resonance(arm: ElasticJointArm) -> float:
+    """Return the frequency at which link and motor swing against each other [rad/s]."""
+    return math.sqrt(arm.stiffness / arm.link_inertia + arm.stiffness / arm.motor_inertia)
+
+
+class Mover:
+    """The motions of a request's arm, and the torques for them.
+
+    Args:
+        request: Of the arm.
+        duration: Of a motion [s].
+
+    Attributes:
+        parts: The slow one, with many reversals, and the fast one.
+        times: Of the samples [s], shape (n,).
+        fastest: The fastest tone [rad/s].
+
+    Raises:
+        ModelError: The duration is too short.
+    """
+
+    def __init__(self, request: ArmRequest, duration: float) -> None:
+        self.request, arm = request, request.arm
+        count = math.floor(duration * request.rate + 1e-9) + 1
+        self.times = np.arange(count) / request.rate
+        slow_time = _SLOW_SHARE * duration
+        slowest = math.tau * _SLOW_PERIODS / slow_time
+        mode, joint = slowest_mode(arm), resonance(arm)
+        if slowest > mode:
+            least = math.tau * _SLOW_PERIODS / mode / _SLOW_SHARE
+            raise ModelError(
+                f"duration: expected at least {math.ceil(10.0 * least) / 10.0:g} s for "
+                f"{_SLOW_PERIODS:g} periods of the slowest frequency, {mode:.3g} rad/s, got "
+                f"{duration:g}"
+            )
+        fastest = min(_BEYOND * joint, math.tau * request.rate / 8.0)
+        if fastest < joint:
+            raise ModelError(
+                f"rate: expected at least {math.ceil(8.0 * joint / math.tau)} Hz for the joint's "
+                f"resonance of {joint:.4g} rad/s, got {request.rate:g}"
+            )
+        middle = round(slow_time * request.rate)
+        self.parts = (
+            Part(0, middle, np.geomspace(slowest, 3.0 * slowest, _SLOW_TONES), 2),
+            Part(
+                middle, count, np.geomspace(max(slowest, 0.5 * mode), fastest, _FAST_TONES), _KNOTS
+            ),
+        )
+        self.fastest, self._highest = fastest, 4.0 * fastest
+        self._gains = [self._angle_gain(part.frequencies) for part in self.parts]
+
+    def _angle_gain(self, frequencies: Array) -> Array:
+        """Return the link angle by the torque of some damping, shape (tones,) [rad/(N m)]."""
+        arm, s = self.request.arm, 1j * frequencies
+        link, motor = arm.link_inertia, arm.motor_inertia
+        rub_link = arm.link_damping + 0.1 * math.sqrt(link * (arm.stiffness + arm.gravity_torque))
+        rub_motor = arm.motor_damping + 0.1 * math.sqrt(motor * arm.stiffness)
+        spring = link * s * s + rub_link * s + arm.gravity_torque
+        torque = (motor * s * s + rub_motor * s) * (1.0 + spring / arm.stiffness) + spring
+        return np.asarray(1.0 / np.abs(torque))
+
+    def random(self, rng: np.random.Generator) -> Genes:
+        """Return tones of random phases and equal torques."""
+        phases = [rng.uniform(0.0, math.tau, len(part.frequencies)) for part in self.parts]
+        levels = tuple(np.zeros(part.knots) for part in self.parts)
+        return Genes(tuple(phases), levels, np.zeros(len(self.parts)))
+
+    def angle(self, genes: Genes, limits: Limits) -> Array:
+        """Return the link angle up to a scale; with shares of 0 each part alone is at its limits.
+
+        Args:
+            genes: Of the tones.
+            limits: Of the nominal arm.
+        """
+        # A held torque acts half a period later.
+        times = self.times + 0.5 / self.request.rate
+        total = np.zeros(len(times))
+        shares = np.exp(genes.shares - genes.shares.max()).tolist()
+        each = zip(self.parts, self._gains, genes.phases, genes.levels, shares, strict=True)
+        for part, gain, phases, levels, share in each:
+            logs = np.log(part.frequencies)
+            knots = np.linspace(logs[0], logs[-1], part.knots)
+            amplitudes = gain * np.exp(np.interp(logs, knots, levels))
+            within = np.arange(part.begin, part.end)
+            waves = np.sin(np.outer(times[within], part.frequencies) + phases)
+            angle = np.zeros(len(times))
+            angle[within] = window(len(within)) * (waves @ amplitudes)
+            angle *= limits.angle / max(float(np.abs(angle).max()), 1e-300)
+            velocity = float(np.abs(np.diff(angle)).max()) * self.request.rate
+            torque = float(np.abs(self.torque(angle)).max())
+            total += angle * share * min(1.0, limits.velocity / velocity, limits.torque / torque)
+        return total
+
+    def sine(self, frequency: float) -> Array:
+        """Return the link angle of one tone over all the time, up to a scale."""
+        wave = np.sin(frequency * (self.times + 0.5 / self.request.rate))
+        return np.asarray(window(len(wave)) * wave)
+
+    def torque(self, angle: Array) -> Array:
+        """Return the torque under which the nominal arm moves so, shape (n,) [N m]."""
+        arm = self.request.arm
+        rate = 1j * np.fft.rfftfreq(len(angle), self.request.period) * math.tau
+        rate[np.abs(rate) > self._highest] = 0.0
+
+        def moved(position: Array, inertia: float, damping: float) -> Array:
+            spectrum = np.fft.rfft(position) * (inertia * rate * rate + damping * rate)
+            return np.fft.irfft(spectrum, len(position))
+
+        spring = moved(angle, arm.link_inertia, arm.link_damping)
+        spring = spring + arm.gravity_torque * np.sin(angle)
+        motor = angle + spring / arm.stiffness
+        torque = moved(motor, arm.motor_inertia, arm.motor_damping) + spring
+        torque[0] = torque[-1] = 0.0
+        return np.asarray(torque)
+
+    def reached(self, torque: Array, arms: Sequence[TrialArm], edges: Sequence[int]) -> Array:
+        """Return torque, angle and velocity that arms reach, shape (parts, 3).
+
+        The time after the torque's end belongs to the last part.
+
+        Args:
+            torque: Shape (n,) [N m].
+            arms: The arms.
+            edges: First samples of the parts.
+        """
+        whole = np.concatenate([torque, np.zeros(round(_TAIL * self.request.rate))])
+        with ThreadPoolExecutor(WORKERS) as pool:
+            states = pool.map(lambda each: simulated(self.request, each, whole), arms)
+            sizes = [
+                np.maximum.reduceat(np.abs(each), list(edges), axis=0).reshape(-1, 2, 2).max(axis=1)
+                for each in states
+            ]
+        worst = np.max(sizes, axis=0)
+        torques = np.maximum.reduceat(np.abs(whole), list(edges))
+        return np.column_stack([torques, worst])
+
+    def scaled(
+        self,
+        angle: Array,
+        arms: Sequence[TrialArm],
+        limits: Limits,
+        *,
+        scale: float = 1.0,
+        rounds: int = 2,
+    ) -> Scaled:
+        """Return a motion that is as large as the limits allow.
+
+        Args:
+            angle: Of the link, up to a scale, shape (n,).
+            arms: That must stay within the limits.
+            limits: With a margin.
+            scale: To start from.
+            rounds: Number of corrections upwards; it is then made smaller until the limits hold.
+        """
+        count, edges = 0, [part.begin for part in self.parts]
+        while True:
+            torque = self.torque(scale * angle)
+            reached = self.reached(torque, arms, edges)
+            ratio = max(float((reached / np.array(limits)).max()), 1e-9)
+            if count >= rounds and ratio <= 1.0:
+                return Scaled(torque, scale, reached)
+            scale *= min(max(0.99 / ratio, 0.1), 3.0 if count < rounds else 1.0)
+            # Beyond its limit of angle nothing is gained.
+            scale = min(scale, limits.angle / float(np.abs(angle).max()))
+            count += 1
+
+
+def window(count: int) -> Array:
+    """Return a window that rises from rest and falls to rest, with four smooth derivatives."""
+    at = np.arange(count) / max(count - 1, 1)
+    rise = np.clip(np.minimum(at, 1.0 - at) / _EDGE, 0.0, 1.0)
+    return np.asarray(
+        rise**5 * (126.0 + rise * (-420.0 + rise * (540.0 + rise * (-315.0 + rise * 70.0))))
+    )
