@@ -5,7 +5,7 @@
 import argparse
 from pathlib import Path
 
-from tsobs_ros.cli.common import Commands, add_json, note, positive, progress, show
+from tsobs_ros.cli.common import Commands, add_json, at_least_one, note, positive, progress, show
 from tsobs_ros.errors import ParameterError, printable
 from tsobs_ros.files import require_new
 
@@ -40,6 +40,10 @@ def add_parser(commands: Commands) -> None:
         help="a number to show, or a group, as of fit; can be repeated (default: all but "
         "torque.gain)",
     )  # fmt: skip
+    excite.add_argument(
+        "--candidates", type=at_least_one, metavar="N",
+        help="motions that the search tries (default: 120, fewer of more than 30 s)",
+    )  # fmt: skip
     excite.add_argument("--seed", type=int, default=0, help="of the search (default: 0)")
     add_json(excite)
     excite.set_defaults(command=run)
@@ -64,6 +68,7 @@ def run(options: argparse.Namespace) -> int:
             max_velocity=options.max_velocity,
             free=options.free,
             seed=options.seed,
+            candidates=options.candidates,
             advance=advance,
         )
     found.save(options.output, force=options.force)

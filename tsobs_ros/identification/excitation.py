@@ -32,10 +32,10 @@ from tsobs_ros.identification.motion import (
 )
 from tsobs_ros.model.arm import QUANTITIES
 
-MARGIN = 0.1
+MARGIN = 0.15
 """Share of the limits of angle and velocity that the arms that are tried leave free."""
 
-_DRAWS = 24
+_DRAWS = 64
 _TRIED = 4
 """Arms that candidates are simulated with: those that went farthest."""
 
@@ -108,9 +108,11 @@ class _Search:
         """Return the mean log of 1σ of the wanted numbers."""
         return float(np.log(std[self._wanted]).mean())
 
-    def _try(self, genes: Genes, arms: Sequence[TrialArm], scale: float) -> _Candidate:
+    def _try(
+        self, genes: Genes, arms: Sequence[TrialArm], scale: float, rounds: int = 1
+    ) -> _Candidate:
         angle = self.mover.angle(genes, self.limits)
-        made = self.mover.scaled(angle, arms, self.limits, scale=scale)
+        made = self.mover.scaled(angle, arms, self.limits, scale=scale, rounds=rounds)
         self._advance(1)
         return _Candidate(self.mean(self.std(made.torque)), genes, made.scale)
 
@@ -123,7 +125,7 @@ class _Search:
         """
         starts = [self.mover.random(self._rng) for _ in range(min(_STARTS, candidates))]
         arms = self._farthest(starts[0], all_arms, 0.3)
-        found = min((self._try(each, arms, 0.3) for each in starts), key=lambda one: one.cost)
+        found = min((self._try(each, arms, 0.3, 3) for each in starts), key=lambda one: one.cost)
         size = 0.5
         for _ in range(_STAGES):
             arms = self._farthest(found.genes, all_arms, found.scale)
@@ -146,9 +148,8 @@ class _Search:
     def _farthest(self, genes: Genes, arms: Sequence[TrialArm], scale: float) -> list[TrialArm]:
         """Return the nominal arm and those that come closest to their limits, or beyond."""
         torque = self.mover.torque(scale * self.mover.angle(genes, self.limits))
-        reached = [self.mover.reached(torque, [each], [0])[0, 1:] for each in arms]
-        shares = [float((each / self.limits[1:]).max()) for each in reached]
-        order = sorted(range(1, len(arms)), key=lambda at: -shares[at])
+        shares = (self.mover.reached(torque, arms)[:, 1:] / self.limits[1:]).max(axis=1)
+        order = sorted(range(1, len(arms)), key=lambda at: -float(shares[at]))
         return [arms[at] for at in (0, *order[:_TRIED])]
 
 
@@ -161,6 +162,7 @@ def excite(
     max_velocity: float | None = None,
     free: Sequence[str] = (),
     seed: int = 0,
+    candidates: int | None = None,
     advance: Callable[[int], None] = lambda _: None,
 ) -> Excitation:
     """Return a torque motion within limits that shows a joint's numbers to `fit`.
@@ -177,6 +179,7 @@ def excite(
         max_velocity: Largest velocity of both [rad/s]; that of the request's reach.
         free: Names of the wanted numbers, as of `fit`; all but the torque's gain if empty.
         seed: Of the search: the same seed gives the same motion.
+        candidates: Number of motions that the search tries; 120, fewer of long ones, if None.
         advance: Called with the number of motions that were tried, for progress.
 
     Raises:
@@ -184,7 +187,7 @@ def excite(
             could be measured, or the duration is too short for the slowest frequency.
 
     >>> import tsobs_ros as ts
-    >>> motion = ts.excite(ts.ArmRequest(rate=50.0), duration=20.0, free=["stiffness"])
+    >>> motion = ts.excite(ts.ArmRequest(rate=50.0), duration=20.0, candidates=4)
     >>> motion.number("stiffness").std < motion.number("stiffness").prior_std
     True
     >>> motion.time.shape, bool(abs(motion.torque).max() <= motion.limits.torque)
@@ -194,14 +197,26 @@ def excite(
         raise ModelError("request: expected one for an arm; a T-S system has no numbers to fit")
     if positive("duration", duration) > _LONGEST:
         raise ModelError(f"duration: expected at most {_LONGEST:g} s, got {duration:g}")
-    limits = Limits.of(request, max_torque, max_angle, max_velocity)
+    limits, path = Limits.of(request, max_torque, max_angle, max_velocity), request.torque
+    at_motor = path.gain * limits.torque - abs(path.offset)
+    if at_motor <= 0.0:
+        raise ModelError(
+            f"max_torque: expected more than the offset of the request's torque takes, "
+            f"{abs(path.offset) / path.gain:g} N m, got {limits.torque:g}"
+        )
+    # What a fit would find of delays, gain and offset does not depend on theirs.
+    known, request = request, request.at_rate(request.rate)
     mover = Mover(request, duration)
-    inner = Limits(limits.torque, *((1.0 - MARGIN) * each for each in limits[1:]))
+    inner = Limits(at_motor, *((1.0 - MARGIN) * each for each in limits[1:]))
     arms = trial_arms(request, _DRAWS, seed)
     whole = _Search(mover, free, inner, seed, advance)
     thinned = _thinned(request, mover.fastest)
     search = _Search(Mover(thinned, duration), free, inner, seed, advance)
-    candidates = max(_LEAST_CANDIDATES, round(_CANDIDATES * min(1.0, _FULL_TIME / duration)))
+    if candidates is None:
+        share = min(1.0, _FULL_TIME / duration)
+        candidates = max(_LEAST_CANDIDATES, round(_CANDIDATES * share))
+    elif candidates < 1:
+        raise ModelError(f"candidates: expected at least 1, got {candidates}")
     # What is too small to be measured needs no search.
     first = mover.angle(mover.random(np.random.default_rng(seed)), inner)
     _require_visible(request, mover.scaled(first, arms[:1], inner), limits)
@@ -223,15 +238,17 @@ def excite(
             whole.unknowns.numbers, after.tolist(), sine.tolist(), strict=True
         )
     )
+    commands = (made.torque - path.offset) / path.gain
+    largest = float(np.abs(commands).max())
     return Excitation(
-        request=request,
+        request=known,
         time=mover.times,
-        torque=made.torque,
+        torque=commands,
         angles=states[:, ::2],
         numbers=numbers,
         limits=limits,
-        nominal=Limits(*mover.reached(made.torque, arms[:1], [0])[0].tolist()),
-        worst=made.largest,
+        nominal=Limits(largest, *mover.reached(made.torque, arms[:1])[0, 1:].tolist()),
+        worst=made.reached._replace(torque=largest),
         arms=len(arms),
         frequencies=(float(mover.parts[0].frequencies[0]), mover.fastest),
         plain=(float(np.abs(plain).max()), frequency),
@@ -277,7 +294,7 @@ def _require_visible(request: ArmRequest, made: Scaled, limits: Limits) -> None:
     moved = np.abs(states[:, columns]).max(axis=0)
     if (moved > request.output_std).any():
         return
-    shares = {name: getattr(made.largest, name) / getattr(limits, name) for name in limits._fields}
+    shares = {name: getattr(made.reached, name) / getattr(limits, name) for name in limits._fields}
     name = max(shares, key=shares.__getitem__)
     output = request.sensors[0].measures
     raise ModelError(

@@ -56,6 +56,9 @@ _BEYOND = 2.5
 _EDGE = 0.2
 """Share of a part in which its window rises, and falls."""
 
+_NEAR = 8
+"""Arms that go farthest at first, by which motions are made larger or smaller."""
+
 _TAIL = 2.0
 """Time after the end in which the limits must still hold [s]."""
 
@@ -119,15 +122,24 @@ def trial_arms(request: ArmRequest, draws: int, seed: int) -> list[TrialArm]:
     names = [name for name in UNCERTAINTY if getattr(arm, name)]
     bounds = [min(request.uncertainty.get(UNCERTAINTY[name], _BOUND), 0.9) for name in names]
     signs = np.stack(np.meshgrid(*[(-1.0, 1.0)] * len(names)), -1).reshape(-1, len(names))
-    found = [TrialArm(arm), *(TrialArm(_changed(arm, names, row * bounds)) for row in signs)]
+    dampings = {name: getattr(arm, name) for name in ("link_damping", "motor_damping")}
+    spreads = {name: request.uncertainty.get(name, _BOUND * b) for name, b in dampings.items()}
+    # The least damping lets resonances grow most.
+    least = {name: max(0.0, own - spreads[name]) for name, own in dampings.items()}
+    slack = replace(arm, **least)
+    found = [TrialArm(arm), *(TrialArm(_changed(slack, names, row * bounds)) for row in signs)]
     for place in range(draws):
-        drawn = _changed(arm, names, rng.uniform(-1.0, 1.0, len(names)) * bounds)
-        for name in ("link_damping", "motor_damping"):
-            own = getattr(arm, name)
-            bound = request.uncertainty.get(name, _BOUND * own)
-            drawn = replace(drawn, **{name: max(0.0, own + bound * float(rng.uniform(-1.0, 1.0)))})
-        rub = _RUBBING * arm.reference_torque * rng.uniform(size=2) * (place % 2)
-        found.append(TrialArm(drawn, (float(rub[0]), float(rub[1]))))
+        drawn = _changed(slack, names, rng.uniform(-1.0, 1.0, len(names)) * bounds)
+        friction = (0.0, 0.0)
+        if place % 2:
+            more = {
+                name: each + float(rng.uniform(0.0, 2.0)) * spreads[name]
+                for name, each in least.items()
+            }
+            drawn = replace(drawn, **more)
+            rub = _RUBBING * arm.reference_torque * rng.uniform(size=2)
+            friction = (float(rub[0]), float(rub[1]))
+        found.append(TrialArm(drawn, friction))
     return found
 
 
@@ -165,17 +177,12 @@ class Scaled(NamedTuple):
     Attributes:
         torque: Shape (n,) [N m].
         scale: What the angle was multiplied by.
-        reached: Largest torque [N m], angle [rad] and velocity [rad/s], shape (parts, 3).
+        reached: Largest torque [N m], angle [rad] and velocity [rad/s].
     """
 
     torque: Array
     scale: float
-    reached: Array
-
-    @property
-    def largest(self) -> Limits:
-        """Of all parts."""
-        return Limits(*self.reached.max(axis=0).tolist())
+    reached: Limits
 
 
 class Part(NamedTuple):
@@ -329,26 +336,24 @@ class Mover:
         torque[0] = torque[-1] = 0.0
         return np.asarray(torque)
 
-    def reached(self, torque: Array, arms: Sequence[TrialArm], edges: Sequence[int]) -> Array:
-        """Return torque, angle and velocity that arms reach, shape (parts, 3).
-
-        The time after the torque's end belongs to the last part.
+    def reached(self, torque: Array, arms: Sequence[TrialArm]) -> Array:
+        """Return torque, angle and velocity that each arm reaches, shape (arms, 3).
 
         Args:
-            torque: Shape (n,) [N m].
+            torque: Shape (n,) [N m]; the time after its end counts too.
             arms: The arms.
-            edges: First samples of the parts.
         """
         whole = np.concatenate([torque, np.zeros(round(_TAIL * self.request.rate))])
+
+        def sizes(arm: TrialArm) -> list[float]:
+            link, link_speed, motor, motor_speed = (
+                np.abs(simulated(self.request, arm, whole)).max(axis=0).tolist()
+            )
+            return [max(link, motor), max(link_speed, motor_speed)]
+
         with ThreadPoolExecutor(WORKERS) as pool:
-            states = pool.map(lambda each: simulated(self.request, each, whole), arms)
-            sizes = [
-                np.maximum.reduceat(np.abs(each), list(edges), axis=0).reshape(-1, 2, 2).max(axis=1)
-                for each in states
-            ]
-        worst = np.max(sizes, axis=0)
-        torques = np.maximum.reduceat(np.abs(whole), list(edges))
-        return np.column_stack([torques, worst])
+            found = list(pool.map(sizes, arms))
+        return np.column_stack([np.full(len(arms), np.abs(torque).max()), np.array(found)])
 
     def scaled(
         self,
@@ -368,13 +373,17 @@ class Mover:
             scale: To start from.
             rounds: Number of corrections upwards; it is then made smaller until the limits hold.
         """
-        count, edges = 0, [part.begin for part in self.parts]
+        count, near = 0, list(arms)
         while True:
             torque = self.torque(scale * angle)
-            reached = self.reached(torque, arms, edges)
+            each = self.reached(torque, near if count < rounds else arms)
+            if count == 0:
+                order = np.argsort(-(each / np.array(limits)).max(axis=1), kind="stable")
+                near = [arms[at] for at in order[:_NEAR].tolist()]
+            reached = each.max(axis=0)
             ratio = max(float((reached / np.array(limits)).max()), 1e-9)
             if count >= rounds and ratio <= 1.0:
-                return Scaled(torque, scale, reached)
+                return Scaled(torque, scale, Limits(*reached.tolist()))
             scale *= min(max(0.99 / ratio, 0.1), 3.0 if count < rounds else 1.0)
             # Beyond its limit of angle nothing is gained.
             scale = min(scale, limits.angle / float(np.abs(angle).max()))

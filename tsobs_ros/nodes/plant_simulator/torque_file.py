@@ -3,14 +3,14 @@
 """A recorded torque as a signal of the simulated plant."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.errors import ModelError
+from tsobs_ros.errors import LogError, ModelError
 from tsobs_ros.replay.torque_file import TorqueSeries, read_torques
 from tsobs_ros.simulation.signals import EXCITATIONS, Signal
 
@@ -28,24 +28,25 @@ class TorqueFile(Signal, kind="file"):
         file: Path of the file, with columns `time` and `torque`.
 
     Raises:
-        ModelError: The path is empty.
-        LogError: The file cannot be used.
+        ModelError: There is no path, or the file cannot be used.
     """
 
     file: str = ""
+    _series: TorqueSeries = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.file:
-            raise ModelError("excitation file: expected a CSV file of time and torque")
-        self._series()
-
-    def _series(self) -> TorqueSeries:
+            raise ModelError("file: expected a CSV file of time and torque")
         path = Path(self.file)
-        return _read(path, path.stat().st_mtime_ns if path.exists() else 0)
+        try:
+            series = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
+        except LogError as error:
+            raise ModelError(str(error)) from error
+        object.__setattr__(self, "_series", series)
 
     def _at(self, times: Array) -> Array:
-        series = self._series()
+        series = self._series
         places = np.searchsorted(series.time, times + _LATE, side="right") - 1
         is_on = (places >= 0) & (times <= series.time[-1] + _LATE)
         return np.where(is_on, series.torque[places], 0.0)

@@ -1,0 +1,206 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Motions keep their limits, show what is wanted, and lead a fit to the truth."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tsobs_ros as ts
+from tsobs_ros.cli.main import main
+from tsobs_ros.design.file import load_request
+from tsobs_ros.design.request import Output, TorquePath
+from tsobs_ros.errors import LogError, ModelError, OutputError
+from tsobs_ros.identification.expected import Excitation
+from tsobs_ros.identification.motion import trial_arms
+from tsobs_ros.replay.torque_file import read_torques
+from tsobs_ros.resources import config_path
+
+GEARED = ts.ArmRequest(
+    ts.ElasticJointArm(1.0, 0.6, 150.0, 12.0, 0.2, 0.3),
+    rate=100.0,
+    outputs=(Output("motor_angle", 1e-3),),
+    uncertainty={},
+)
+VERTICAL = replace(
+    GEARED,
+    arm=replace(GEARED.arm, gravity_torque=0.0),
+    outputs=(Output("motor_angle", 1e-3), Output("link_angle", 1e-3)),
+)
+REST = (0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module", params=[GEARED, VERTICAL], ids=["gravity", "vertical"])
+def motion(request: pytest.FixtureRequest) -> Excitation:
+    return ts.excite(request.param, duration=12.0, max_velocity=3.0, seed=3, candidates=40)
+
+
+def test_limits_hold_for_arms_that_the_search_did_not_see(motion: Excitation) -> None:
+    request, limits = motion.request, motion.limits
+    quiet = np.concatenate([motion.torque, np.zeros(100)])
+    for trial in trial_arms(request, 20, seed=99):
+        run = ts.simulate(
+            trial.arm,
+            rate=request.rate,
+            duration=(len(quiet) - 1) / request.rate,
+            torque=quiet,
+            initial_state=REST,
+            friction={"motor_coulomb": trial.friction[0], "link_coulomb": trial.friction[1]},
+        )
+        assert np.abs(run.state[:, ::2]).max() <= limits.angle
+        assert np.abs(run.state[:, 1::2]).max() <= limits.velocity
+    assert np.abs(motion.torque).max() <= limits.torque
+
+
+def test_a_motion_begins_and_ends_at_rest(motion: Excitation) -> None:
+    run = ts.simulate(
+        motion.request.arm, rate=100.0, duration=12.0, torque=motion.torque, initial_state=REST
+    )
+
+    assert motion.torque[0] == motion.torque[-1] == 0.0
+    assert np.abs(np.diff(motion.torque)).max() < 0.5 * np.abs(motion.torque).max()
+    # But for what holding the torque from sample to sample changes.
+    assert np.abs(run.state[-1]).max() < 0.02 * motion.limits.velocity
+    assert np.abs(run.state[:, ::2] - motion.angles).max() < 0.05
+
+
+def test_a_motion_shows_more_than_a_plain_sine(motion: Excitation) -> None:
+    assert motion.gain > 1.5
+    assert motion.number("motor_damping").std < 0.5 * motion.number("motor_damping").plain_std
+    assert {"arm.stiffness", "arm.link_inertia", "arm.motor_inertia"}.isdisjoint(motion.unseen)
+    assert f"{motion.gain:.3g} times smaller" in str(motion)
+
+
+def test_a_seed_gives_one_motion() -> None:
+    first, again, other = (
+        ts.excite(GEARED, duration=12.0, free=["stiffness"], seed=seed, candidates=3)
+        for seed in (1, 1, 2)
+    )
+
+    assert np.array_equal(first.torque, again.torque)
+    assert first.summary() == again.summary()
+    assert not np.array_equal(first.torque, other.torque)
+
+
+def test_a_fit_of_the_motion_finds_the_arm_behind_a_wrong_sheet() -> None:
+    true = GEARED.arm
+    sheet = replace(
+        GEARED,
+        arm=replace(
+            true,
+            stiffness=1.3 * true.stiffness,
+            gravity_torque=0.75 * true.gravity_torque,
+            link_inertia=1.25 * true.link_inertia,
+            motor_inertia=0.8 * true.motor_inertia,
+        ),
+    )
+    motion = ts.excite(sheet, duration=15.0, candidates=40)
+    run = ts.simulate(
+        replace(sheet, arm=true), duration=15.0, torque=motion.torque, initial_state=REST, seed=5
+    )
+    found = ts.fit(sheet, (run.time, run.angle, run.torque), held_out=0.0)
+
+    for name in ("stiffness", "gravity_torque", "link_inertia", "motor_inertia"):
+        number = found.number(name)
+        assert abs(number.value - getattr(true, name)) < 3.0 * number.std, name
+        # It was expected about as well as it came out.
+        assert number.std < 4.0 * motion.number(name).std, name
+
+
+def test_a_command_is_what_the_request_s_torque_path_makes_the_motor_s_torque_of() -> None:
+    request = replace(GEARED, torque=TorquePath(gain=2.0, offset=0.1))
+    motion = ts.excite(request, duration=12.0, free=["stiffness"], candidates=3)
+    direct = ts.excite(
+        GEARED,
+        duration=12.0,
+        free=["stiffness"],
+        max_torque=2.0 * motion.limits.torque - 0.1,
+        candidates=3,
+    )
+
+    np.testing.assert_allclose(2.0 * motion.torque + 0.1, direct.torque, atol=1e-12)
+    assert np.abs(motion.torque).max() <= motion.limits.torque
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"duration": 1.0}, r"duration: expected at least .* slowest frequency"),
+        ({"duration": 1e4}, "duration: expected at most"),
+        ({"max_torque": 1e-4}, "max_torque: 0.0001 allows no motion that can be measured"),
+        ({"max_velocity": 1e-4}, "max_velocity: 0.0001 allows no motion"),
+        ({"max_angle": 1e-4}, "max_angle: 0.0001 allows no motion"),
+        ({"max_angle": 1.5}, "max_angle: expected at most the request's x_max"),
+        ({"max_torque": -1.0}, "max_torque"),
+        ({"candidates": 0}, "candidates"),
+        ({"free": ["stifness"]}, "stiffness"),
+    ],
+)
+def test_what_no_motion_can_satisfy_is_refused(changes: dict, match: str) -> None:
+    with pytest.raises(ModelError, match=match):
+        ts.excite(GEARED, **changes)
+
+
+def test_requests_that_no_motion_suits_are_refused() -> None:
+    with pytest.raises(ModelError, match="torque_limit = 5 N m, got 6"):
+        ts.excite(replace(GEARED, torque_limit=5.0), max_torque=6.0)
+    with pytest.raises(ModelError, match="rate: expected at least"):
+        ts.excite(replace(GEARED, rate=15.0))
+    with pytest.raises(ModelError, match="offset"):
+        ts.excite(replace(GEARED, torque=TorquePath(offset=2.0)), max_torque=1.0)
+    with pytest.raises(ModelError, match="T-S system"):
+        ts.excite(load_request(config_path("ts_example.request.yaml")))
+
+
+def test_the_command_writes_a_file_once(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    request, output = config_path("motor_encoder.request.yaml"), tmp_path / "motion.csv"
+    call = ["excite", str(request), "--output", str(output), "--free", "stiffness"]
+    call += ["--candidates", "4"]
+    assert main([*call, "--duration", "17", "--max-angle", "0.4", "--json"]) == 0
+    assert '"plain_sine"' in capsys.readouterr().out
+    text = output.read_text()
+    time, torque = read_torques(output)
+
+    assert text.count("\n") > len(time)
+    assert "time [s],torque [N m],expected_link_angle" in text
+    assert time[-1] == 17.0
+    assert np.abs(torque).max() > 0.0
+    assert main(call) == 1
+    assert "exists already; --force" in capsys.readouterr().err
+    assert output.read_text() == text
+    motion = ts.excite(
+        load_request(request), free=["stiffness"], duration=17.0, max_angle=0.4, candidates=4
+    )
+    with pytest.raises(OutputError, match="exists already"):
+        motion.save(output)
+    motion.save(output, force=True)
+    assert output.read_text() == text
+    assert list(tmp_path.iterdir()) == [output]
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("", "empty"),
+        ("time,torque\n", "no lines below"),
+        ("time,angle\n0,1\n", "no column is called 'torque'"),
+        ("time,torque [V]\n0,1\n", "unit 'V' of torque is not known"),
+        ("time,torque\n0,1\n0,2\n", "line 3: its time is not after"),
+        ("time,torque\n0,\n", "line 2: expected a time and a finite torque"),
+        ("time,torque\n0,x\n", "line 2, column 'torque'"),
+    ],
+)
+def test_torque_files_of_no_use_are_refused(tmp_path: Path, text: str, match: str) -> None:
+    path = tmp_path / "motion.csv"
+    path.write_text(text)
+    with pytest.raises(LogError, match=f"motion.csv: .*{match}"):
+        read_torques(path)
+
+
+def test_a_torque_file_may_have_other_units_and_begin_later(tmp_path: Path) -> None:
+    path = tmp_path / "motion.csv"
+    path.write_text("time [ms];torque [Nmm]\n10;500\n20;1500\n")
+
+    assert [each.tolist() for each in read_torques(path)] == [[0.0, 0.01], [0.5, 1.5]]
