@@ -21,9 +21,10 @@ _FIELD = re.compile(
     r"[A-Za-z]\w*\s*(?P<constant>=)?",
     re.ASCII,
 )
-_SIZES: Mapping[str, int] = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
+SIZES: Mapping[str, int] = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
     f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
+"""Bytes of each primitive type but strings."""
 
 
 class CdrReader:
@@ -183,8 +184,8 @@ class MessageLayout:
                 count = int(match["size"])
             if kind in ("wstring", "wchar"):
                 raise UnknownLayoutError(f"{name} has a {kind}")
-            if kind == "string" or kind in _SIZES:
-                found.append((_SIZES.get(kind), count))
+            if kind == "string" or kind in SIZES:
+                found.append((SIZES.get(kind), count))
                 continue
             full = kind if "/" in kind else f"{name.partition('/')[0]}/{kind}"
             inner = self._fields_of(_short(full), (*within, name))

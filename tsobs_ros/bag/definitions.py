@@ -21,6 +21,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from tsobs_ros.bag.cdr import SIZES
 from tsobs_ros.errors import BagWriteError
 
 _SEPARATOR = "=" * 80
@@ -32,9 +33,7 @@ _FIELD_TYPE = re.compile(
 )
 _IDL_INCLUDE = re.compile(r"^#include\s+[\"<]([A-Za-z0-9_/]+)\.idl[\">]", flags=re.MULTILINE)
 # Without wstring: rosbag2 stores a message with one in IDL.
-_PRIMITIVES = frozenset({"bool", "byte", "char", "float32", "float64", "string"}) | {
-    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
-}
+_PRIMITIVES = {"string", *SIZES}
 # Types composed from the parts between the `---` of a .srv or .action file: the type's suffix,
 # and the part's number or a text in which {} is the file's type without suffix.
 _EVENT = (
