@@ -29,6 +29,19 @@ def open_regular(path: Path) -> IO[bytes]:
     return open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
 
 
+def fsync_folder(folder: Path) -> None:
+    """Force a folder's entries to the disk: a new file is lost without its name.
+
+    Raises:
+        OSError: The folder cannot be opened or the disk fails.
+    """
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def require_nameable(path: Path) -> None:
     """Refuse a path to write that no bag, page or message can name, or that leads nowhere.
 

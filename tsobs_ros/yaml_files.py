@@ -8,6 +8,7 @@ memory and endless to walk through (aliases of aliases), or calculate for minute
 half a million digits in base 60). None of our files needs any of this.
 """
 
+import os
 import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -18,7 +19,7 @@ from typing import Any
 import yaml
 
 from tsobs_ros.errors import DesignFileError, TsobsError
-from tsobs_ros.files import open_regular
+from tsobs_ros.files import fsync_folder, open_regular
 
 MAX_BYTES = 1 << 20
 """Largest size of a file, and of a text in one."""
@@ -108,21 +109,34 @@ def yaml_text(header: str, data: Mapping[str, Any]) -> str:
     return header + text
 
 
-def write_yaml(path: str | PathLike[str], text: str) -> None:
-    """Write a design file; an existing file is replaced only once the new one is complete.
+def write_yaml(
+    path: str | PathLike[str],
+    text: str,
+    what: str = "the design file",
+    error: Callable[[str], TsobsError] = DesignFileError,
+) -> None:
+    """Replace a file by a new one in one step, which a power cut cannot halve.
+
+    Args:
+        path: The file.
+        text: Its content.
+        what: Its name for errors.
+        error: The kind of error to raise.
 
     Raises:
-        DesignFileError: The file cannot be written.
+        TsobsError: The file cannot be written.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.partial")
     try:
-        temporary.write_text(text, encoding="utf-8")
+        with temporary.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
         temporary.replace(path)
+        fsync_folder(path.parent)
     except OSError as problem:
-        raise DesignFileError(
-            f"{path}: cannot write the design file: {problem.strerror or problem}"
-        ) from problem
+        raise error(f"{path}: cannot write {what}: {problem.strerror or problem}") from problem
     finally:
         with suppress(OSError):
             temporary.unlink()

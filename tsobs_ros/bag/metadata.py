@@ -2,10 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics, QoS and files of a bag, and its `metadata.yaml` of version 9, which Jazzy writes."""
 
-import os
 import re
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -16,7 +14,7 @@ from mcap.records import Channel
 
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.errors import BagReadError, BagWriteError
-from tsobs_ros.yaml_files import MAX_BYTES, load_yaml, read_yaml
+from tsobs_ros.yaml_files import MAX_BYTES, load_yaml, read_yaml, write_yaml
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"
@@ -342,19 +340,7 @@ def write_metadata(folder: Path, metadata: BagMetadata) -> None:
     Raises:
         BagWriteError: The file cannot be written.
     """
-    path = folder / FILE_NAME
-    temporary = path.with_suffix(".yaml.tmp")
-    try:
-        with temporary.open("w", encoding="utf-8") as stream:
-            stream.write(_dump({ROOT_KEY: metadata.to_map()}))
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-        fsync_folder(folder)
-    except OSError as error:
-        with suppress(OSError):
-            temporary.unlink()
-        raise BagWriteError(f"{path}: cannot write it: {error}") from error
+    write_yaml(folder / FILE_NAME, _dump({ROOT_KEY: metadata.to_map()}), "it", BagWriteError)
 
 
 def read_metadata(folder: Path) -> BagMetadata:
@@ -378,19 +364,6 @@ def read_metadata(folder: Path) -> BagMetadata:
         return BagMetadata.from_map(root[ROOT_KEY])
     except ValueError as error:
         raise BagReadError(f"{path}: {error}") from error
-
-
-def fsync_folder(folder: Path) -> None:
-    """Force a folder's entries to the disk: a new file is lost without its name.
-
-    Raises:
-        OSError: The folder cannot be opened or the disk fails.
-    """
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _checked(values: object, kind: type[_Kind], what: str) -> _Kind:

@@ -27,12 +27,11 @@ from tsobs_ros.bag.metadata import (
     FileMetadata,
     QosProfile,
     TopicInfo,
-    fsync_folder,
     write_metadata,
 )
 from tsobs_ros.bag.reader import pieces
 from tsobs_ros.errors import BagWriteError
-from tsobs_ros.files import written_whole
+from tsobs_ros.files import fsync_folder, written_whole
 
 LIBRARY = "tsobs_ros"
 CHUNK_SIZE = 786_432
