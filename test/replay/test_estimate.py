@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import tsobs_ros as ts
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.design.request import ArmRequest
@@ -140,6 +141,16 @@ def test_lost_messages_of_the_tick_log_are_named(arms, write_bag, estimate, tmp_
     assert (agreement.recorded, agreement.lost_ticks) == (100, 2)
     assert agreement.reproduced < 100
     assert "its tick log lacks 2 ticks" in agreement.text()
+
+
+def test_a_tick_log_alone_leaves_nothing_to_reproduce(
+    arms, write_bag, estimate, tmp_path, design
+) -> None:
+    estimate(write_bag(arms.messages(50)), output="live")
+    ticks = [one for one in observed(tmp_path / "live") if one[0] == "/observer/ticks"]
+    bag = write_bag(sorted([*arms.messages(50), *ticks], key=lambda one: one[2]), "other")
+
+    assert ts.estimate_bag(bag, design).reproduced is None
 
 
 @pytest.mark.parametrize("joints", [1, 2])
