@@ -4,13 +4,15 @@
 
 from collections import Counter
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
-from staging import to_stamp, values
+from staging import start, to_stamp, values
 from staging.arm import Arm
 from staging.stage import (
     BEGIN,
@@ -24,9 +26,14 @@ from staging.stage import (
     replayed,
     tracker_of,
 )
+from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from tsobs_ros.design.published import read_record
 from tsobs_ros.estimation.records import Innovation
+from tsobs_ros.methods import ObserverSettings
+from tsobs_ros.nodes.messages import LATCHED
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 
 JOINT = "elastic_joint"
@@ -297,3 +304,48 @@ def test_on_the_systems_clock_in_a_namespace_it_ticks_all_by_itself(stage: Stage
     assert 0.0 < float(timing["latency p50 [ms]"]) <= float(timing["latency p99 [ms]"])
     assert stage.call(Trigger, "/left/observer/reset").success
     assert observer.joints[0].tracker.used == 0
+
+
+def test_parameters_are_refused_with_a_reason_or_taken_over_by_all_joints_and_published(
+    ros: Any, tmp_path: Path
+) -> None:
+    shipped, own = config_path(SHIPPED_DESIGN), tmp_path / "own.design.yaml"
+    own.write_text(shipped.read_text(encoding="utf-8") + "# own\n", encoding="utf-8")
+    given = {"joints": ["hip", "knee"], "joint_designs": [str(own), ""], "settle_time": 1.5}
+    node = start(ros, "observer", **given)
+    assert [joint.loaded.name for joint in node.joints] == [str(own), str(shipped)]
+    gates = [joint.tracker.estimator.model["gate"] for joint in node.joints]
+    before = node.parameters
+    too_late = {"supervision.gate": 4.0, "fault.hold": 1.0, "coast_after": 10.0}
+    for changes, reason in (
+        ({"design": "other.yaml"}, "read-only"),
+        ({"when_stale": "loud"}, "must be one of"),
+        ({"supervision.gate": 0.5}, "out of range"),
+        ({"fault.warn": 0.6}, "'fault.*': disturbance error level: expected at least"),
+        (too_late, "coast_after: expected at most stale_after"),
+    ):
+        parameters = [Parameter(name, value=value) for name, value in changes.items()]
+        result = node.set_parameters_atomically(parameters)
+        assert not result.successful
+        assert reason in result.reason
+        assert node.parameters == before
+        assert node.get_parameter("supervision.gate").value == 5.0
+    assert [gate.tolist() for gate in gates] == [[5.0], [5.0]]
+    assert node.set_parameters_atomically(parameters[:2]).successful
+    for joint in node.joints:
+        assert joint.faults[0].limits.hold == 1.0
+        assert joint.tracker.estimator.model["gate"].tolist() == [4.0]
+
+    # For those who come later too.
+    received: list[String] = []
+    ros.node("late").create_subscription(String, "/observer/design", received.append, LATCHED)
+    ros.spin_until(lambda: bool(received), what="the record")
+    record = read_record(received[-1].data)
+    assert record.measurements == TOPIC
+    designs = {joint: one for one in record.designs for joint in one.joints}
+    for joint, path in (("hip", own), ("knee", shipped)):
+        assert designs[joint].file == str(path)
+        assert designs[joint].text == path.read_text(encoding="utf-8")
+    known = ObserverSettings().with_parameters(record.parameters)
+    assert (known.settle_time, known.supervision.gate) == (1.5, 4.0)
+    assert known == node.parameters.settings
