@@ -208,7 +208,12 @@ class DamagedFile:
                 self._find_descriptions(self._walker(stream), progress)
         except OSError as error:
             self.account.error = error.strerror or str(error)
-        self._sound = {id_ for id_, schema in self.schemas.items() if _is_sound(schema)}
+        # One text of a type, however many channels have it.
+        self._definitions = {
+            id_: MessageDefinition(s.name, s.data.decode(errors="replace"), "", s.encoding)
+            for id_, s in self.schemas.items()
+            if _is_sound(s)
+        }
         # The last one has the most.
         for text in reversed(self._metadata_texts):
             with suppress(ValueError):
@@ -316,13 +321,10 @@ class DamagedFile:
 
     def definition(self, channel: Channel) -> MessageDefinition | None:
         """Return the definition that the file has of a channel's type, if it is intact."""
-        schema = self.schemas.get(channel.schema_id)
-        if schema is None or schema.id not in self._sound:
+        if (found := self._definitions.get(channel.schema_id)) is None:
             return None
         hash_ = channel.metadata.get("topic_type_hash", "")
-        hash_ = hash_ if TYPE_HASH.fullmatch(hash_) else ""
-        text = schema.data.decode(errors="replace")
-        return MessageDefinition(schema.name, text, hash_, schema.encoding)
+        return found._replace(type_hash=hash_ if TYPE_HASH.fullmatch(hash_) else "")
 
 
 def _descriptions(content: Records) -> Iterator[McapRecord]:
