@@ -12,6 +12,9 @@ STRING = "std_msgs/msg/String"
 SCHEMA = (STRING, "ros2msg", b"string data\n")
 CHANNEL = ("/a", "cdr", 1, {})
 
+HELLO = b"\0\1\0\0\6\0\0\0hello\0"
+"""A message of the type `STRING`."""
+
 Call = tuple[int, int, bytes, int]
 """Channel, log time, data and publish time of a message."""
 

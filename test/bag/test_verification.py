@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import yaml
-from foreign import STRING, write_mcap
+from foreign import HELLO, STRING, write_mcap
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import IndexType
@@ -25,7 +25,6 @@ from tsobs_ros.errors import BagReadError
 
 JOINTS = "sensor_msgs/msg/JointState"
 DEFINITION = find_definition(STRING)
-HELLO = b"\0\1\0\0\6\0\0\0hello\0"
 # Of the names before the first joint: header, stamp, frame and an empty sequence of names.
 EMPTY_JOINTS = b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0" + bytes(16)
 SEPARATOR = "=" * 80

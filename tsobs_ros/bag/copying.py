@@ -67,17 +67,16 @@ def pick(content: Records, ids: Mapping[int, int]) -> Records:
     """
     new = np.full(2**16, _NO_CHANNEL)
     new[list(ids)] = list(ids.values())
-    data = np.frombuffer(content.data, np.uint8)
     rows = content.rows[new[content.rows["channel"]] != _NO_CHANNEL]
+    places = zip((rows["begin"] - MESSAGE.size).tolist(), rows["size"].tolist(), strict=True)
+    found = (content.data[begin : begin + MESSAGE.size + size] for begin, size in places)
+    picked = np.frombuffer(bytearray(b"".join(found)), np.uint8)
     rows["channel"] = new[rows["channel"]]
-    edges = np.zeros(len(data) + 1, np.int8)
-    edges[rows["begin"] - MESSAGE.size] += 1
-    edges[rows["begin"] + rows["size"]] -= 1
-    picked = data[np.cumsum(edges[:-1], dtype=np.int8).view(np.bool_)]
     rows["begin"] = np.cumsum(MESSAGE.size + rows["size"]) - rows["size"]
     for byte in range(2):
-        places = rows["begin"] - MESSAGE.size + RECORD.size + byte
-        picked[places] = rows["channel"] >> 8 * byte & 255
+        picked[rows["begin"] - MESSAGE.size + RECORD.size + byte] = (
+            rows["channel"] >> 8 * byte & 255
+        )
     return Records(picked.tobytes(), rows)
 
 

@@ -199,7 +199,9 @@ class BagReader:
                 else:
                     spent.append(one)
             due.sort(key=itemgetter(0, 1))  # equal times in order of recording
-            if due:
+            if len(due) == 1:  # in order already
+                yield due[0][2], records
+            elif due:
                 found = np.concatenate([rows for *_, rows in due])
                 yield found[np.argsort(found["log_time"], kind="stable")], records
             for one in spent:

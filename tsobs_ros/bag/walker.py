@@ -256,6 +256,7 @@ class FileWalker:
         self, at: int, end: int, chunk: Chunk, reason: str
     ) -> tuple[Part | None, int]:
         """Return the front of a chunk if the end of the file cuts it off, or all is wanted."""
+        part = Part(at, min(end, self._size) - at, replace(chunk, data=b""))
         if not self._has_end and self._written_end < end:
             front, is_cut = _front(chunk)
             # If its records go on through the zeros, those are its own; the damage is elsewhere.
@@ -266,11 +267,8 @@ class FileWalker:
                 if is_cut:
                     reason = "the file ends inside of a chunk, the front of which is kept"
                     self._lose(at, reason, self._size)
-                    return Part(at, self._size - at, replace(chunk, data=b""), front), self._size
-        kept: Part | None = None
-        if self._keep_unchecked:
-            front, _ = _front(chunk)
-            kept = Part(at, min(end, self._size) - at, replace(chunk, data=b""), front)
+                    return part._replace(size=self._size - at, content=front), self._size
+        kept = part._replace(content=_front(chunk)[0]) if self._keep_unchecked else None
         following = end if end <= self._size and self._starts_record(end) else None
         if following is None:
             # A chunk that has lost bytes reaches into what follows it: search inside of it, unless
