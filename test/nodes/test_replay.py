@@ -333,7 +333,8 @@ def test_the_bag_holds_what_was_published_and_replays_to_the_last_bit(
     replayed = by_topic(played)
     assert replayed[INNOVATION] == stored[INNOVATION]
     assert replayed[TOPIC] == stored[TOPIC]
-    agreement = estimated_again(played, played.with_name("played_again"), design).agreement()
+    again = played.with_name("played_again")
+    agreement = estimated_again(played, again, design, future_tolerance=60.0).agreement()
     assert agreement is not None
     assert agreement.complete, agreement.text()
     assert agreement.recorded > 10

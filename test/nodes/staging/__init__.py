@@ -78,11 +78,11 @@ def values(status: DiagnosticStatus) -> dict[str, str]:
     return {item.key: item.value for item in status.values}
 
 
-def estimated_again(bag: Path, output: Path, design: Design) -> Run:
+def estimated_again(bag: Path, output: Path, design: Design, **settings: Any) -> Run:
     """Run a design over a bag as `tsobs estimate` does, and write a bag of that."""
     source = BagSource(bag)
     designs = (DesignFile.of(design),) * len(source.joints)
-    observer = Observer("observer", ObserverSettings(), designs)
+    observer = Observer("observer", ObserverSettings(**settings), designs)
     (run,) = make_runs(source, [observer], rate=None, as_live=True)
     run_all(source, [run], output)
     return run
