@@ -16,6 +16,7 @@ Models and designs:
     load_request      a request from a YAML file
     excite            a torque motion that shows a request's numbers (needs scipy)
     fit               a request's numbers from recordings (needs scipy)
+    Fit               its record: numbers, how well they are known, what the model lacks
     synthesise        a certified gain for a request (needs cvxpy)
     Design            a gain with its proof; makes observers
     load_design       a design from its file, its certificate checked again
@@ -90,6 +91,7 @@ _HOMES = {
     "estimate_bag": "api",
     "excite": "identification.excitation",
     "export_c": "exported",
+    "Fit": "identification.result",
     "fit": "identification.fit",
     "load_design": "design.file",
     "load_request": "design.file",

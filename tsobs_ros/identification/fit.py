@@ -200,6 +200,21 @@ def _found(optimum: Optimum) -> tuple[Found, ...]:
     return tuple(found)
 
 
+def _with_zero(
+    optimum: Optimum, recordings: Sequence[Recording], advance: Callable[[int], None]
+) -> Optimum:
+    """Return the optimum with the first angle's zero as it is, unless it is surely another one.
+
+    Gravity shows it, but a torque's offset does nearly the same.
+    """
+    for place, each in enumerate(_found(optimum)):
+        if each.name.endswith("_angle.offset") and not each.significant:
+            fewer = optimum.unknowns.without(each.name)
+            begin = np.delete(optimum.coordinates, place)
+            return maximise(fewer, recordings, begin=begin, advance=advance)
+    return optimum
+
+
 def with_disturbed_sensor(
     request: ArmRequest,
     free: Sequence[str],
@@ -222,8 +237,14 @@ def with_disturbed_sensor(
     """
     longest = max(recordings, key=lambda recording: recording.count)
     parts = [_middle_of(longest, _MIDDLE_SAMPLES)]
-    before = best = _free_run(optimum.joint, parts[0])
     chosen: tuple[ArmRequest, str, Array] | None = None
+    noisy = any(
+        number.name.startswith("process_noise") and coordinate > 1.0
+        for number, coordinate in zip(
+            optimum.unknowns.numbers, optimum.coordinates.tolist(), strict=True
+        )
+    )
+    before = best = _free_run(optimum.joint, parts[0]) if noisy else 100.0
     for place, output in enumerate(request.sensors if before < _POOR else ()):
         if output.model.state_count:
             continue
@@ -440,6 +461,7 @@ def fit(
     require_torque(unknowns, _middle_of(fitted[0], _START_SAMPLES))
     optimum = maximise(unknowns, fitted, seed=seed, advance=advance)
     start, optimum, added = with_disturbed_sensor(start, free, optimum, fitted, advance)
+    optimum = _with_zero(optimum, fitted, advance)
     likeliest = optimum.joint
     numbers = _found(optimum)
     observed = observable(likeliest, numbers, fitted, advance)

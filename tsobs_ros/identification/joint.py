@@ -208,6 +208,10 @@ class Unknowns:
         """How many they are."""
         return len(self.numbers)
 
+    def without(self, name: str) -> "Unknowns":
+        """Return all but one of them."""
+        return replace(self, numbers=tuple(each for each in self.numbers if each.name != name))
+
     def noises(self) -> "Unknowns":
         """Return those of noises and disturbances, which are no properties of arm and drive."""
         own = ("arm.", "torque.", *FRICTION)

@@ -213,7 +213,7 @@ def _checked(request: ArmRequest, recording: Recording) -> list[str]:
     name, y, u, notes = recording.name, recording.y, recording.u, list[str]()
     if float(np.ptp(u)) == 0.0:
         raise LogError(
-            f"{name}: the torque is {u[0]:.4g} N m throughout: nothing tells what moves the arm"
+            f"{name}: the torque is {u[0] + 0.0:.4g} N m throughout: nothing moves the arm"
         )
     moves = False
     for place, output in enumerate(request.sensors):

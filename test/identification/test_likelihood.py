@@ -1,0 +1,134 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The likelihood of recordings: its filter is the package's own, and its derivatives are right."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from identified_joint import ARM, WRONG, request_of
+
+import tsobs_ros as ts
+from tsobs_ros.design.problem import DisturbanceTerm
+from tsobs_ros.design.request import Output, TorqueDisturbance
+from tsobs_ros.estimation.baselines import extended_kalman
+from tsobs_ros.identification.joint import Joint, Unknowns, delayed, with_values
+from tsobs_ros.identification.likelihood import Likelihood, Recording, innovations
+from tsobs_ros.model.torque_path import TorquePath
+
+DRIFT = DisturbanceTerm("gauss_markov", {"std": 0.02, "time_constant": 0.5})
+
+
+def recording_of(recorded: Any, request: ts.ArmRequest, **changes: Any) -> Recording:
+    time, y, u = recorded(request, duration=2.0, **changes)
+    durations = np.full(len(time), request.period)
+    return Recording("test", time, durations, y.reshape(len(time), -1), u)
+
+
+@pytest.mark.parametrize("outputs", [("motor_angle",), ("motor_angle", "link_angle")])
+def test_the_filter_is_the_plain_kalman_filter(recorded: Any, outputs: tuple[str, ...]) -> None:
+    request = request_of(
+        ARM,
+        *outputs,
+        torque=TorquePath(0.9, 0.01, 0.005),
+        torque_disturbance=TorqueDisturbance(motor=(DRIFT,)),
+    )
+    recording = recording_of(recorded, request)
+    covariances = (request.measurement_covariance, request.initial_covariance)
+    filtered = extended_kalman(request.flow, *covariances, gate=np.inf)
+    state, expected = filtered.initial(), []
+    for y, u in zip(recording.y, recording.u, strict=True):
+        state, correction = filtered.correct(state, y)
+        expected.append(correction.innovation[0])
+        state = filtered.predict(state, [u], request.period)
+
+    found = innovations(Joint.of(request), recording)
+
+    np.testing.assert_allclose(found.errors[:, 0], expected, atol=1e-9)
+
+
+def test_a_late_output_and_its_zero_are_those_of_the_design(recorded: Any) -> None:
+    late = (Output("motor_angle", 0.001), Output("link_angle", 0.001, delay=0.004))
+    request = request_of(ARM, outputs=late)
+    recording = recording_of(recorded, request)
+    joint = Joint.of(request)
+    assert joint.output_delays == (0.0, 0.004)
+    shifted = replace(joint, output_offsets=(0.0, 0.3))
+    moved = replace(recording, y=recording.y + np.array([0.0, 0.3]))
+
+    np.testing.assert_allclose(
+        innovations(shifted, moved).errors, innovations(joint, recording).errors, atol=1e-12
+    )
+    small = np.abs(innovations(joint, recording).errors).mean()
+    blind = replace(joint, output_delays=(0.0, 0.0))
+    assert np.abs(innovations(blind, recording).errors).mean() > 1.05 * small
+
+
+def test_the_gradient_is_that_of_the_cost(recorded: Any) -> None:
+    unknowns = Unknowns.of(request_of(WRONG), ["arm", "motor_friction", "torque.delay"])
+    recording = recording_of(recorded, request_of(), friction={"motor_coulomb": 0.01})
+    likelihood = Likelihood(unknowns, [recording])
+    at = 0.1 * np.random.default_rng(0).standard_normal(unknowns.count)
+    likelihood.evaluate(at)
+    again = Likelihood(unknowns, [recording])
+    again._spacing = likelihood._spacing  # the second evaluation has fitting steps
+    gradient = again.evaluate(at).gradient
+    step = 1e-4
+
+    for place, direction in enumerate(step * np.eye(unknowns.count)):
+        up, down = likelihood.cost(at + direction), likelihood.cost(at - direction)
+        slope = (up - down) / (2.0 * step)
+        assert gradient[place] == pytest.approx(slope, rel=0.05, abs=0.05 * abs(gradient).max())
+
+
+def test_friction_of_the_filter_is_that_of_a_rubbing_arm(recorded: Any) -> None:
+    recording = recording_of(recorded, request_of(), friction={"motor_coulomb": 0.02})
+    joint = Joint.of(request_of())
+    costs = [
+        np.square(innovations(replace(joint, friction=(each, 0.0)), recording).errors).sum()
+        for each in (0.0, 0.01, 0.02, 0.03)
+    ]
+
+    assert np.argmin(costs) == 2
+
+
+def test_a_gap_begins_anew(recorded: Any) -> None:
+    recording = recording_of(recorded, request_of())
+    durations = recording.durations.copy()
+    durations[499] = -1.0
+    broken = innovations(Joint.of(request_of()), replace(recording, durations=durations))
+    fresh = innovations(Joint.of(request_of()), recording.part(500, recording.count))
+
+    np.testing.assert_array_equal(broken.errors[500:], fresh.errors)
+
+
+def test_numbers_go_to_their_places() -> None:
+    disturbed = TorqueDisturbance(motor=(DRIFT,))
+    request = request_of(ARM, torque_disturbance=disturbed)
+    values = {each.name: each.start * 1.5 for each in Unknowns.of(request).numbers}
+    changed = with_values(Joint.of(request), values)
+
+    again = {each.name: each.start for each in Unknowns.of(changed.request).numbers}
+    known = {name: value for name, value in values.items() if name in again and value}
+    of_request = [n for n in known if not n.endswith("friction") and n != "arm.link_damping"]
+    assert {n: again[n] for n in of_request} == pytest.approx({n: known[n] for n in of_request})
+    assert changed.friction == (values["motor_friction"], values["link_friction"])
+
+
+@given(
+    torque=st.lists(st.floats(-5.0, 5.0), min_size=4, max_size=30),
+    periods=st.integers(0, 3),
+)
+def test_a_delay_of_whole_periods_shifts_the_torque(torque: list[float], periods: int) -> None:
+    u, durations = np.array(torque), np.full(len(torque), 0.002)
+    shifted = np.concatenate([np.full(periods, u[0]), u[: len(u) - periods]])
+
+    np.testing.assert_allclose(delayed(u, durations, 0.002 * periods), shifted, atol=1e-9)
+
+
+def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
+    with pytest.raises(ts.TsobsError, match=r"free: .* got 'stifness' \(did you mean"):
+        Unknowns.of(request_of(), ["stifness"])

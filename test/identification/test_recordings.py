@@ -1,0 +1,137 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of no use are refused, in one line that says what to do."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from identified_joint import ARM, Recorded, request_of
+
+import tsobs_ros as ts
+from tsobs_ros.cli.main import main
+from tsobs_ros.identification.recordings import read
+
+Spoil = Callable[[Any, Any, Any], tuple[Any, Any, Any]]
+
+SPOILT: dict[str, tuple[Spoil, str]] = {
+    "too short": (lambda t, y, u: (t[:200], y[:200], u[:200]), "too short: 200 samples"),
+    "no angle": (lambda t, y, u: (t, y * np.nan, u), "too short: 0 samples"),
+    "at rest": (
+        lambda t, y, u: (t, 1e-4 * np.random.default_rng(0).standard_normal(y.shape), u),
+        "at rest: no output moves",
+    ),
+    "no torque": (lambda t, y, u: (t, y, 0.0 * u), "N m throughout"),
+    "sign": (lambda t, y, u: (t, y, -u), "its sign is the opposite"),
+    "torque in mN m": (lambda t, y, u: (t, y, 1000.0 * u), "is its unit mN m"),
+    "torque before a gear": (lambda t, y, u: (t, y, u / 50.0), "a gear ratio"),
+    "degrees": (lambda t, y, u: (t, np.degrees(y), u), "if these are degrees"),
+    "motor before a gear": (
+        lambda t, y, u: (t, y * np.array([5.0, 1.0]), u),
+        "motor_angle moves 4.* times as far as link_angle",
+    ),
+    "at a stop": (
+        lambda t, y, u: (t, np.minimum(y, np.quantile(y, 0.8, axis=0)), u),
+        "at a stop",
+    ),
+}
+
+
+@pytest.fixture
+def log(recorded: Any) -> Recorded:
+    """A good recording of both encoders."""
+    made: Recorded = recorded(request_of(), duration=6.0)
+    return made
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_a_recording_of_no_use_is_refused(log: Recorded, name: str) -> None:
+    spoil, message = SPOILT[name]
+
+    with pytest.raises(ts.TsobsError, match=message) as caught:
+        ts.fit(request_of(), spoil(*log))
+
+    assert "\n" not in str(caught.value)
+
+
+def test_a_motion_beyond_the_domain_is_refused(log: Recorded) -> None:
+    with pytest.raises(ts.TsobsError, match=r"beyond 0\.1 rad: widen x_max"):
+        ts.fit(request_of(x_max=0.1), log)
+
+
+def test_the_shape_of_arrays_is_checked(log: Recorded) -> None:
+    time, y, u = log
+
+    with pytest.raises(ts.TsobsError, match=r"outputs \(n, 2\)"):
+        ts.fit(request_of(), (time, y[:, 0], u))
+    with pytest.raises(ts.TsobsError, match="at least one recording"):
+        ts.fit(request_of())
+    with pytest.raises(ts.TsobsError, match="held_out: expected a share"):
+        ts.fit(request_of(), log, held_out=1.0)
+
+
+def test_gaps_are_left_out_and_counted(log: Recorded) -> None:
+    time, y, u = log
+    keep = (time < 2.0) | (time > 2.5)
+    made = read(request_of(), [(time[keep], y[keep], u[keep])])
+
+    assert (made.recordings[0].durations < 0.0).sum() == 1
+    assert "1 gaps, 0.504 s in all" in made.notes[0]
+
+
+def test_disorder_and_repetition_are_put_right(log: Recorded) -> None:
+    time, y, u = log
+    order = np.random.default_rng(0).permutation(np.repeat(np.arange(len(time)), 2))
+    ordered, mixed = (
+        read(request_of(), [each]).recordings[0]
+        for each in (log, (time[order], y[order], u[order]))
+    )
+
+    np.testing.assert_array_equal(ordered.y, mixed.y)
+    np.testing.assert_array_equal(ordered.u, mixed.u)
+
+
+def test_another_rate_is_the_fitted_requests(log: Recorded) -> None:
+    time, y, u = log
+    made = read(request_of(rate=200.0), [(time, y, u)])
+
+    assert made.request.rate == 500.0
+    assert "500 samples per second, the request 200" in made.notes[0]
+
+
+def test_zeros_of_encoders_that_were_never_set_are_subtracted(log: Recorded) -> None:
+    time, y, u = log
+    made = read(request_of(), [(time, y + np.array([0.0, 6.5]), u)])
+
+    np.testing.assert_allclose(made.recordings[0].y, y, atol=0.05)
+    assert "the zeros of the angles differ" in made.notes[0]
+
+
+def test_the_command_writes_a_request_and_says_what_it_found(
+    log: Recorded, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time, y, u = log
+    header = "time [s],motor_angle [deg],link_angle [deg],torque [mNm]"
+    recording, fitted = tmp_path / "recording.csv", tmp_path / "fitted.request.yaml"
+    columns = np.column_stack([time, np.degrees(y), 1000.0 * u])
+    np.savetxt(recording, columns, "%.9g", ",", header=header, comments="")
+    sheet = tmp_path / "sheet.request.yaml"
+    sheet.write_text(
+        "design:\n"
+        "  arm: {link_inertia: 0.0059, motor_inertia: 0.0021, stiffness: 2.0, "
+        "gravity_torque: 0.2372, motor_damping: 0.1109}\n"
+        "  outputs: [{measures: motor_angle, measurement_std: 0.001}, "
+        "{measures: link_angle, measurement_std: 0.001}]\n"
+        "  process_noise: {link: 0.01, motor: 0.01}\n"
+        "  rate: 500.0\n  x_max: 3.1\n  initial_std: [0.3, 2.0, 0.3, 2.0]\n",
+        encoding="utf-8",
+    )
+    command = ["fit", str(sheet), str(recording), "--output", str(fitted), "--free", "stiffness"]
+
+    assert main(command) == 0
+    assert "arm.stiffness" in capsys.readouterr().out
+    assert ts.load_request(fitted).arm.stiffness == pytest.approx(ARM.stiffness, rel=0.05)
+    assert main(command) == 1
+    assert "exists" in capsys.readouterr().err
