@@ -6,9 +6,11 @@ A page's blocks run in their order in one temporary folder. `tsobs` runs as it i
 says; an error is the one that the page shows. A node gets its arguments and parameters, and is not
 configured; those of the README and of the tutorial run for real. A benchmark runs as `BENCHMARKS`
 says, else only its options are checked. What cannot run here is in `NOT_RUN`, with the reason.
+Numbers that docs/your_robot.md shows are those that its commands print.
 """
 
 import re
+import runpy
 import shlex
 import shutil
 import signal
@@ -60,6 +62,8 @@ NOT_RUN = {
     "mkdir -p ~/ws/src && cd ~/ws && git clone ": "the network",
     "git clone ": "the network",
     "mkdir -p ~/my_arm ": "the user's folder",
+    "mkdir -p ~/my_robot ": "likewise",
+    "ros2 bag record ": "a robot",
     "rosdep install ": "Ubuntu's ROS",
     "python3 -m venv ": "the workspace; test_packaging.py compares what it installs",
     ".venv/bin/python -m pip ": "the network",
@@ -154,11 +158,12 @@ def language(text: str) -> str:
     return "usage" if re.search(r"\S {2,}[^ #]", first) else "sh"
 
 
-TUTORIAL = ROOT / "docs" / "tutorial.md"
+TUTORIAL, YOUR_ROBOT = (ROOT / "docs" / f"{name}.md" for name in ("tutorial", "your_robot"))
 COMMAND_PAGES = [
     page
     for page in PAGES
-    if page != TUTORIAL and any(b.language in ("sh", "yaml") for b in blocks(page))
+    if page not in (TUTORIAL, YOUR_ROBOT)
+    and any(b.language in ("sh", "yaml") for b in blocks(page))
 ]
 SLOW = pytest.mark.slow
 PYTHON_PAGES = [page for page in PAGES if any(b.language == "python" for b in blocks(page))]
@@ -394,6 +399,89 @@ def test_the_tutorial_runs(
     shell.end()
     assert BagReader("first_run").topics["/observer/joint_states"].count > 100
     assert {path.name for path in Path().glob("report.*")} >= {"report.html", "report.png"}
+
+
+class RobotShell(Shell):
+    """Plays motions on the robot of docs/your_robot.md too, and keeps what commands print."""
+
+    def __init__(self, *tools: Any) -> None:
+        super().__init__(*tools)
+        self.robot: ts.ArmRequest | None = None
+        self.printed = dict[str, str]()
+
+    def run(self, command: str, error: str) -> None:
+        match command.split():
+            case ["python", "hidden_robot.py", *arguments]:
+                self._patch.setattr(sys, "argv", ["hidden_robot.py", *arguments])
+                self.robot = runpy.run_path("hidden_robot.py")["robot"]
+            case ["grep", "-v", text, source, ">", target]:
+                lines = Path(source).read_text(encoding="utf-8").splitlines(keepends=True)
+                left = "".join(line for line in lines if text not in line)
+                Path(target).write_text(left, encoding="utf-8")
+            case _:
+                super().run(command, error)
+        self.printed[command], err = self._capfd.readouterr()
+        sys.stderr.write(err)
+
+    def row(self, command: str, name: str) -> list[float]:
+        """Return the numbers in the line of a command's output that begins with a name."""
+        (text,) = (each for start, each in self.printed.items() if start.startswith(command))
+        (line,) = re.findall(rf"^ *{re.escape(name)} (.*)$", text, re.MULTILINE)
+        return [float(each) for each in re.findall(r"(?<=\s)-?\d[\d.e+-]*(?=\s|$)", line)]
+
+
+QUICK = {
+    "tsobs excite sheet.request.yaml --output motion.csv": "--duration 12 --candidates 8",
+    "tsobs excite fitted.request.yaml --output second_motion.csv --seed 1 --duration 20 "
+    "--candidates 20": "--duration 8 --candidates 4",
+}
+"""Further options of the page's commands in `make test`."""
+
+
+@pytest.mark.parametrize("quick", [True, pytest.param(False, marks=SLOW)])
+def test_the_numbers_of_a_robot_are_found(
+    quick: bool,
+    folder: Path,
+    ros: Any,
+    benchmark: Callable[[str], ModuleType],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    for command, options in QUICK.items() if quick else ():
+        monkeypatch.setitem(SHORTER, command, f"{command} {options}")
+    shutil.copy(ROOT / "examples" / "hidden_robot.py", folder)
+    shell = RobotShell(ros, benchmark, monkeypatch, capfd)
+
+    run_page(YOUR_ROBOT, shell, capfd)
+
+    fitted = ts.load_request("fitted.request.yaml")
+    robot = shell.robot
+    assert isinstance(fitted, ts.ArmRequest)
+    assert robot is not None
+    for name in ("link_inertia", "motor_inertia", "stiffness", "gravity_torque", "motor_damping"):
+        found = getattr(fitted.arm, name)
+        assert found == pytest.approx(getattr(robot.arm, name), rel=0.05 if quick else 0.02), name
+    assert fitted.torque.delay == pytest.approx(robot.torque.delay, abs=5e-4)
+    assert Path("fit.html").exists()
+    ours, _ = shell.row("tsobs compare second.csv --design robot", "held-out sensor")
+    before, _ = shell.row("tsobs compare second.csv --design unfitted", "held-out sensor")
+    assert ours < 0.5 * before
+    if quick:
+        return
+    page = YOUR_ROBOT.read_text(encoding="utf-8")
+    for name, *quoted in re.findall(r"^(arm\.\w+) +(\S+) +(\S+) +(\S+) ", page, re.MULTILINE):
+        printed = shell.row("tsobs fit", name)
+        assert printed == pytest.approx([float(each) for each in quoted], rel=0.01), name
+    for title, design, name, unit in (
+        ("data sheet", "unfitted", "held-out sensor", 1e3),
+        ("fitted", "robot", "held-out sensor", 1e3),
+        ("inside 3σ, data sheet", "unfitted", "  inside 3σ", 1.0),
+        ("inside 3σ, fitted", "robot", "  inside 3σ", 1.0),
+    ):
+        (line,) = re.findall(rf"^\| {title} \|(.*)\|$", page, re.MULTILINE)
+        quoted = [float(each) for each in re.findall(r"[\d.]+", line)]
+        printed = shell.row(f"tsobs compare second.csv --design {design}", name)
+        assert [unit * each for each in printed] == pytest.approx(quoted, rel=0.15), title
 
 
 @pytest.mark.parametrize("target", sorted(set(re.findall(r"\]\(([^)#:]+)\)", README))))
