@@ -57,9 +57,9 @@ _KNOWN = 0.02
 _MOST = 0.8
 """Largest relative error that a request may name."""
 
-_MAX_STEPS = 40
-_TOLERANCE = 5e-3
-"""Gain of a step that is expected and no longer taken [nat]: a tenth of a σ of a number."""
+_FEW_STEPS, _MAX_STEPS = 15, 40
+_TOLERANCE = 0.02
+"""Gain of a step that is expected and no longer taken [nat]: a fifth of a σ of a number."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,7 @@ def maximise(
     seed: int = 0,
     starts: int = _STARTS,
     begin: Array | None = None,
+    steps: int = _MAX_STEPS,
     advance: Callable[[int], None] = lambda _: None,
 ) -> Optimum:
     """Return the most likely numbers.
@@ -114,6 +115,7 @@ def maximise(
         seed: Of the further points that the search starts from.
         starts: Number of points.
         begin: Where to start from, without a search for it.
+        steps: Largest number of steps with all samples.
         advance: Called with the number of filtered samples.
     """
     k, rng = unknowns.count, np.random.default_rng(seed)
@@ -123,14 +125,14 @@ def maximise(
         Likelihood(unknowns, [_middle_of(longest, count)], advance=advance)
         for count in (_START_SAMPLES, _MIDDLE_SAMPLES)
     )
-    best = begin
+    best, taken = begin, 0
     if best is None:
         points = [origin, *(0.5 * rng.standard_normal((starts - 1, k)))]
-        found = [_search(short, point, 15) for point in points]
+        found = [_search(short, point, _FEW_STEPS) for point in points]
         best = min(found, key=lambda one: short.cost(one[0]))[0]
-    best, steps = _search(longer, best, _MAX_STEPS)
+        best, taken = _search(longer, best, _FEW_STEPS)
     gated = Likelihood(unknowns, recordings, GATE, advance)
-    best, more = _search(gated, best, _MAX_STEPS)
+    best, more = _search(gated, best, steps)
     made = gated.evaluate(best)
     hessian = made.information + np.eye(k)
     inverse = np.linalg.inv(hessian)
@@ -139,7 +141,7 @@ def maximise(
     ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(inverse), 1.0))
     covariance = inverse * np.outer(ratio, ratio)
     outliers = gated.outliers(best)
-    return Optimum(unknowns, best, covariance, made, gated.cost(origin), steps + more, outliers)
+    return Optimum(unknowns, best, covariance, made, gated.cost(origin), taken + more, outliers)
 
 
 def _middle_of(recording: Recording, count: int) -> Recording:
@@ -150,12 +152,15 @@ def _middle_of(recording: Recording, count: int) -> Recording:
 
 def _search(likelihood: Likelihood, start: Array, steps: int) -> tuple[Array, int]:
     """Return the point of least cost, and the number of steps to it."""
-    unit = np.eye(len(start))
+    unit, least = np.eye(len(start)), math.inf
 
     def settle(intermediate_result: OptimizeResult) -> None:
+        nonlocal least
         made = likelihood.evaluate(intermediate_result.x)
+        gained, least = least - made.cost, made.cost
         step = np.linalg.solve(made.information + unit, made.gradient)
-        if 0.5 * made.gradient @ step < _TOLERANCE:
+        # Of a wrong model the information is not the curvature: small steps go on for ever.
+        if 0.5 * made.gradient @ step < _TOLERANCE or 0.0 < gained < 5.0 * _TOLERANCE:
             raise StopIteration
 
     found = minimize(
@@ -251,7 +256,8 @@ def with_disturbed_sensor(
         swing = float(np.nanstd(parts[0].y[:, place]))
         term = DisturbanceTerm("gauss_markov", {"std": 0.02 * swing, "time_constant": 0.03})
         changed = request.with_terms(place, (term,))
-        tried = maximise(Unknowns.of(changed, free), parts, starts=1, advance=advance)
+        unknowns = Unknowns.of(changed, free)
+        tried = maximise(unknowns, parts, starts=1, steps=_FEW_STEPS, advance=advance)
         reached = _free_run(tried.joint, parts[0])
         if 100.0 - reached < 0.5 * (100.0 - best):
             chosen, best = (changed, output.measures, tried.coordinates), reached
