@@ -95,7 +95,10 @@ def test_the_fitted_request_is_one_like_any_other(rubbing: Any, tmp_path: Path) 
 
     assert request == found.request
     assert request.torque.delay == pytest.approx(0.003, abs=5e-4)
-    assert request.torque_disturbance.motor[0].kind == "gauss_markov"
+    friction = dict(request.torque_disturbance.motor[0])
+    assert friction["kind"] == "gauss_markov"
+    assert friction["std"] == pytest.approx(found.number("motor_friction").value, rel=1e-5)
+    assert 0.03 < friction["time_constant"] < 1.0
     assert "fitted, ±" in path.read_text(encoding="utf-8")
 
 

@@ -286,7 +286,9 @@ def observable(
     """Return the request of an observer, which has Coulomb friction as a torque disturbance.
 
     A sign has no bounded slope, so no certificate covers friction in the model; as a Gauss–Markov
-    torque it is covered. Its size and the noises are the likeliest of a filter without friction.
+    torque it is covered. Its 1σ is the friction's size and its time constant the time between two
+    reversals: likelier ones are shorter, and do not allow for friction that lasts. The noises are
+    the likeliest of a filter without friction.
 
     Args:
         joint: The likeliest joint.
@@ -301,14 +303,19 @@ def observable(
         for side, name in zip(SIDES, FRICTION, strict=True)
         if name in by_name and by_name[name].significant
     ]
+    known = set[str]()
     for side, torque in rubbing:
         if not getattr(request.torque_disturbance, side):
-            term = DisturbanceTerm("gauss_markov", {"std": torque, "time_constant": 0.3})
+            time = _reversal_time(joint, recordings, side)
+            term = DisturbanceTerm("gauss_markov", {"std": torque, "time_constant": time})
+            known |= {f"torque_disturbance.{side}.0.{key}" for key in ("std", "time_constant")}
             torques = replace(request.torque_disturbance, **{side: (term,)})
             request = replace(request, torque_disturbance=torques)
     if rubbing:
         smooth = replace(joint, request=request, friction=(0.0, 0.0))
-        noises = replace(Unknowns.of(request).noises(), joint=smooth)
+        noises = Unknowns.of(request).noises()
+        chosen = tuple(each for each in noises.numbers if each.name not in known)
+        noises = replace(noises, joint=smooth, numbers=chosen)
         request = maximise(noises, recordings, starts=1, advance=advance).joint.request
     bounds = dict(request.uncertainty)
     for name, entry in UNCERTAINTY.items():
@@ -338,6 +345,18 @@ def observable(
     return path.with_path([*significant, *kept])
 
 
+def _reversal_time(joint: Joint, recordings: Sequence[Recording], side: str) -> float:
+    """Return the mean time between reversals of a side's motion [s]."""
+    time, reversals = 0.0, 1
+    for recording in recordings:
+        states = innovations(joint, recording, gate=GATE, with_states=True).states
+        velocity = joint.request.arm.to_physical(states[:, :4])[:, 3 if side == "motor" else 1]
+        moving = velocity[np.abs(velocity) > 0.02 * np.abs(velocity).max()]
+        reversals += int((np.diff(np.sign(moving)) != 0.0).sum())
+        time += float(np.maximum(recording.durations, 0.0).sum())
+    return float(f"{time / reversals:.3g}")
+
+
 def unseen(optimum: Optimum) -> tuple[Unseen, ...]:
     """Return the directions in which the recordings know less than the prior."""
     values, vectors = np.linalg.eigh(optimum.evaluation.information)
@@ -347,23 +366,26 @@ def unseen(optimum: Optimum) -> tuple[Unseen, ...]:
         if value > 3.0:
             break
         parts = ranked(list(zip(names, vector.tolist(), strict=True)), 0.3)
-        shown = " with ".join(name.removeprefix("arm.") for name, _ in parts)
+        named = [name.removeprefix("arm.") for name, _ in parts]
+        shown = named[0]
+        if len(named) > 1:
+            shown = f"{', '.join(named[:-1])} and {named[-1]}, which look alike"
         motion = next((text for name, text in _MOTIONS.items() if name in parts[0][0]), "")
         found.append(Unseen(parts, f"{shown}{motion}"))
     return tuple(found)
 
 
 _MOTIONS = {
-    "stiffness": ": a motion near the joint's resonance would",
-    "gravity": ": slow motion through larger angles would",
-    "inertia": ": faster accelerations would",
-    "damping": ": long motion at several speeds would",
-    "friction": ": slow motion with many reversals would, if there is any",
-    "offset": ": rest at several angles, or motion in both directions, would",
-    "delay": ": steps of the torque would",
+    "stiffness": ": a motion near the joint's resonance would show it",
+    "gravity": ": slow motion through larger angles would show it",
+    "inertia": ": faster accelerations would show it",
+    "damping": ": long motion at several speeds would show it",
+    "friction": ": slow motion with many reversals would show it, if there is any",
+    "offset": ": rest at several angles, or motion in both directions, would show it",
+    "delay": ": steps of the torque would show it",
     "process_noise": ": it is too small to matter beside the other noises",
-    "time_constant": ": a longer recording would",
-    "density": ": a longer recording would",
+    "time_constant": ": a longer recording would show it",
+    "density": ": a longer recording would show it",
 }
 """What would show a number, by a part of its name."""
 
@@ -385,6 +407,11 @@ def _found_lacks(numbers: Sequence[Found]) -> list[Lack]:
             )
         elif each.name == OFFSET:
             made.append(Lack(f"an offset of the torque, {value}", "the fitted request has it"))
+        elif each.name.endswith(".offset"):
+            name = each.name.removesuffix(".offset")
+            made.append(
+                Lack(f"an offset of {name}, {value}", "subtract it from what the driver publishes")
+            )
         elif each.name == DELAY and each.value > 0.0:
             made.append(Lack(f"a delay of the torque, {value}", "the fitted request has it"))
         elif each.name == DELAY:

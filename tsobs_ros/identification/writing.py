@@ -16,7 +16,7 @@ from tsobs_ros.schema import encode
 _HEADER = """\
 # What `tsobs design` is asked for, with numbers of `tsobs fit`: {samples} samples of
 # {names}.
-# A number with ± is fitted, with its 1 sigma; "kept" means that the recording does not show it.
+# ± is the 1 sigma of a fitted number. One that is hardly shown stays near its value before.
 # Units are SI and radians.
 """
 
@@ -62,7 +62,11 @@ def _entry(name: str, value: Any, found: Mapping[str, Found], fit: Fit) -> str:
         lines = []
         for each in value:
             own = [one for key, one in found.items() if key.startswith(f"{each['measures']}.")]
-            lines += [f"    # {one.name}: {_words(one, written[one.name])}\n" for one in own]
+            lines += [
+                f"    # {one.name}: {_words(one, written[one.name])}\n"
+                for one in own
+                if not one.name.endswith(".offset")  # no entry of a request
+            ]
             lines.append(f"    - {_flow(each)}\n")
         return f"  outputs:\n{''.join(lines)}"
     own = [
@@ -82,6 +86,8 @@ def _comment(one: Found | None, value: float) -> str:
 
 
 def _words(one: Found, value: float) -> str:
+    if not (value or one.significant):
+        return f"nothing is shown ({one.value:.2g} ± {one.std:.2g} {one.unit})"
     if not one.seen:
         return f"the recording hardly shows it (± {one.std:.2g} {one.unit})".replace(" )", ")")
     if abs(value / one.value - 1.0) > 1e-4:
