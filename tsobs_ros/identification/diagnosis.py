@@ -241,7 +241,7 @@ def _torques(joint: Joint, recording: Recording, gate: float) -> list[Lack]:
             continue
         share = float(part @ rest) ** 2 / norm / total
         if share > best[0]:
-            best = (share, text, abs(float(part @ rest) / norm) * float(np.abs(shape).max()))
+            best = (share, text, abs(float(part @ rest) / norm) * float(np.abs(part).max()))
     share, text, amount = best
     least = 0.003 * request.arm.reference_torque
     if share < _EXPLAINED or amount < least:
