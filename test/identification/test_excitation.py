@@ -32,7 +32,13 @@ VERTICAL = replace(
 REST = (0.0, 0.0, 0.0, 0.0)
 
 
-@pytest.fixture(scope="module", params=[GEARED, VERTICAL], ids=["gravity", "vertical"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(GEARED, id="gravity"),
+        pytest.param(VERTICAL, id="vertical", marks=pytest.mark.slow),
+    ],
+)
 def motion(request: pytest.FixtureRequest) -> Excitation:
     return ts.excite(request.param, duration=12.0, max_velocity=3.0, seed=3, candidates=40)
 
@@ -73,6 +79,7 @@ def test_a_motion_shows_more_than_a_plain_sine(motion: Excitation) -> None:
     assert f"{motion.gain:.3g} times smaller" in str(motion)
 
 
+@pytest.mark.slow
 def test_a_seed_gives_one_motion() -> None:
     first, again, other = (
         ts.excite(GEARED, duration=12.0, free=["stiffness"], seed=seed, candidates=3)
@@ -84,6 +91,7 @@ def test_a_seed_gives_one_motion() -> None:
     assert not np.array_equal(first.torque, other.torque)
 
 
+@pytest.mark.slow
 def test_a_fit_of_the_motion_finds_the_arm_behind_a_wrong_sheet() -> None:
     true = GEARED.arm
     sheet = replace(
@@ -109,6 +117,7 @@ def test_a_fit_of_the_motion_finds_the_arm_behind_a_wrong_sheet() -> None:
         assert number.std < 4.0 * motion.number(name).std, name
 
 
+@pytest.mark.slow
 def test_a_command_is_what_the_request_s_torque_path_makes_the_motor_s_torque_of() -> None:
     request = replace(GEARED, torque=TorquePath(gain=2.0, offset=0.1))
     motion = ts.excite(request, duration=12.0, free=["stiffness"], candidates=3)

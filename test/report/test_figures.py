@@ -47,7 +47,7 @@ SERIES = ("measurements", "true_state", "true_disturbance", "innovation", "healt
           "parameter_bound")  # fmt: skip
 
 
-@pytest.mark.parametrize("gap", ["stamps", "nan", "all"])
+@pytest.mark.parametrize("gap", ["stamps", pytest.param("nan", marks=pytest.mark.slow), "all"])
 def test_a_figure_has_gaps_where_its_series_have_them(troubled, tmp_path, gap: str) -> None:
     """Of five seconds, or of all: without stamps there, or with numbers that are none."""
     learnt = Series(troubled.stamps[::10], 0.01 * np.ones((len(troubled.stamps[::10]), 2)))
