@@ -86,7 +86,10 @@ def no_room_beyond(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(each, marks=pytest.mark.slow if each == "report" else ()) for each in COMMANDS],
+)
 def test_an_interrupted_command_leaves_nothing_partial(
     command: str, bag: Path, tmp_path: Path
 ) -> None:

@@ -128,6 +128,7 @@ def peak(work, bag) -> int:
         tracemalloc.stop()
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_recording(arms, write_bag, design, tmp_path) -> None:
     files = (DesignFile.of(design),)
 
