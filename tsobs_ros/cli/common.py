@@ -8,9 +8,13 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, TypeAlias
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-from tsobs_ros.errors import DesignError, printable
+from tsobs_ros.errors import DesignError, ParameterError, printable
+
+if TYPE_CHECKING:
+    from tsobs_ros.design.request import ArmRequest
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """Where a command adds its parser."""
@@ -38,6 +42,17 @@ def at_least_one(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text}")
     return value
+
+
+def load_arm_request(path: Path) -> "ArmRequest":
+    """Return the request in a file, which must be for an arm."""
+    from tsobs_ros.design.file import load_request
+    from tsobs_ros.design.request import ArmRequest
+
+    request = load_request(path)
+    if not isinstance(request, ArmRequest):
+        raise ParameterError(f"{path}: expected a request for an arm, not a T-S system")
+    return request
 
 
 def show(mapping: dict[str, Any], text: str, as_json: bool) -> None:

@@ -5,8 +5,17 @@
 import argparse
 from pathlib import Path
 
-from tsobs_ros.cli.common import Commands, add_json, at_least_one, note, positive, progress, show
-from tsobs_ros.errors import ParameterError, printable
+from tsobs_ros.cli.common import (
+    Commands,
+    add_json,
+    at_least_one,
+    load_arm_request,
+    note,
+    positive,
+    progress,
+    show,
+)
+from tsobs_ros.errors import printable
 from tsobs_ros.files import require_new
 
 
@@ -51,14 +60,10 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Find a motion and write it."""
-    from tsobs_ros.design.file import load_request
-    from tsobs_ros.design.request import ArmRequest
     from tsobs_ros.identification.excitation import excite
 
     require_new([options.output], force=options.force)
-    request = load_request(options.request)
-    if not isinstance(request, ArmRequest):
-        raise ParameterError(f"{options.request}: expected a request for an arm, not a T-S system")
+    request = load_arm_request(options.request)
     with progress(0, " motions", quiet=options.json) as advance:
         found = excite(
             request,

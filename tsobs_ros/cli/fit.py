@@ -5,9 +5,9 @@
 import argparse
 from pathlib import Path
 
-from tsobs_ros.cli.common import Commands, add_json, note, progress, show
+from tsobs_ros.cli.common import Commands, add_json, load_arm_request, note, progress, show
 from tsobs_ros.cli.estimate import pairs
-from tsobs_ros.errors import ParameterError, printable
+from tsobs_ros.errors import printable
 from tsobs_ros.files import require_nameable, require_new, written_whole
 
 
@@ -47,8 +47,6 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Fit and write the fitted request."""
-    from tsobs_ros.design.file import load_request
-    from tsobs_ros.design.request import ArmRequest
     from tsobs_ros.identification.fit import fit
     from tsobs_ros.identification.writing import request_text
     from tsobs_ros.yaml_files import write_yaml
@@ -60,9 +58,7 @@ def run(options: argparse.Namespace) -> int:
         from tsobs_ros.report.fit import write_page
 
         require_nameable(report)
-    request = load_request(options.request)
-    if not isinstance(request, ArmRequest):
-        raise ParameterError(f"{options.request}: expected a request for an arm, not a T-S system")
+    request = load_arm_request(options.request)
     with progress(0, " samples", scale=True, quiet=options.json) as advance:
         found = fit(
             request,

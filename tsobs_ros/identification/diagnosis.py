@@ -210,21 +210,14 @@ def _torques(joint: Joint, recording: Recording, gate: float) -> list[Lack]:
     slow_speed = 0.02 * float(np.abs(motor_speed).max() or 1.0)
     slack = 0.1 * float(np.abs(deflection).max() or 1.0)
     causes = {
-        "Coulomb friction of the motor": (
-            np.tanh(motor_speed / slow_speed),
-            "sign of its velocity",
-        ),
+        "Coulomb friction of the motor": np.tanh(motor_speed / slow_speed),
         "friction that grows with the square of the motor's velocity": (
-            motor_speed * np.abs(motor_speed),
-            "",
+            motor_speed * np.abs(motor_speed)
         ),
-        "backlash or a spring that is softer about its middle": (
-            np.tanh(deflection / slack),
-            "",
-        ),
-        "a spring that stiffens": (deflection**3, ""),
+        "backlash or a spring that is softer about its middle": np.tanh(deflection / slack),
+        "a spring that stiffens": deflection**3,
         "a torque that depends on the motor's angle, such as cogging or an offset of the angle's "
-        "zero": (np.sin(motor), ""),
+        "zero": np.sin(motor),
     }
     # What the model has already takes its share of each.
     modelled = np.stack(
@@ -234,7 +227,7 @@ def _torques(joint: Joint, recording: Recording, gate: float) -> list[Lack]:
     rest = torque - basis @ (basis.T @ torque)
     total = float(rest @ rest)
     best: tuple[float, str, float] = (0.0, "", 0.0)
-    for text, (shape, _) in causes.items():
+    for text, shape in causes.items():
         part = shape - basis @ (basis.T @ shape)
         norm = float(part @ part)
         if norm < 1e-9 * float(shape @ shape) or not total:

@@ -71,17 +71,12 @@ class Optimum:
         coordinates: Where, in units of the priors, shape (k,).
         covariance: Of the coordinates, shape (k, k).
         evaluation: The likelihood there.
-        before: The cost at the start.
-        steps: Number of steps that were taken.
     """
 
     unknowns: Unknowns
     coordinates: Array
     covariance: Array
     evaluation: Evaluation
-    before: float
-    steps: int
-    outliers: int
 
     @property
     def joint(self) -> Joint:
@@ -119,20 +114,19 @@ def maximise(
         advance: Called with the number of filtered samples.
     """
     k, rng = unknowns.count, np.random.default_rng(seed)
-    origin = np.zeros(k)
     longest = max(recordings, key=lambda recording: recording.count)
     short, longer = (
         Likelihood(unknowns, [_middle_of(longest, count)], advance=advance)
         for count in (_START_SAMPLES, _MIDDLE_SAMPLES)
     )
-    best, taken = begin, 0
+    best = begin
     if best is None:
-        points = [origin, *(0.5 * rng.standard_normal((starts - 1, k)))]
+        points = [np.zeros(k), *(0.5 * rng.standard_normal((starts - 1, k)))]
         found = [_search(short, point, _FEW_STEPS) for point in points]
-        best = min(found, key=lambda one: short.cost(one[0]))[0]
-        best, taken = _search(longer, best, _FEW_STEPS)
+        best = min(found, key=short.cost)
+        best = _search(longer, best, _FEW_STEPS)
     gated = Likelihood(unknowns, recordings, GATE, advance)
-    best, more = _search(gated, best, steps)
+    best = _search(gated, best, steps)
     made = gated.evaluate(best)
     hessian = made.information + np.eye(k)
     inverse = np.linalg.inv(hessian)
@@ -140,8 +134,7 @@ def maximise(
     robust = inverse @ (made.spread + np.eye(k)) @ inverse
     ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(inverse), 1.0))
     covariance = inverse * np.outer(ratio, ratio)
-    outliers = gated.outliers(best)
-    return Optimum(unknowns, best, covariance, made, gated.cost(origin), taken + more, outliers)
+    return Optimum(unknowns, best, covariance, made)
 
 
 def _middle_of(recording: Recording, count: int) -> Recording:
@@ -150,8 +143,8 @@ def _middle_of(recording: Recording, count: int) -> Recording:
     return recording.part(begin, min(begin + count, recording.count))
 
 
-def _search(likelihood: Likelihood, start: Array, steps: int) -> tuple[Array, int]:
-    """Return the point of least cost, and the number of steps to it."""
+def _search(likelihood: Likelihood, start: Array, steps: int) -> Array:
+    """Return the point of least cost that so many steps lead to."""
     unit, least = np.eye(len(start)), math.inf
 
     def settle(intermediate_result: OptimizeResult) -> None:
@@ -177,7 +170,7 @@ def _search(likelihood: Likelihood, start: Array, steps: int) -> tuple[Array, in
             "maxiter": steps,
         },
     )
-    return np.asarray(found.x), int(found.nit)
+    return np.asarray(found.x)
 
 
 def _found(optimum: Optimum) -> tuple[Found, ...]:
@@ -428,17 +421,20 @@ def _found_lacks(numbers: Sequence[Found]) -> list[Lack]:
     return made
 
 
-def _mean_log_likelihood(
-    joint: Joint, recordings: Sequence[tuple[Recording, int]], held_out: bool
-) -> float:
-    """Return the log likelihood per sample before or after the samples where each part begins."""
-    total, count = 0.0, 0
+def _mean_log_likelihoods(
+    joint: Joint, recordings: Sequence[tuple[Recording, int]]
+) -> tuple[float, float]:
+    """Return the log likelihood per sample before the held-out parts begin, and in them."""
+    totals, counts = [0.0, 0.0], [0, 0]
     for recording, begin in recordings:
         found = innovations(joint, recording, gate=GATE)
-        part = slice(begin, None) if held_out else slice(0, begin)
-        total += log_likelihood(found.errors[part], found.variances[part], GATE)
-        count += len(found.errors[part])
-    return total / count if count else math.nan
+        for place, part in enumerate((slice(0, begin), slice(begin, None))):
+            totals[place] += log_likelihood(found.errors[part], found.variances[part], GATE)
+            counts[place] += len(found.errors[part])
+    fitted, held_out = (
+        total / count if count else math.nan for total, count in zip(totals, counts, strict=True)
+    )
+    return fitted, held_out
 
 
 def fit(
@@ -503,6 +499,7 @@ def fit(
     begin = begins[longest] if held_out else whole.count // 2
     outputs, traces = output_fits(likeliest, whole, begin, GATE)
     rest = list(zip(recordings, begins, strict=True))
+    before, after = (_mean_log_likelihoods(each, rest) for each in (unknowns.joint, likeliest))
     return Fit(
         request=observed,
         before=start,
@@ -511,16 +508,10 @@ def fit(
         unseen=unseen(optimum),
         lacks=(*added, *_found_lacks(numbers), *lacks(likeliest, fitted, GATE)),
         outputs=outputs,
-        log_likelihood=(
-            _mean_log_likelihood(unknowns.joint, rest, False),
-            _mean_log_likelihood(likeliest, rest, False),
-        ),
-        log_likelihood_held_out=(
-            _mean_log_likelihood(unknowns.joint, rest, True),
-            _mean_log_likelihood(likeliest, rest, True),
-        ),
+        log_likelihood=(before[0], after[0]),
+        log_likelihood_held_out=(before[1], after[1]),
         samples=(sum(begins), sum(each.count - end for each, end in rest)),
-        outliers=optimum.outliers,
+        outliers=optimum.evaluation.outliers,
         notes=notes,
         traces=traces,
     )

@@ -10,7 +10,7 @@ only a number among them that is known could show it.
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -172,19 +172,15 @@ class Unknowns:
 
     joint: Joint
     numbers: tuple[Number, ...]
-    _known: Mapping[str, Number] = field(default_factory=dict)
 
     @classmethod
-    def of(
-        cls, request: ArmRequest, free: Sequence[str] = (), *, with_friction: bool = True
-    ) -> "Unknowns":
+    def of(cls, request: ArmRequest, free: Sequence[str] = ()) -> "Unknowns":
         """Return the unknown numbers of a request.
 
         Args:
             request: Of an arm.
             free: Names of the numbers to estimate, or beginnings of them; all but the torque's gain
                 if empty.
-            with_friction: Whether Coulomb friction is among them by default.
 
         Raises:
             ModelError: A name is unknown.
@@ -195,13 +191,12 @@ class Unknowns:
                 raise ModelError(
                     f"free: expected some of {', '.join(known)}, got {name!r}{meant(name, known)}"
                 )
-        default = {TORQUE_GAIN, *(() if with_friction else FRICTION)}
         chosen = [
             number
             for name, number in known.items()
-            if (any(_names(each, name) for each in free) if free else name not in default)
+            if (any(_names(each, name) for each in free) if free else name != TORQUE_GAIN)
         ]
-        return cls(Joint.of(request), tuple(chosen), known)
+        return cls(Joint.of(request), tuple(chosen))
 
     @property
     def count(self) -> int:

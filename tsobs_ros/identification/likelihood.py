@@ -137,12 +137,14 @@ class Evaluation(NamedTuple):
         gradient: Of the cost by the coordinates, shape (k,).
         information: Of the recordings, without the prior, shape (k, k).
         spread: Σ of products of the scores of blocks, shape (k, k).
+        outliers: Number of innovations beyond the gate.
     """
 
     cost: float
     gradient: Array
     information: Array
     spread: Array
+    outliers: int
 
 
 class Likelihood:
@@ -188,10 +190,6 @@ class Likelihood:
             return math.inf
         return self._cost(coordinates, errors, logs)
 
-    def outliers(self, coordinates: Array) -> int:
-        """Return the number of innovations beyond the gate."""
-        return int((np.abs(self._filtered(coordinates)[0]) > self._gate).sum())
-
     def _cost(self, coordinates: Array, errors: Array, logs: Array) -> float:
         squares = np.minimum(errors * errors, self._gate * self._gate)
         total = 0.5 * float(squares.sum() + logs.sum()) + 0.5 * float(coordinates @ coordinates)
@@ -231,6 +229,7 @@ class Likelihood:
             scores.sum(axis=0) + coordinates,
             information,
             blocks.T @ blocks,
+            int((~regular).sum()),
         )
         # Next differences by what is known here.
         self._spacing = np.maximum(_STEP / np.sqrt(np.diag(information) + 1.0), 1e-7)

@@ -24,12 +24,11 @@ from tsobs_ros.checks import Array, positive
 from tsobs_ros.design.request import NO_LIMIT, ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.identification.joint import UNCERTAINTY
+from tsobs_ros.identification.likelihood import WORKERS
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.integrator import ArmMotion, Friction
 from tsobs_ros.simulation.plant import Scenario
-
-WORKERS = 2
 
 _ANGLE_SHARE = 0.9
 """Largest angle by the request's domain."""

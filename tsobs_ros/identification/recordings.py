@@ -243,7 +243,7 @@ def _checked(request: ArmRequest, recording: Recording) -> list[str]:
                 f"note: {name}: the torque is {edge:.4g} N m in {100 * share:.0f} % of the "
                 "samples: if the drive is at its limit there, the true torque may be another one"
             )
-    notes += _gear(request, recording)
+    _require_no_gear(request, recording)
     return notes
 
 
@@ -269,11 +269,11 @@ def _require_domain(request: ArmRequest, recording: Recording, place: int, value
         )
 
 
-def _gear(request: ArmRequest, recording: Recording) -> list[str]:
+def _require_no_gear(request: ArmRequest, recording: Recording) -> None:
     """Refuse angles of motor and link with a gear between them."""
     names = [output.measures for output in request.sensors]
     if not {"motor_angle", "link_angle"} <= set(names):
-        return []
+        return
     motor, link = (recording.y[:, names.index(each)] for each in ("motor_angle", "link_angle"))
     both = np.isfinite(motor) & np.isfinite(link)
     motor, link = motor[both] - motor[both].mean(), link[both] - link[both].mean()
@@ -286,7 +286,6 @@ def _gear(request: ArmRequest, recording: Recording) -> list[str]:
             f"{sign}: if a gear is between them, divide the motor's angle by its ratio, and "
             "multiply the torque by it"
         )
-    return []
 
 
 def require_torque(unknowns: Unknowns, recording: Recording) -> None:
