@@ -11,7 +11,7 @@ from identified_joint import ARM, WRONG, request_of, tones
 
 import tsobs_ros as ts
 from tsobs_ros.design.file import load_request
-from tsobs_ros.identification.writing import request_text
+from tsobs_ros.identification.result import request_text
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.torque_path import TorquePath
 

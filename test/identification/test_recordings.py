@@ -75,18 +75,17 @@ def test_the_shape_of_arrays_is_checked(log: Recorded) -> None:
 def test_gaps_are_left_out_and_counted(log: Recorded) -> None:
     time, y, u = log
     keep = (time < 2.0) | (time > 2.5)
-    made = read(request_of(), [(time[keep], y[keep], u[keep])])
+    _, (made,), (note,) = read(request_of(), [(time[keep], y[keep], u[keep])])
 
-    assert (made.recordings[0].durations < 0.0).sum() == 1
-    assert "1 gaps, 0.504 s in all" in made.notes[0]
+    assert (made.durations < 0.0).sum() == 1
+    assert "1 gaps, 0.504 s in all" in note
 
 
 def test_disorder_and_repetition_are_put_right(log: Recorded) -> None:
     time, y, u = log
     order = np.random.default_rng(0).permutation(np.repeat(np.arange(len(time)), 2))
     ordered, mixed = (
-        read(request_of(), [each]).recordings[0]
-        for each in (log, (time[order], y[order], u[order]))
+        read(request_of(), [each])[1][0] for each in (log, (time[order], y[order], u[order]))
     )
 
     np.testing.assert_array_equal(ordered.y, mixed.y)
@@ -95,18 +94,18 @@ def test_disorder_and_repetition_are_put_right(log: Recorded) -> None:
 
 def test_another_rate_is_the_fitted_requests(log: Recorded) -> None:
     time, y, u = log
-    made = read(request_of(rate=200.0), [(time, y, u)])
+    request, _, (note,) = read(request_of(rate=200.0), [(time, y, u)])
 
-    assert made.request.rate == 500.0
-    assert "500 samples per second, the request 200" in made.notes[0]
+    assert request.rate == 500.0
+    assert "500 samples per second, the request 200" in note
 
 
 def test_zeros_of_encoders_that_were_never_set_are_subtracted(log: Recorded) -> None:
     time, y, u = log
-    made = read(request_of(), [(time, y + np.array([0.0, 6.5]), u)])
+    _, (made,), (note,) = read(request_of(), [(time, y + np.array([0.0, 6.5]), u)])
 
-    np.testing.assert_allclose(made.recordings[0].y, y, atol=0.05)
-    assert "the zeros of the angles differ" in made.notes[0]
+    np.testing.assert_allclose(made.y, y, atol=0.05)
+    assert "the zeros of the angles differ" in note
 
 
 def test_the_command_writes_a_request_and_says_what_it_found(

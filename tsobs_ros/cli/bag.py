@@ -6,38 +6,31 @@ import argparse
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from tsobs_ros.cli.common import Advance, Commands, add_json, progress, show
+from tsobs_ros.cli.common import Advance, Commands, add_command, keywords, progress, show
 
 
 def add_parser(commands: Commands) -> None:
     """Add the command `bag` and its actions."""
     bag = commands.add_parser("bag", help="look at a bag, check it, or recover a damaged one")
     actions = bag.add_subparsers(required=True, metavar="ACTION")
-    for name, command, text in (
+    for name, run, text in (
         ("info", _info, "files, times and topics, also of an unfinished bag"),
         ("verify", _verify, "check that every tool reads the bag; exit code 1 with reasons if not"),
         ("recover", _recover, "make a whole bag of a damaged or unfinished one, left as it is"),
     ):
-        action = actions.add_parser(name, help=text)
-        action.add_argument("bag", type=Path, help="a bag's folder, or one MCAP file")
-        add_json(action)
-        action.set_defaults(command=command)
+        add = add_command(actions, name, run, text).add_argument
+        add("bag", type=Path, help="a bag's folder, or one MCAP file")
         if name != "info":
-            action.add_argument(
-                "--trusted", action="store_true",
+            add(
+                "--trusted", action="store_true", dest="is_trusted",
                 help="read chunks of any decompressed size (default: 1 GiB + 100 times the file)",
             )  # fmt: skip
-    action.add_argument(
-        "--output", type=Path, metavar="FOLDER", help="bag to make (default: BAG_recovered)"
-    )
-    action.add_argument(
-        "--compression", choices=("none", "lz4", "zstd"), default="zstd", help="of the new bag"
-    )
-    action.add_argument(
-        "--keep-unchecked",
-        action="store_true",
+    add("--output", type=Path, metavar="FOLDER", help="bag to make (default: BAG_recovered)")
+    add("--compression", choices=("none", "lz4", "zstd"), default="zstd", help="of the new bag")
+    add(
+        "--keep-unchecked", action="store_true",
         help="also keep what can be read where checksums fail: some of it is wrong",
-    )
+    )  # fmt: skip
 
 
 def _info(options: argparse.Namespace) -> int:
@@ -52,7 +45,7 @@ def _verify(options: argparse.Namespace) -> int:
     from tsobs_ros.bag.verification import verify
 
     with _bytes_read(options, passes=1) as advance:
-        verification = verify(options.bag, advance, is_trusted=options.trusted)
+        verification = verify(options.bag, advance, is_trusted=options.is_trusted)
     show(verification.as_mapping(), verification.text(), options.json)
     return 0 if verification.holds else 1
 
@@ -61,16 +54,9 @@ def _recover(options: argparse.Namespace) -> int:
     from tsobs_ros.bag.recovery import recover
 
     bag = options.bag.absolute()
-    default = bag.with_name(f"{bag.name.removesuffix('.mcap')}_recovered")
+    output = options.output or bag.with_name(f"{bag.name.removesuffix('.mcap')}_recovered")
     with _bytes_read(options, passes=2) as advance:
-        recovery = recover(
-            options.bag,
-            options.output or default,
-            compression=options.compression,
-            keep_unchecked=options.keep_unchecked,
-            is_trusted=options.trusted,
-            progress=advance,
-        )
+        recovery = recover(options.bag, output, progress=advance, **keywords(options, recover))
     show(recovery.as_mapping(), recovery.text(), options.json)
     return 0
 

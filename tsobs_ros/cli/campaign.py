@@ -9,7 +9,15 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tsobs_ros.cli.common import Commands, add_json, at_least_one, complain, progress, show
+from tsobs_ros.cli.common import (
+    Commands,
+    add_command,
+    at_least_one,
+    complain,
+    keywords,
+    progress,
+    show,
+)
 from tsobs_ros.errors import printable
 
 if TYPE_CHECKING:
@@ -18,19 +26,15 @@ if TYPE_CHECKING:
 
 def add_parser(commands: Commands) -> None:
     """Add the command `campaign`."""
-    campaign = commands.add_parser(
-        "campaign", help="many simulated runs: errors, and the certified bound against them"
-    )
-    add = campaign.add_argument
+    text = "many simulated runs: errors, and the certified bound against them"
+    add = add_command(commands, "campaign", run, text).add_argument
     add("campaign", type=Path, nargs="?", metavar="FILE", help="YAML, as config/campaign.yaml")
     add("--output", type=Path, metavar="DIR", help="folder; of the same campaign: to go on with it")
     add("--runs", type=at_least_one, metavar="N", help="instead of the file's")
     add(
-        "--workers",
-        type=at_least_one,
-        metavar="N",
+        "--workers", type=at_least_one, metavar="N", dest="threads",
         help="threads of this machine (default: its cores)",
-    )
+    )  # fmt: skip
     add("--scheduler", metavar="ADDRESS", help="of a Dask cluster, such as tcp://10.0.0.1:8786")
     add("--force", action="store_true", help="replace another campaign in the folder")
     add("--show", type=Path, metavar="DIR", help="show the tables of a campaign")
@@ -38,18 +42,15 @@ def add_parser(commands: Commands) -> None:
         "--rerun", nargs=2, metavar=("ID", "DIR"),
         help="make one run of a campaign again, as a bag and a report in --output",
     )  # fmt: skip
-    add_json(campaign)
-    campaign.set_defaults(command=run, parser=campaign)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run a campaign, show one, or make one of its runs again."""
-    asked = [options.campaign is not None, options.show is not None, options.rerun is not None]
-    if sum(asked) != 1:
+    if sum(each is not None for each in (options.campaign, options.show, options.rerun)) != 1:
         options.parser.error("expected one of FILE, --show DIR and --rerun ID DIR")
     if options.show is None and options.output is None:
         options.parser.error("--output is missing")
-    if options.workers is not None and options.scheduler is not None:
+    if options.threads is not None and options.scheduler is not None:
         options.parser.error("--workers is for this machine, not for a cluster")
     if options.rerun is not None:
         return _rerun(options)
@@ -71,12 +72,7 @@ def _run(options: argparse.Namespace) -> int:
     with progress(campaign.entries.runs, " runs", quiet=options.json) as advance:
         try:
             folder = run_campaign(
-                campaign,
-                options.output,
-                threads=options.workers,
-                scheduler=options.scheduler,
-                force=options.force,
-                progress=advance,
+                campaign, options.output, progress=advance, **keywords(options, run_campaign)
             )
         except KeyboardInterrupt:
             complain("interrupted; the same command goes on with the runs that are missing")

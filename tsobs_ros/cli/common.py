@@ -3,6 +3,7 @@
 """Options and output that the commands share: text for people, JSON for programs, progress."""
 
 import argparse
+import inspect
 import json
 import math
 import sys
@@ -19,13 +20,26 @@ if TYPE_CHECKING:
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """Where a command adds its parser."""
 
+Run = Callable[[argparse.Namespace], int]
+"""Carries a command out with its options, and returns the exit code."""
+
 Advance = Callable[[int], None]
 """Called with the amount of work done since its last call."""
 
 
-def add_json(command: argparse.ArgumentParser) -> None:
-    """Let the command print its result as JSON."""
+def add_command(commands: Commands, name: str, run: Run, text: str) -> argparse.ArgumentParser:
+    """Add a command that shows its result, as text or as JSON; return its parser."""
+    command = commands.add_parser(name, help=text)
     command.add_argument("--json", action="store_true", help="print the result as JSON")
+    command.set_defaults(command=run, parser=command)
+    return command
+
+
+def keywords(options: argparse.Namespace, function: Callable[..., Any]) -> dict[str, Any]:
+    """Return the options that are called as the keyword-only arguments of a function."""
+    parameters = inspect.signature(function).parameters.values()
+    names = {each.name for each in parameters if each.kind is each.KEYWORD_ONLY}
+    return {name: value for name, value in vars(options).items() if name in names}
 
 
 def positive(text: str) -> float:
@@ -42,6 +56,20 @@ def at_least_one(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text}")
     return value
+
+
+def pairs(text: str) -> dict[str, str]:
+    """Return the pairs in an option's text, such as `time=t,angle=q`."""
+    items = [item.partition("=") for item in text.split(",")]
+    for name, sign, value in items:
+        if not (name.strip() and sign and value.strip()):
+            raise argparse.ArgumentTypeError(f"expected NAME=VALUE,…, got {text!r}")
+    return {name.strip(): value.strip() for name, _, value in items}
+
+
+def joined(given: list[dict[str, str]]) -> dict[str, str]:
+    """Return the pairs of an option that can be repeated."""
+    return {name: value for one in given for name, value in one.items()}
 
 
 def load_arm_request(path: Path) -> "ArmRequest":
@@ -90,9 +118,6 @@ def progress(
         unit: Its unit.
         scale: Whether to write large amounts with prefixes such as M.
         quiet: Whether to show nothing.
-
-    Yields:
-        What to call as the work advances.
     """
     bar: Any = None
     if not quiet and sys.stderr.isatty():

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tsobs_ros.cli.common import (
     Commands,
-    add_json,
+    add_command,
     at_least_one,
     json_text,
     positive,
@@ -29,9 +29,8 @@ _OF_SCENARIOS = ("scenario", "seeds", "duration", "force")
 
 def add_parser(commands: Commands) -> None:
     """Add the command `compare`."""
-    compare = commands.add_parser(
-        "compare", help="all observers on simulated scenarios, or on a bag or log, in a table"
-    )
+    text = "all observers on simulated scenarios, or on a bag or log, in a table"
+    compare = add_command(commands, "compare", run, text)
     add_observer_options(compare, METHODS, bag_required=False)
     compare.add_argument(
         "--output", type=Path, metavar="PATH",
@@ -57,8 +56,6 @@ def add_parser(commands: Commands) -> None:
     add("--seeds", type=at_least_one, metavar="N", help="runs of each scenario (default: 20)")
     add("--duration", type=positive, metavar="S", help="length of a run (default: 60 s)")
     add("--force", action="store_true", help="replace existing files")
-    add_json(compare)
-    compare.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -68,13 +65,13 @@ def run(options: argparse.Namespace) -> int:
         if getattr(options, name):
             raise ParameterError(f"--{name.replace('_', '-')}: is for {what}")
     if options.bag:
-        if options.held_out is None and options.held_out_std is not None:
-            raise ParameterError("--held-out-std: is for --held-out")
         held_out = None
         if options.held_out is not None:
             from tsobs_ros.report.held_out import HeldOut
 
             held_out = HeldOut.of(options.held_out, options.held_out_std)
+        elif options.held_out_std is not None:
+            raise ParameterError("--held-out-std: is for --held-out")
         return estimate(options, options.output, skip_misfits=True, held_out=held_out)
     return _on_scenarios(options)
 
@@ -93,19 +90,12 @@ def _on_scenarios(options: argparse.Namespace) -> int:
     require_new(paths, force=options.force)
     settings = ObserverSettings().with_parameters(given_parameters(options))
     design = load_design(options.design[0] if options.design else config_path(SHIPPED_DESIGN))
-    scenarios = options.scenario or DEFAULT_SCENARIOS
-    methods = options.method or METHODS
-    seeds = options.seeds or 20
-    total = len(scenarios) * len(methods) * seeds
-    with progress(total, " runs", quiet=options.json) as advance:
+    scenarios, methods = options.scenario or DEFAULT_SCENARIOS, options.method or METHODS
+    runs = len(scenarios) * (options.seeds or 20)
+    plan = (design, scenarios, options.seeds or 20, methods)
+    with progress(runs * len(methods), " runs", quiet=options.json) as advance:
         found = compare_scenarios(
-            design,
-            scenarios,
-            seeds,
-            methods,
-            settings=settings,
-            duration=options.duration,
-            advance=advance,
+            *plan, settings=settings, duration=options.duration, advance=advance
         )
     text, mapping = str(found), found.as_mapping()
     if paths:
@@ -118,5 +108,5 @@ def _on_scenarios(options: argparse.Namespace) -> int:
             page.write_text(found.markdown(figure.name), encoding="utf-8")
         text += f"\n\nwrote {', '.join(printable(str(path)) for path in paths)}"
     seconds = time.monotonic() - begin
-    show(mapping, f"{text}\n{len(scenarios) * seeds} runs in {seconds:.0f} s", options.json)
+    show(mapping, f"{text}\n{runs} runs in {seconds:.0f} s", options.json)
     return 0

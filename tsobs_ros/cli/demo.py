@@ -23,7 +23,7 @@ from tsobs_ros.bag.estimate_topics import (
     TRUE_DISTURBANCE,
     TRUE_STATES,
 )
-from tsobs_ros.cli.common import Commands, add_json, positive
+from tsobs_ros.cli.common import Commands, add_command, positive
 from tsobs_ros.cli.report import report_on
 from tsobs_ros.errors import NodeError
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -48,8 +48,8 @@ _POLL = 0.05
 
 def add_parser(commands: Commands) -> None:
     """Add the command `demo`."""
-    demo = commands.add_parser("demo", help="simulate, observe, draw, record and report, over ROS")
-    add = demo.add_argument
+    text = "simulate, observe, draw, record and report, over ROS"
+    add = add_command(commands, "demo", run, text).add_argument
     add("--output", type=Path, help="folder to make (default: demo/<date and time>)")
     add("--duration", type=positive, default=20.0, metavar="S")
     add("--seed", type=int, default=1)
@@ -63,8 +63,6 @@ def add_parser(commands: Commands) -> None:
         "--domain-id", type=int, metavar="N",
         help="ROS domain (default: a private one, so that nothing else is disturbed)",
     )  # fmt: skip
-    add_json(demo)
-    demo.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from tsobs_ros.cli.common import Commands, add_json, complain, note, show
+from tsobs_ros.cli.common import Commands, add_command, complain, note, show
 from tsobs_ros.errors import printable
 from tsobs_ros.files import require_new
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -15,24 +15,17 @@ from tsobs_ros.schema import naming
 
 def add_parser(commands: Commands) -> None:
     """Add the commands `design` and `verify`."""
-    design = commands.add_parser("design", help="design a gain and write its file")
-    design.add_argument(
-        "request",
-        type=Path,
-        nargs="?",
+    add = add_command(commands, "design", run, "design a gain and write its file").add_argument
+    add(
+        "request", type=Path, nargs="?",
         help="YAML with the arm or T-S system, noise and domain; else defaults",
-    )
-    design.add_argument("--output", type=Path, required=True, metavar="FILE")
-    design.add_argument("--force", action="store_true", help="replace an existing file")
-    add_json(design)
-    design.set_defaults(command=run)
-    verify = commands.add_parser("verify", help="re-check the certificate of a design file")
-    verify.add_argument("design", type=Path, nargs="?", help="default: the shipped design")
-    verify.add_argument(
-        "--exact", action="store_true", help="in rational arithmetic, without any rounding"
-    )
-    add_json(verify)
-    verify.set_defaults(command=_verify)
+    )  # fmt: skip
+    add("--output", type=Path, required=True, metavar="FILE")
+    add("--force", action="store_true", help="replace an existing file")
+    text = "re-check the certificate of a design file"
+    add = add_command(commands, "verify", _verify, text).add_argument
+    add("design", type=Path, nargs="?", help="default: the shipped design")
+    add("--exact", action="store_true", help="in rational arithmetic, without any rounding")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -9,7 +9,17 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tsobs_ros.cli.common import Commands, add_json, complain, positive, progress, show
+from tsobs_ros.cli.common import (
+    Commands,
+    add_command,
+    complain,
+    joined,
+    keywords,
+    pairs,
+    positive,
+    progress,
+    show,
+)
 from tsobs_ros.errors import BagWriteError, printable
 
 if TYPE_CHECKING:
@@ -28,18 +38,12 @@ METHODS = (
 
 def add_parser(commands: Commands) -> None:
     """Add the command `estimate`."""
-    command = commands.add_parser(
-        "estimate", help="run observers over a bag or a log, and write a bag of their estimates"
-    )
+    text = "run observers over a bag or a log, and write a bag of their estimates"
+    command = add_command(commands, "estimate", run, text)
     add_observer_options(command, ())
-    command.add_argument(
-        "--output", type=Path, metavar="NEWBAG", help="folder to make (default: BAG_estimates)"
-    )
-    command.add_argument(
-        "--estimates-only", action="store_true", help="leave measurements and truth out of it"
-    )
-    add_json(command)
-    command.set_defaults(command=run)
+    add = command.add_argument
+    add("--output", type=Path, metavar="NEWBAG", help="folder to make (default: BAG_estimates)")
+    add("--estimates-only", action="store_true", help="leave measurements and truth out of it")
 
 
 def add_observer_options(
@@ -97,15 +101,6 @@ def add_observer_options(
     )  # fmt: skip
 
 
-def pairs(text: str) -> dict[str, str]:
-    """Return the pairs in an option's text, such as `time=t,angle=q`."""
-    items = [item.partition("=") for item in text.split(",")]
-    for name, sign, value in items:
-        if not (name.strip() and sign and value.strip()):
-            raise argparse.ArgumentTypeError(f"expected NAME=VALUE,…, got {text!r}")
-    return {name.strip(): value.strip() for name, _, value in items}
-
-
 def run(options: argparse.Namespace) -> int:
     """Run observers over a recording."""
     bag = options.bag.absolute()
@@ -145,10 +140,7 @@ def estimate(
     given = ObserverSettings().with_parameters(parameters)
     source = open_source(
         options.bag,
-        topic=options.topic,
-        joints=options.joints,
-        columns=options.columns,
-        units=options.units,
+        **keywords(options, open_source),
         assume_zero_torque=given.assume_zero_torque if _ZERO in parameters else None,
         both_sides=held_out is not None and not held_out.place,
     )
@@ -202,7 +194,7 @@ def given_parameters(options: argparse.Namespace) -> dict[str, Any]:
     """
     from tsobs_ros.methods import SETTING_NAMES, read_parameters
 
-    given = {name: value for one in options.param for name, value in one.items()}
+    given: dict[str, Any] = {**joined(options.param)}
     if options.params_file is None:
         return given
     found = read_parameters(options.params_file)

@@ -5,27 +5,29 @@
 import argparse
 from pathlib import Path
 
-from tsobs_ros.cli.common import Commands, add_json, at_least_one, complain, show
-from tsobs_ros.cli.estimate import pairs
+from tsobs_ros.cli.common import (
+    Commands,
+    add_command,
+    at_least_one,
+    complain,
+    joined,
+    pairs,
+    show,
+)
 from tsobs_ros.errors import printable
 from tsobs_ros.files import require_new
 
 
 def add_parser(commands: Commands) -> None:
     """Add the commands `export` and `export-c`."""
-    export = commands.add_parser(
-        "export", help="topics of a bag as CSV or Parquet files, with units"
-    )
-    export.add_argument("bag", type=Path, metavar="BAG", help="bag folder or MCAP file")
-    export.add_argument("--topic", nargs="+", default=[], metavar="NAME", help="default: all")
-    export.add_argument("--format", choices=("csv", "parquet"), default="csv")
-    export.add_argument("--output", type=Path, required=True, metavar="FOLDER")
-    add_json(export)
-    export.set_defaults(command=_export)
-    command = commands.add_parser(
-        "export-c", help="a design's estimator as a file for C and C++ programs"
-    )
-    add = command.add_argument
+    text = "topics of a bag as CSV or Parquet files, with units"
+    add = add_command(commands, "export", _export, text).add_argument
+    add("bag", type=Path, metavar="BAG", help="bag folder or MCAP file")
+    add("--topic", nargs="+", default=[], metavar="NAME", dest="topics", help="default: all")
+    add("--format", choices=("csv", "parquet"), default="csv")
+    add("--output", type=Path, required=True, metavar="FOLDER")
+    text = "a design's estimator as a file for C and C++ programs"
+    add = add_command(commands, "export-c", _export_c, text).add_argument
     add("design", type=Path, metavar="DESIGN", help="design file")
     add("--output", type=Path, required=True, metavar="FILE")
     add(
@@ -37,28 +39,26 @@ def add_parser(commands: Commands) -> None:
         help="most samples to which a late one can rewind; fewer take less memory (default: 1024)",
     )  # fmt: skip
     add("--force", action="store_true", help="replace an existing file")
-    add_json(command)
-    command.set_defaults(command=_export_c)
 
 
 def _export(options: argparse.Namespace) -> int:
     from tsobs_ros.report.export import export_bag
 
-    exported = export_bag(options.bag, options.output, topics=options.topic, format=options.format)
+    exported = export_bag(options.bag, options.output, topics=options.topics, format=options.format)
     lines = [
         f"{one.topic}: {one.rows:,} messages, {one.columns} columns in {one.path}"
         for one in exported
     ]
-    damages = {str(one.damage) for one in exported if one.damage is not None}
+    damages = sorted({str(one.damage) for one in exported if one.damage is not None})
     mapping = {
         "files": [
             {"topic": one.topic, "file": str(one.path), "rows": one.rows, "columns": one.columns}
             for one in exported
         ],
-        "damage": sorted(damages),
+        "damage": damages,
     }
     show(mapping, "\n".join(map(printable, lines)) or f"{options.bag}: no messages", options.json)
-    for damage in sorted(damages):
+    for damage in damages:
         complain(f"{damage}; exported up to there")
     return 1 if damages else 0
 
@@ -69,8 +69,7 @@ def _export_c(options: argparse.Namespace) -> int:
     from tsobs_ros.exported import export_c
     from tsobs_ros.methods import ObserverSettings
 
-    given = {name: value for one in options.param for name, value in one.items()}
-    settings = ObserverSettings().with_parameters(given)
+    settings = ObserverSettings().with_parameters(joined(options.param))
     design = load_design(options.design)
     size, room = export_c(design, options.output, settings, max_steps=options.max_steps)
     show(

@@ -1,54 +1,114 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""`tsobs fit`: a request's numbers from recordings."""
+"""`tsobs excite`: a motion that shows a joint's numbers; `tsobs fit`: them from its recording."""
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from tsobs_ros.cli.common import Commands, add_json, load_arm_request, note, progress, show
-from tsobs_ros.cli.estimate import pairs
+from tsobs_ros.cli.common import (
+    Commands,
+    add_command,
+    at_least_one,
+    keywords,
+    load_arm_request,
+    note,
+    pairs,
+    positive,
+    progress,
+    show,
+)
 from tsobs_ros.errors import printable
 from tsobs_ros.files import require_nameable, require_new, written_whole
 
+if TYPE_CHECKING:
+    from tsobs_ros.design.request import ArmRequest
+
 
 def add_parser(commands: Commands) -> None:
-    """Add the command `fit`."""
-    fit = commands.add_parser("fit", help="fit a request's numbers to recordings of the arm")
-    fit.add_argument("request", type=Path, help="YAML with the numbers of data sheets")
-    fit.add_argument("logs", type=Path, nargs="+", metavar="LOG", help="CSV logs or bags")
-    fit.add_argument("--output", type=Path, required=True, metavar="FILE", help="fitted request")
-    fit.add_argument(
+    """Add the commands `excite` and `fit`."""
+    text = "make a torque motion that shows what fit looks for"
+    add = add_command(commands, "excite", _excite, text).add_argument
+    add("request", type=Path, help="YAML with the numbers of data sheets")
+    add("--output", type=Path, required=True, metavar="FILE", help="CSV to write")
+    add("--force", action="store_true", help="replace an existing file")
+    add("--duration", type=positive, default=30.0, metavar="S", help="of the motion (default: 30)")
+    add(
+        "--max-torque", type=positive, metavar="NM",
+        help="largest torque at the motor (default: half of the request's torque_limit, at most "
+        "the gravity torque, or 10 rad/s^2 of both inertias without gravity)",
+    )  # fmt: skip
+    add(
+        "--max-angle", type=positive, metavar="RAD",
+        help="largest angle of link and motor (default: 0.9 of the request's x_max)",
+    )  # fmt: skip
+    add(
+        "--max-velocity", type=positive, metavar="RAD/S",
+        help="largest velocity of both (default: a swing through x_max at the joint's fastest "
+        "frequency)",
+    )  # fmt: skip
+    add(
+        "--free", action="append", default=[], metavar="NAME",
+        help="a number to show, or a group, as of fit; can be repeated (default: all but "
+        "torque.gain)",
+    )  # fmt: skip
+    add(
+        "--candidates", type=at_least_one, metavar="N",
+        help="motions that the search tries (default: 120, fewer of more than 30 s)",
+    )  # fmt: skip
+    add("--seed", type=int, default=0, help="of the search (default: 0)")
+
+    text = "fit a request's numbers to recordings of the arm"
+    add = add_command(commands, "fit", _fit, text).add_argument
+    add("request", type=Path, help="YAML with the numbers of data sheets")
+    add("logs", type=Path, nargs="+", metavar="LOG", help="CSV logs or bags")
+    add("--output", type=Path, required=True, metavar="FILE", help="fitted request")
+    add(
         "--report", type=Path, metavar="PAGE.html",
         help="page of the fit: its numbers, predictions, residuals, and what the model lacks",
     )  # fmt: skip
-    fit.add_argument("--force", action="store_true", help="replace existing files")
-    fit.add_argument(
+    add("--force", action="store_true", help="replace existing files")
+    add(
         "--free", action="append", default=[], metavar="NAME",
         help="a number to fit, such as stiffness or torque.gain, or a group, such as arm; can be "
         "repeated (default: all but torque.gain)",
     )  # fmt: skip
-    fit.add_argument(
+    add(
         "--held-out", type=float, default=0.25, metavar="SHARE",
         help="share at the end of each log to predict instead (default: 0.25)",
     )  # fmt: skip
-    fit.add_argument("--joint", help="the joint's name in the logs, if they have several")
-    fit.add_argument("--topic", help="the measurements' topic in bags, if they have several")
-    fit.add_argument(
+    add("--joint", help="the joint's name in the logs, if they have several")
+    add("--topic", help="the measurements' topic in bags, if they have several")
+    add(
         "--columns", type=pairs, default={}, metavar="WHAT=COLUMN,...",
         help="columns of CSV logs: time=t,motor_angle=q,torque=tau",
     )  # fmt: skip
-    fit.add_argument(
+    add(
         "--units", type=pairs, default={}, metavar="WHAT=UNIT,...",
         help="their units: time=ms,angle=deg,torque=mNm",
     )  # fmt: skip
-    add_json(fit)
-    fit.set_defaults(command=run)
 
 
-def run(options: argparse.Namespace) -> int:
+def _excite(options: argparse.Namespace) -> int:
+    """Find a motion and write it."""
+    from tsobs_ros.identification.excitation import excite
+
+    require_new([options.output], force=options.force)
+    request = load_arm_request(options.request)
+    with progress(0, " motions", quiet=options.json) as advance:
+        found = excite(request, advance=advance, **keywords(options, excite))
+    found.save(options.output, force=options.force)
+    text = f"{found}\nwritten to {printable(str(options.output))}"
+    show({"motion": str(options.output), **found.summary()}, text, options.json)
+    if found.unseen:
+        note(f"the motion does not show {', '.join(found.unseen)}")
+    return 0
+
+
+def _fit(options: argparse.Namespace) -> int:
     """Fit and write the fitted request."""
     from tsobs_ros.identification.fit import fit
-    from tsobs_ros.identification.writing import request_text
+    from tsobs_ros.identification.result import request_text
     from tsobs_ros.yaml_files import write_yaml
 
     report: Path | None = options.report
@@ -60,30 +120,29 @@ def run(options: argparse.Namespace) -> int:
         require_nameable(report)
     request = load_arm_request(options.request)
     with progress(0, " samples", scale=True, quiet=options.json) as advance:
-        found = fit(
-            request,
-            *options.logs,
-            free=options.free,
-            held_out=options.held_out,
-            columns=options.columns,
-            units=options.units,
-            joint=options.joint,
-            topic=options.topic,
-            advance=advance,
-        )
+        found = fit(request, *options.logs, advance=advance, **keywords(options, fit))
     names = ", ".join(each.name for each in options.logs)
     write_yaml(options.output, request_text(found, names))
-    page = ""
+    path = printable(str(options.output))
+    text = f"{found}\nwritten to {path}; {_next_step(found.request, path)}"
     if report:
         with written_whole(report.parent, force=options.force) as folder:
             write_page(folder / report.name, found, names)
-        page = f"\npage: {printable(str(report))}"
-    show(
-        {"request": str(options.output), "report": report and str(report), **found.summary()},
-        f"{found}\nwritten to {printable(str(options.output))}; next: tsobs design "
-        f"{printable(str(options.output))} --output my_arm.design.yaml{page}",
-        options.json,
-    )
+        text += f"\npage: {printable(str(report))}"
+    files = {"request": str(options.output), "report": report and str(report)}
+    show({**files, **found.summary()}, text, options.json)
     if not all(each.seen for each in found.numbers if each.name.startswith("arm.")):
         note("the recording does not show all numbers of the arm: see above")
     return 0
+
+
+def _next_step(request: "ArmRequest", path: str) -> str:
+    """Return what to do with a fitted request."""
+    design = f"tsobs design {path} --output my_arm.design.yaml"
+    if len(request.sensors) < 2:
+        return f"next: {design}"
+    outputs = ", ".join(each.measures for each in request.sensors)
+    return (
+        f"next: of its outputs ({outputs}) leave out those that the observer will not get, such as "
+        f"an encoder for calibration only; then {design}"
+    )

@@ -20,10 +20,8 @@ from tsobs_ros.cli import (
     demo,
     design,
     estimate,
-    excite,
     export,
     fit,
-    paper,
     report,
     watch,
 )
@@ -33,20 +31,7 @@ from tsobs_ros.files import require_nameable
 from tsobs_ros.stop import interrupt
 from tsobs_ros.streams import Parser
 
-_COMMANDS = (
-    demo,
-    excite,
-    fit,
-    design,
-    estimate,
-    compare,
-    campaign,
-    export,
-    report,
-    watch,
-    bag,
-    paper,
-)
+_COMMANDS = (demo, fit, design, estimate, compare, campaign, export, report, watch, bag)
 """In the order in which the help lists them."""
 
 

@@ -1,19 +1,23 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""`tsobs report`: page, figure and table of a recorded run."""
+"""`tsobs report`: page, figure and table of a recorded run, and other things to look at.
+
+`tsobs paper` regenerates the published method's figures, `tsobs config` names the shipped files.
+"""
 
 import argparse
 from pathlib import Path
 from typing import Any
 
-from tsobs_ros.cli.common import Commands, add_json, show
+from tsobs_ros.cli.common import Commands, add_command, keywords, show
 from tsobs_ros.errors import LogError
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 
 def add_parser(commands: Commands) -> None:
-    """Add the command `report`."""
-    report = commands.add_parser("report", help="page, figure and table of a recorded run")
-    add = report.add_argument
+    """Add the commands `report`, `paper` and `config`."""
+    text = "page, figure and table of a recorded run"
+    add = add_command(commands, "report", run, text).add_argument
     add("bag", type=Path)
     add("--output", type=Path, help="folder for the report (default: by the bag)")
     add("--joint", metavar="NAME", help="joint to report on, if there are several")
@@ -26,10 +30,15 @@ def add_parser(commands: Commands) -> None:
         "--other-design", action="store_true",
         help="let --design name another design than the bag's observer ran",
     )  # fmt: skip
-    add("--no-ekf", action="store_true", help="leave out the EKF comparison")
+    add("--no-ekf", action="store_false", dest="ekf", help="leave out the EKF comparison")
     add("--force", action="store_true", help="replace existing files")
-    add_json(report)
-    report.set_defaults(command=run)
+    text = "the published method: its figures, and what holds"
+    add = add_command(commands, "paper", _paper, text).add_argument
+    add("--output", type=Path, default=Path("paper"), help="folder to write to")
+    add("--seeds", type=int, default=20, metavar="N", help="runs of Example 3")
+    add("--force", action="store_true", help="replace existing files")
+    text = "print the folder of the shipped parameters, requests and designs"
+    commands.add_parser("config", help=text).set_defaults(command=_config)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -41,16 +50,11 @@ def run(options: argparse.Namespace) -> int:
             f"{options.bag}: a log has no estimates to report on; first write a bag of them: "
             f"tsobs estimate {options.bag}"
         )
+    from tsobs_ros.report.bag_report import make_bag_report
+
+    output = options.output or options.bag.parent
     return report_on(
-        options.bag,
-        options.output or options.bag.parent,
-        as_json=options.json,
-        design=options.design,
-        other_design=options.other_design,
-        ekf=not options.no_ekf,
-        joint=options.joint,
-        namespace=options.namespace,
-        force=options.force,
+        options.bag, output, as_json=options.json, **keywords(options, make_bag_report)
     )
 
 
@@ -60,4 +64,17 @@ def report_on(bag: Path, output: Path, *, as_json: bool, **options: Any) -> int:
 
     result = make_bag_report(bag, output, **options)
     show(result.as_mapping(), result.text(), as_json)
+    return 0
+
+
+def _paper(options: argparse.Namespace) -> int:
+    from tsobs_ros.paper.page import make_paper_report
+
+    result = make_paper_report(options.output, seeds=options.seeds, force=options.force)
+    show(result.as_mapping(), str(result), options.json)
+    return 0
+
+
+def _config(options: argparse.Namespace) -> int:
+    print(config_path(SHIPPED_DESIGN).parent)
     return 0

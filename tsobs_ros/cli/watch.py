@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from tsobs_ros.cli.common import Commands, add_json, positive, show
+from tsobs_ros.cli.common import Commands, add_command, positive, show
 from tsobs_ros.errors import NodeError
 from tsobs_ros.stop import signal_came
 
@@ -24,8 +24,8 @@ _ENOUGH = 1.0  # time of estimates that a single snapshot counts rates over [s]
 
 def add_parser(commands: Commands) -> None:
     """Add the command `watch`."""
-    watch = commands.add_parser("watch", help="an observer's estimates and health, live")
-    add = watch.add_argument
+    text = "an observer's estimates and health, live"
+    add = add_command(commands, "watch", run, text).add_argument
     add("--observer", default="/observer", metavar="NAME", help="the observer's full name")
     add("--period", type=positive, default=0.25, metavar="S", help="time between two pictures")
     add("--once", action="store_true", help="print one picture and end, as without a terminal")
@@ -33,8 +33,6 @@ def add_parser(commands: Commands) -> None:
         "--timeout", type=positive, default=10.0, metavar="S",
         help="time to wait for the observer with --once",
     )  # fmt: skip
-    add_json(watch)
-    watch.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:

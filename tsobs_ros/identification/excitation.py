@@ -10,7 +10,9 @@ as the limits allow, for the nominal arm and for others within the request's unc
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from operator import itemgetter
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,15 +20,14 @@ import numpy as np
 from tsobs_ros.checks import Array, positive
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.identification.expected import Excitation, Expected
-from tsobs_ros.identification.joint import Unknowns
+from tsobs_ros.files import require_new, written_whole
+from tsobs_ros.identification.joint import Unknowns, require_arm
 from tsobs_ros.identification.likelihood import Likelihood, Recording
 from tsobs_ros.identification.motion import (
-    Genes,
     Limits,
     Mover,
-    Scaled,
     TrialArm,
+    limits_of,
     simulated,
     trial_arms,
 )
@@ -54,35 +55,176 @@ _SEEN = 0.5
 """1σ by the prior's from which on a number is not shown."""
 
 
-class _Candidate(NamedTuple):
-    """A motion: mean log of 1σ by the prior's of the wanted numbers, its genes and scale."""
+class Expected(NamedTuple):
+    """A number, and how well a recording of the motion would show it.
 
-    cost: float
-    genes: Genes
-    scale: float
+    Attributes:
+        name: Its place in the request, e.g. "arm.stiffness".
+        unit: Its unit, empty for none.
+        value: The request's.
+        prior_std: 1σ before the recording.
+        std: 1σ after it.
+        plain_std: 1σ after one of a plain sine within the same limits, the best of three.
+        seen: Whether the recording shows it: its 1σ is at most half of the prior's.
+    """
+
+    name: str
+    unit: str
+    value: float
+    prior_std: float
+    std: float
+    plain_std: float
+    seen: bool
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """A torque motion, and what it shows.
+
+    Attributes:
+        request: Of the nominal arm.
+        time: Since the start [s], shape (n,).
+        torque: At the motor, held from each sample to the next [N m], shape (n,).
+        angles: Of link and motor of the nominal arm [rad], shape (n, 2).
+        numbers: The wanted numbers.
+        limits: Largest torque, angle and velocity of link and motor that are allowed.
+        nominal: What the nominal arm reaches of them.
+        worst: What the farthest arm within the request's uncertainty reaches.
+        arms: Number of arms that were simulated.
+        frequencies: Slowest and fastest tone [rad/s].
+        plain: Amplitude [N m] and frequency [rad/s] of the plain sine.
+        gain: Mean factor by which 1σ is smaller than after the plain sine.
+        seed: Of the search.
+    """
+
+    request: ArmRequest
+    time: Array
+    torque: Array
+    angles: Array
+    numbers: tuple[Expected, ...]
+    limits: Limits
+    nominal: Limits
+    worst: Limits
+    arms: int
+    frequencies: tuple[float, float]
+    plain: tuple[float, float]
+    gain: float
+    seed: int
+
+    def number(self, name: str) -> Expected:
+        """Return how well a number is shown.
+
+        Raises:
+            KeyError: It is not among the wanted ones.
+        """
+        by_name = {each.name: each for each in self.numbers}
+        return by_name.get(name) or by_name[f"arm.{name}"]
+
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Names of the wanted numbers that the motion does not show."""
+        return tuple(each.name for each in self.numbers if not each.seen)
+
+    def summary(self) -> dict[str, Any]:
+        """Return what is expected as plain data."""
+        return {
+            "duration": float(self.time[-1]),
+            "samples": len(self.time),
+            "seed": self.seed,
+            "limits": self.limits._asdict(),
+            "nominal": self.nominal._asdict(),
+            "worst": self.worst._asdict() | {"arms": self.arms},
+            "frequencies": list(self.frequencies),
+            "numbers": [each._asdict() for each in self.numbers],
+            "unseen": list(self.unseen),
+            "plain_sine": {
+                "amplitude": self.plain[0],
+                "frequency": self.plain[1],
+                "gain": self.gain,
+            },
+        }
+
+    def __str__(self) -> str:
+        width = max(len(each.name) for each in self.numbers)
+        lines = [
+            f"{'number':{width}}  {'value':>10}  {'before':>9}  {'after':>9}  {'sine':>9}  unit"
+        ]
+        for each in self.numbers:
+            seen = "" if each.seen else "   not shown"
+            lines.append(
+                f"{each.name:{width}}  {each.value:>10.4g}  {each.prior_std:>9.2g}  "
+                f"{each.std:>9.2g}  {each.plain_std:>9.2g}  {each.unit}{seen}"
+            )
+        return "\n".join(
+            [
+                *lines,
+                "before, after, sine: expected 1 sigma before a recording, after one of this "
+                "motion, and after one of the best of three plain sines within the same limits, "
+                f"{self.plain[1]:.3g} rad/s and {self.plain[0]:.3g} N m",
+                f"after this motion 1 sigma is {self.gain:.3g} times smaller than after the sine",
+                _reached("the nominal arm reaches", self.nominal, self.limits),
+                _reached(f"the farthest of {self.arms} arms", self.worst, self.limits),
+                f"{len(self.time):,} samples, {self.time[-1]:g} s, tones from "
+                f"{self.frequencies[0] / math.tau:.3g} to {self.frequencies[1] / math.tau:.3g} Hz",
+            ]
+        )
+
+    def save(self, path: str | Path, *, force: bool = False) -> None:
+        """Write the motion as CSV: time, torque, and the nominal arm's angles.
+
+        Args:
+            path: Of the new file.
+            force: Whether an existing file may be replaced.
+
+        Raises:
+            OutputError: The file cannot be written, or exists and may not be replaced.
+        """
+        path = Path(path)
+        require_new([path], force=force)
+        rows = np.column_stack([self.time, self.torque, self.angles]).tolist()
+        with written_whole(path.parent, force=force) as folder:
+            lines = (f"{t:.9g},{u:.9g},{link:.6g},{motor:.6g}\n" for t, u, link, motor in rows)
+            text = _HEADER.format(
+                duration=self.time[-1],
+                rate=self.request.rate,
+                limits=self.limits,
+                worst=self.worst,
+                seed=self.seed,
+            )
+            (folder / path.name).write_text(text + "".join(lines), encoding="utf-8")
+
+
+_HEADER = """\
+# A motion of `tsobs excite`: {duration:g} s at {rate:g} Hz, seed {seed}.
+# torque: at the motor, held from its time to the next line's; 0 after the last one.
+# expected_link_angle, expected_motor_angle: of the request's arm, from rest at 0.
+# Limits of link and motor: {limits.torque:.4g} N m, {limits.angle:.4g} rad, \
+{limits.velocity:.4g} rad/s.
+# Arms within the request's uncertainty reach {worst.torque:.4g} N m, {worst.angle:.4g} rad, \
+{worst.velocity:.4g} rad/s.
+time [s],torque [N m],expected_link_angle [rad],expected_motor_angle [rad]
+"""
+
+
+def _reached(who: str, reached: Limits, limits: Limits) -> str:
+    return (
+        f"{who}: torque {reached.torque:.3g} of {limits.torque:.3g} N m, angle "
+        f"{reached.angle:.3g} of {limits.angle:.3g} rad, velocity {reached.velocity:.3g} of "
+        f"{limits.velocity:.3g} rad/s"
+    )
 
 
 class _Search:
-    """The search for the motion that shows most.
+    """What recordings of motions would show, and the motion that shows most.
 
     Args:
         mover: Makes the motions.
         free: Names of the numbers that a fit would estimate.
-        limits: With the margin.
         seed: Of the noise of simulated recordings, and of the search.
-        advance: Called with the number of motions that were tried.
     """
 
-    def __init__(
-        self,
-        mover: Mover,
-        free: Sequence[str],
-        limits: Limits,
-        seed: int,
-        advance: Callable[[int], None],
-    ) -> None:
-        self.mover, self.limits, self._advance = mover, limits, advance
-        request = mover.request
+    def __init__(self, mover: Mover, free: Sequence[str], seed: int) -> None:
+        self.mover, request = mover, mover.request
         self.unknowns = unknowns = Unknowns.of(request, free)
         self._rng = np.random.default_rng((seed, 0))
         noise = np.random.default_rng((seed, 2)).standard_normal
@@ -90,16 +232,16 @@ class _Search:
         joint = unknowns.at(np.zeros(unknowns.count))
         self._trial = TrialArm(joint.request.arm, joint.friction)
         # A noise shows with any motion.
-        noises = {each.name for each in unknowns.noises().numbers}
-        moved = [each.name not in noises for each in unknowns.numbers]
+        noises = unknowns.noises().numbers
+        moved = [each not in noises for each in unknowns.numbers]
         self._wanted = np.array(moved) if any(moved) else np.full(unknowns.count, True)
 
     def std(self, torque: Array) -> Array:
         """Return 1σ of the numbers after a recording, by that before it, shape (k,)."""
         request, k = self.mover.request, self.unknowns.count
-        columns = [QUANTITIES.index(each.measures) for each in request.sensors]
-        y = simulated(request, self._trial, torque, request.process_noise)[:, columns] + self._noise
+        states = simulated(request, self._trial, torque, request.process_noise)
         durations = np.full(len(torque), request.period)
+        y = states[:, _columns(request)] + self._noise
         recording = Recording("the motion", self.mover.times, durations, y, torque)
         information = Likelihood(self.unknowns, [recording]).evaluate(np.zeros(k)).information
         return np.sqrt(np.diag(np.linalg.inv(information + np.eye(k))))
@@ -108,49 +250,49 @@ class _Search:
         """Return the mean log of 1σ of the wanted numbers."""
         return float(np.log(std[self._wanted]).mean())
 
-    def _try(
-        self, genes: Genes, arms: Sequence[TrialArm], scale: float, rounds: int = 1
-    ) -> _Candidate:
-        angle = self.mover.angle(genes, self.limits)
-        made = self.mover.scaled(angle, arms, self.limits, scale=scale, rounds=rounds)
-        self._advance(1)
-        return _Candidate(self.mean(self.std(made.torque)), genes, made.scale)
+    def best(
+        self, all_arms: Sequence[TrialArm], candidates: int, advance: Callable[[int], None]
+    ) -> Array:
+        """Return the genes of the motion that shows most, of so many within the arms' limits."""
+        mover, steps = self.mover, self.mover.steps
 
-    def best(self, all_arms: Sequence[TrialArm], candidates: int) -> Genes:
-        """Return the tones that show most.
+        def tried(
+            genes: Array, arms: Sequence[TrialArm], scale: float, rounds: int = 1
+        ) -> tuple[float, Array, float]:
+            torque, scale, _ = mover.scaled(mover.angle(genes), arms, scale=scale, rounds=rounds)
+            advance(1)
+            return self.mean(self.std(torque)), genes, scale
 
-        Args:
-            all_arms: That must stay within the limits; the nominal one first.
-            candidates: Number of motions to try.
-        """
-        starts = [self.mover.random(self._rng) for _ in range(min(_STARTS, candidates))]
-        arms = self._farthest(starts[0], all_arms, 0.3)
-        found = min((self._try(each, arms, 0.3, 3) for each in starts), key=lambda one: one.cost)
+        def farthest(genes: Array, scale: float) -> list[TrialArm]:
+            """Return the nominal arm and those that come closest to their limits, or beyond."""
+            torque = mover.torque(scale * mover.angle(genes))
+            reached = mover.reached(torque, all_arms) / np.array(mover.limits)
+            order = np.argsort(-reached[1:, 1:].max(axis=1), kind="stable")[:_TRIED]
+            return [all_arms[0], *(all_arms[1 + at] for at in order.tolist())]
+
+        starts = [mover.random(self._rng) for _ in range(min(_STARTS, candidates))]
+        arms = farthest(starts[0], 0.3)
+        cost, genes, scale = min((tried(each, arms, 0.3, 3) for each in starts), key=itemgetter(0))
         size = 0.5
         for _ in range(_STAGES):
-            arms = self._farthest(found.genes, all_arms, found.scale)
-            found = self._try(found.genes, arms, found.scale)
+            arms = farthest(genes, scale)
+            cost, genes, scale = tried(genes, arms, scale)
             for _ in range((candidates - len(starts)) // _STAGES):
-                moved = self._try(self._changed(found.genes, size), arms, found.scale)
-                size = min(size * 1.5, 1.5) if moved.cost < found.cost else size * 0.9
-                found = min(found, moved, key=lambda one: one.cost)
-        return found.genes
+                other = genes + steps * size * self._rng.standard_normal(len(genes))
+                moved = tried(other, arms, scale)
+                size = min(size * 1.5, 1.5) if moved[0] < cost else size * 0.9
+                if moved[0] < cost:
+                    cost, genes, scale = moved
+        return genes
 
-    def _changed(self, genes: Genes, size: float) -> Genes:
-        """Return other tones in the neighbourhood."""
-        draw = self._rng.standard_normal
-        return Genes(
-            tuple(each + size * draw(len(each)) for each in genes.phases),
-            tuple(each + 2.0 * size * draw(len(each)) for each in genes.levels),
-            genes.shares + size * draw(len(genes.shares)),
-        )
-
-    def _farthest(self, genes: Genes, arms: Sequence[TrialArm], scale: float) -> list[TrialArm]:
-        """Return the nominal arm and those that come closest to their limits, or beyond."""
-        torque = self.mover.torque(scale * self.mover.angle(genes, self.limits))
-        shares = (self.mover.reached(torque, arms)[:, 1:] / self.limits[1:]).max(axis=1)
-        order = sorted(range(1, len(arms)), key=lambda at: -float(shares[at]))
-        return [arms[at] for at in (0, *order[:_TRIED])]
+    def plainest(self, arms: Sequence[TrialArm]) -> tuple[Array, float]:
+        """Return the torque of the plain sine that shows most, of three frequencies, and its."""
+        mover, found = self.mover, []
+        for share in (0.0, 0.25, 0.5):
+            frequency = mover.slowest * (mover.fastest / mover.slowest) ** share
+            torque, *_ = mover.scaled(mover.sine(frequency), arms, scale=0.1, rounds=4)
+            found.append((self.mean(self.std(torque)), torque, frequency))
+        return min(found, key=itemgetter(0))[1:]
 
 
 def excite(
@@ -193,11 +335,10 @@ def excite(
     >>> motion.time.shape, bool(abs(motion.torque).max() <= motion.limits.torque)
     ((1001,), True)
     """
-    if not isinstance(request, ArmRequest):
-        raise ModelError("request: expected one for an arm; a T-S system has no numbers to fit")
+    require_arm(request)
     if positive("duration", duration) > _LONGEST:
         raise ModelError(f"duration: expected at most {_LONGEST:g} s, got {duration:g}")
-    limits, path = Limits.of(request, max_torque, max_angle, max_velocity), request.torque
+    limits, path = limits_of(request, max_torque, max_angle, max_velocity), request.torque
     at_motor = path.gain * limits.torque - abs(path.offset)
     if at_motor <= 0.0:
         raise ModelError(
@@ -206,29 +347,26 @@ def excite(
         )
     # What a fit would find of delays, gain and offset does not depend on theirs.
     known, request = request, request.at_rate(request.rate)
-    mover = Mover(request, duration)
     inner = Limits(at_motor, *((1.0 - MARGIN) * each for each in limits[1:]))
+    mover = Mover(request, duration, inner)
     arms = trial_arms(request, _DRAWS, seed)
-    whole = _Search(mover, free, inner, seed, advance)
-    thinned = _thinned(request, mover.fastest)
-    search = _Search(Mover(thinned, duration), free, inner, seed, advance)
+    whole = _Search(mover, free, seed)
+    search = _Search(Mover(_thinned(request, mover.fastest), duration, inner), free, seed)
     if candidates is None:
         share = min(1.0, _FULL_TIME / duration)
         candidates = max(_LEAST_CANDIDATES, round(_CANDIDATES * share))
     elif candidates < 1:
         raise ModelError(f"candidates: expected at least 1, got {candidates}")
-    # What is too small to be measured needs no search.
-    first = mover.angle(mover.random(np.random.default_rng(seed)), inner)
-    _require_visible(request, mover.scaled(first, arms[:1], inner), limits)
-    made = mover.scaled(mover.angle(search.best(arms, candidates), inner), arms, inner, rounds=5)
-    plain, frequency = _plainest(whole, arms)
-    after, sine = whole.std(made.torque), whole.std(plain)
-    states = simulated(request, arms[0], made.torque)
+    _require_visible(mover, arms[:1], limits, seed)
+    genes = search.best(arms, candidates, advance)
+    torque, _, worst = mover.scaled(mover.angle(genes), arms, rounds=5)
+    plain, frequency = whole.plainest(arms)
+    after, sine = whole.std(torque), whole.std(plain)
     numbers = tuple(
         Expected(
             each.name,
             each.unit,
-            0.0 if each.from_nothing else each.start,
+            each.before,
             each.deviation(0.0, 1.0),
             each.deviation(0.0, one),
             each.deviation(0.0, other),
@@ -238,35 +376,28 @@ def excite(
             whole.unknowns.numbers, after.tolist(), sine.tolist(), strict=True
         )
     )
-    commands = (made.torque - path.offset) / path.gain
+    commands = (torque - path.offset) / path.gain
     largest = float(np.abs(commands).max())
     return Excitation(
         request=known,
         time=mover.times,
         torque=commands,
-        angles=states[:, ::2],
+        angles=simulated(request, arms[0], torque)[:, ::2],
         numbers=numbers,
         limits=limits,
-        nominal=Limits(largest, *mover.reached(made.torque, arms[:1])[0, 1:].tolist()),
-        worst=made.reached._replace(torque=largest),
+        nominal=Limits(largest, *mover.reached(torque, arms[:1])[0, 1:].tolist()),
+        worst=worst._replace(torque=largest),
         arms=len(arms),
-        frequencies=(float(mover.parts[0].frequencies[0]), mover.fastest),
+        frequencies=(mover.slowest, mover.fastest),
         plain=(float(np.abs(plain).max()), frequency),
         gain=math.exp(whole.mean(sine) - whole.mean(after)),
         seed=seed,
     )
 
 
-def _plainest(search: _Search, arms: Sequence[TrialArm]) -> tuple[Array, float]:
-    """Return the torque of the plain sine that shows most, of three frequencies, and its own."""
-    mover, found = search.mover, []
-    slow, fast = float(mover.parts[0].frequencies[0]), mover.fastest
-    for share in (0.0, 0.25, 0.5):
-        frequency = slow * (fast / slow) ** share
-        made = mover.scaled(mover.sine(frequency), arms, search.limits, scale=0.1, rounds=4)
-        found.append((search.mean(search.std(made.torque)), frequency, made.torque))
-    _, frequency, torque = min(found, key=lambda one: one[0])
-    return torque, frequency
+def _columns(request: ArmRequest) -> list[int]:
+    """Return the places of what is measured in the state."""
+    return [QUANTITIES.index(each.measures) for each in request.sensors]
 
 
 def _thinned(request: ArmRequest, fastest: float) -> ArmRequest:
@@ -287,17 +418,18 @@ def _thinned(request: ArmRequest, fastest: float) -> ArmRequest:
         return request
 
 
-def _require_visible(request: ArmRequest, made: Scaled, limits: Limits) -> None:
+def _require_visible(mover: Mover, arms: Sequence[TrialArm], limits: Limits, seed: int) -> None:
     """Refuse limits within which no output moves by more than its noise."""
-    columns = [QUANTITIES.index(each.measures) for each in request.sensors]
-    states = simulated(request, TrialArm(request.arm), made.torque)
-    moved = np.abs(states[:, columns]).max(axis=0)
+    request, angle = mover.request, mover.angle(mover.random(np.random.default_rng(seed)))
+    torque, _, reached = mover.scaled(angle, arms)
+    states = simulated(request, TrialArm(request.arm), torque)
+    moved = np.abs(states[:, _columns(request)]).max(axis=0)
     if (moved > request.output_std).any():
         return
-    shares = {name: getattr(made.reached, name) / getattr(limits, name) for name in limits._fields}
+    shares = {name: getattr(reached, name) / getattr(limits, name) for name in limits._fields}
     name = max(shares, key=shares.__getitem__)
-    output = request.sensors[0].measures
     raise ModelError(
         f"max_{name}: {getattr(limits, name):g} allows no motion that can be measured: "
-        f"{output} would move by {moved[0]:.2g}, and its noise is {request.output_std[0]:.2g}"
+        f"{request.sensors[0].measures} would move by {moved[0]:.2g}, and its noise is "
+        f"{request.output_std[0]:.2g}"
     )

@@ -4,8 +4,9 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import OptimizeResult, minimize
@@ -14,7 +15,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.identification.diagnosis import lacks, output_fits
+from tsobs_ros.identification.diagnosis import found_lacks, output_fits, remaining_lacks, unseen
 from tsobs_ros.identification.joint import (
     DELAY,
     FRICTION,
@@ -24,8 +25,10 @@ from tsobs_ros.identification.joint import (
     Joint,
     Unknowns,
     numbers_of,
+    require_arm,
     with_values,
 )
+from tsobs_ros.identification.likelihood import GATE as GATE
 from tsobs_ros.identification.likelihood import (
     Evaluation,
     Likelihood,
@@ -34,11 +37,11 @@ from tsobs_ros.identification.likelihood import (
     log_likelihood,
 )
 from tsobs_ros.identification.recordings import Samples, read, require_torque
-from tsobs_ros.identification.result import Fit, Found, Lack, Unseen, ranked
+from tsobs_ros.identification.result import Fit, Found, Lack
 from tsobs_ros.model.arm import SIDES
 
-GATE = 6.0
-"""Sigmas of an innovation from which on it is an outlier, once the numbers are about right."""
+Advance = Callable[[int], None]
+"""Called with the number of filtered samples."""
 
 _START_SAMPLES = 4000
 """Samples with which starts are compared."""
@@ -62,20 +65,15 @@ _TOLERANCE = 0.02
 """Gain of a step that is expected and no longer taken [nat]: a fifth of a σ of a number."""
 
 
-@dataclass(frozen=True)
-class Optimum:
-    """The most likely numbers.
+class Optimum(NamedTuple):
+    """The most likely numbers: what was estimated, where, 1σ (in units of the priors), and L there.
 
-    Attributes:
-        unknowns: What was estimated.
-        coordinates: Where, in units of the priors, shape (k,).
-        covariance: Of the coordinates, shape (k, k).
-        evaluation: The likelihood there.
+    `coordinates` and `std` have the shape (k,).
     """
 
     unknowns: Unknowns
     coordinates: Array
-    covariance: Array
+    std: Array
     evaluation: Evaluation
 
     @property
@@ -84,20 +82,32 @@ class Optimum:
         return self.unknowns.at(self.coordinates)
 
     @property
-    def std(self) -> Array:
-        """1σ of the coordinates, shape (k,)."""
-        return np.sqrt(np.diag(self.covariance))
+    def numbers(self) -> tuple[Found, ...]:
+        """The numbers as they are reported."""
+        each = zip(self.unknowns.numbers, self.coordinates.tolist(), self.std.tolist(), strict=True)
+        return tuple(
+            Found(
+                number.name,
+                number.unit,
+                number.before,
+                number.value(at),
+                number.deviation(at, std),
+                known=min(max(1.0 - std * std, 0.0), 1.0),
+                prior_std=number.deviation(at, 1.0),
+            )
+            for number, at, std in each
+        )
 
 
 def maximise(
     unknowns: Unknowns,
     recordings: Sequence[Recording],
+    advance: Advance,
     *,
     seed: int = 0,
     starts: int = _STARTS,
     begin: Array | None = None,
     steps: int = _MAX_STEPS,
-    advance: Callable[[int], None] = lambda _: None,
 ) -> Optimum:
     """Return the most likely numbers.
 
@@ -107,34 +117,34 @@ def maximise(
     Args:
         unknowns: The numbers.
         recordings: The samples.
+        advance: Called with the number of filtered samples.
         seed: Of the further points that the search starts from.
         starts: Number of points.
         begin: Where to start from, without a search for it.
         steps: Largest number of steps with all samples.
-        advance: Called with the number of filtered samples.
     """
     k, rng = unknowns.count, np.random.default_rng(seed)
-    longest = max(recordings, key=lambda recording: recording.count)
-    short, longer = (
-        Likelihood(unknowns, [_middle_of(longest, count)], advance=advance)
-        for count in (_START_SAMPLES, _MIDDLE_SAMPLES)
-    )
     best = begin
     if best is None:
+        short, longer = (
+            Likelihood(unknowns, [_middle_of(_longest(recordings), count)], advance=advance)
+            for count in (_START_SAMPLES, _MIDDLE_SAMPLES)
+        )
         points = [np.zeros(k), *(0.5 * rng.standard_normal((starts - 1, k)))]
         found = [_search(short, point, _FEW_STEPS) for point in points]
-        best = min(found, key=short.cost)
-        best = _search(longer, best, _FEW_STEPS)
+        best = _search(longer, min(found, key=short.cost), _FEW_STEPS)
     gated = Likelihood(unknowns, recordings, GATE, advance)
     best = _search(gated, best, steps)
     made = gated.evaluate(best)
-    hessian = made.information + np.eye(k)
-    inverse = np.linalg.inv(hessian)
+    inverse = np.linalg.inv(made.information + np.eye(k))
     # White innovations make both alike; coloured ones do not, and then their spread counts.
     robust = inverse @ (made.spread + np.eye(k)) @ inverse
     ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(inverse), 1.0))
-    covariance = inverse * np.outer(ratio, ratio)
-    return Optimum(unknowns, best, covariance, made)
+    return Optimum(unknowns, best, np.sqrt(np.diag(inverse) * (ratio * ratio)), made)
+
+
+def _longest(recordings: Sequence[Recording]) -> Recording:
+    return max(recordings, key=lambda recording: recording.count)
 
 
 def _middle_of(recording: Recording, count: int) -> Recording:
@@ -173,108 +183,66 @@ def _search(likelihood: Likelihood, start: Array, steps: int) -> Array:
     return np.asarray(found.x)
 
 
-def _found(optimum: Optimum) -> tuple[Found, ...]:
-    """Return the numbers of an optimum."""
-    found = []
-    for number, at, std in zip(
-        optimum.unknowns.numbers,
-        optimum.coordinates.tolist(),
-        optimum.std.tolist(),
-        strict=True,
-    ):
-        before = 0.0 if number.from_nothing else number.start
-        known = min(max(1.0 - std * std, 0.0), 1.0)
-        found.append(
-            Found(
-                number.name,
-                number.unit,
-                before,
-                number.value(at),
-                number.deviation(at, std),
-                known,
-                number.deviation(at, 1.0),
-            )
-        )
-    return tuple(found)
-
-
-def _with_zero(
-    optimum: Optimum, recordings: Sequence[Recording], advance: Callable[[int], None]
-) -> Optimum:
+def _with_zero(optimum: Optimum, recordings: Sequence[Recording], advance: Advance) -> Optimum:
     """Return the optimum with the first angle's zero as it is, unless it is surely another one.
 
     Gravity shows it, but a torque's offset does nearly the same.
     """
-    for place, each in enumerate(_found(optimum)):
+    for place, each in enumerate(optimum.numbers):
         if each.name.endswith("_angle.offset") and not each.significant:
             fewer = optimum.unknowns.without(each.name)
             begin = np.delete(optimum.coordinates, place)
-            return maximise(fewer, recordings, begin=begin, advance=advance)
+            return maximise(fewer, recordings, advance, begin=begin)
     return optimum
 
 
-def with_disturbed_sensor(
+def _with_disturbed_sensor(
     request: ArmRequest,
     free: Sequence[str],
     optimum: Optimum,
     recordings: Sequence[Recording],
-    advance: Callable[[int], None],
+    advance: Advance,
 ) -> tuple[ArmRequest, Optimum, list[Lack]]:
     """Return request and optimum with a drifting sensor if that explains far more of the motion.
 
     A precise sensor of an arm that is not quite the model, such as one with a flexible link, is
     likeliest with so much process noise that nothing else is left to be found. The innovations are
     small then, but a free run fails. It succeeds if the sensor may be off for a while.
-
-    Args:
-        request: Without.
-        free: As of `fit`.
-        optimum: Without.
-        recordings: What is fitted.
-        advance: Called with the number of filtered samples.
     """
-    longest = max(recordings, key=lambda recording: recording.count)
-    parts = [_middle_of(longest, _MIDDLE_SAMPLES)]
-    chosen: tuple[ArmRequest, str, Array] | None = None
-    noisy = any(
-        number.name.startswith("process_noise") and coordinate > 1.0
-        for number, coordinate in zip(
-            optimum.unknowns.numbers, optimum.coordinates.tolist(), strict=True
-        )
-    )
-    before = best = _free_run(optimum.joint, parts[0]) if noisy else 100.0
+    part = _middle_of(_longest(recordings), _MIDDLE_SAMPLES)
+    numbers = zip(optimum.unknowns.numbers, optimum.coordinates.tolist(), strict=True)
+    noisy = any(one.name.startswith("process_noise") and at > 1.0 for one, at in numbers)
+    before = best = _free_run(optimum.joint, part) if noisy else 100.0
+    chosen: tuple[Unknowns, ArmRequest, str, Array] | None = None
     for place, output in enumerate(request.sensors if before < _POOR else ()):
         if output.model.state_count:
             continue
-        swing = float(np.nanstd(parts[0].y[:, place]))
+        swing = float(np.nanstd(part.y[:, place]))
         term = DisturbanceTerm("gauss_markov", {"std": 0.02 * swing, "time_constant": 0.03})
         changed = request.with_terms(place, (term,))
         unknowns = Unknowns.of(changed, free)
-        tried = maximise(unknowns, parts, starts=1, steps=_FEW_STEPS, advance=advance)
-        reached = _free_run(tried.joint, parts[0])
+        tried = maximise(unknowns, [part], advance, starts=1, steps=_FEW_STEPS)
+        reached = _free_run(tried.joint, part)
         if 100.0 - reached < 0.5 * (100.0 - best):
-            chosen, best = (changed, output.measures, tried.coordinates), reached
+            chosen, best = (unknowns, changed, output.measures, tried.coordinates), reached
     if chosen is None:
         return request, optimum, []
-    changed, name, begin = chosen
+    unknowns, changed, name, begin = chosen
     text = f"something that {name} shows and the arm does not do: a free run explains "
     text += f"{best:.3g} % with it, {before:.3g} % without"
-    lack = Lack(text, f"the fitted request has a gauss_markov disturbance of {name} for it")
-    found = maximise(Unknowns.of(changed, free), recordings, begin=begin, advance=advance)
-    return changed, found, [lack]
+    entry = f"the fitted request has a gauss_markov disturbance of {name} for it"
+    found = maximise(unknowns, recordings, advance, begin=begin)
+    return changed, found, [Lack(text, entry, True)]
 
 
 def _free_run(joint: Joint, recording: Recording) -> float:
     """Return the share of the outputs that free runs explain [%], the least of them."""
-    fits, _ = output_fits(joint, recording, recording.count // 4, GATE)
+    fits, _ = output_fits(joint, recording, recording.count // 4)
     return min(each.free_run for each in fits)
 
 
-def observable(
-    joint: Joint,
-    numbers: Sequence[Found],
-    recordings: Sequence[Recording],
-    advance: Callable[[int], None] = lambda _: None,
+def _observable(
+    joint: Joint, numbers: Sequence[Found], recordings: Sequence[Recording], advance: Advance
 ) -> ArmRequest:
     """Return the request of an observer, which has Coulomb friction as a torque disturbance.
 
@@ -282,34 +250,22 @@ def observable(
     torque it is covered. Its 1σ is the friction's size and its time constant the time between two
     reversals: likelier ones are shorter, and do not allow for friction that lasts. The noises are
     the likeliest of a filter without friction.
-
-    Args:
-        joint: The likeliest joint.
-        numbers: What was found.
-        recordings: What it was found from.
-        advance: Called with the number of filtered samples.
     """
-    request = joint.request
-    by_name = {each.name: each for each in numbers}
-    rubbing = [
-        (side, by_name[name].value)
-        for side, name in zip(SIDES, FRICTION, strict=True)
-        if name in by_name and by_name[name].significant
-    ]
-    known = set[str]()
-    for side, torque in rubbing:
-        if not getattr(request.torque_disturbance, side):
+    request, by_name = joint.request, {each.name: each for each in numbers}
+    significant = {each.name for each in numbers if each.significant}
+    known = list[str]()
+    for side, name in zip(SIDES, FRICTION, strict=True):
+        if name in significant and not getattr(request.torque_disturbance, side):
             time = _reversal_time(joint, recordings, side)
-            term = DisturbanceTerm("gauss_markov", {"std": torque, "time_constant": time})
-            known |= {f"torque_disturbance.{side}.0.{key}" for key in ("std", "time_constant")}
-            torques = replace(request.torque_disturbance, **{side: (term,)})
+            values = {"std": by_name[name].value, "time_constant": time}
+            torque = {side: (DisturbanceTerm("gauss_markov", values),)}
+            torques = replace(request.torque_disturbance, **torque)
             request = replace(request, torque_disturbance=torques)
-    if rubbing:
+            known += [f"torque_disturbance.{side}.0.{key}" for key in values]
+    if significant.intersection(FRICTION):
         smooth = replace(joint, request=request, friction=(0.0, 0.0))
-        noises = Unknowns.of(request).noises()
-        chosen = tuple(each for each in noises.numbers if each.name not in known)
-        noises = replace(noises, joint=smooth, numbers=chosen)
-        request = maximise(noises, recordings, starts=1, advance=advance).joint.request
+        noises = replace(Unknowns.of(request).noises().without(*known), joint=smooth)
+        request = maximise(noises, recordings, advance, starts=1).joint.request
     bounds = dict(request.uncertainty)
     for name, entry in UNCERTAINTY.items():
         if (each := by_name.get(f"arm.{name}")) is not None:
@@ -321,7 +277,7 @@ def observable(
             else:
                 bounds.setdefault(entry, float(f"{min(relative, _MOST):.2g}"))
     for name in ("link_damping", "motor_damping"):
-        if (each := by_name.get(f"arm.{name}")) is not None:
+        if f"arm.{name}" in by_name:
             bounds.pop(name, None)
     shown = {
         each.name: float(f"{each.start:.6g}")
@@ -333,16 +289,14 @@ def observable(
             shown[each.name] = 0.0
     own = Joint.of(replace(request, uncertainty=bounds))
     path = replace(joint, request=with_values(own, shown).request)
-    significant = [each.name for each in numbers if each.significant]
-    kept = [name for name in (DELAY, OFFSET) if name not in by_name]
-    return path.with_path([*significant, *kept])
+    return path.with_path(significant | ({DELAY, OFFSET} - by_name.keys()))
 
 
 def _reversal_time(joint: Joint, recordings: Sequence[Recording], side: str) -> float:
     """Return the mean time between reversals of a side's motion [s]."""
     time, reversals = 0.0, 1
     for recording in recordings:
-        states = innovations(joint, recording, gate=GATE, with_states=True).states
+        states = innovations(joint, recording).states
         velocity = joint.request.arm.to_physical(states[:, :4])[:, 3 if side == "motor" else 1]
         moving = velocity[np.abs(velocity) > 0.02 * np.abs(velocity).max()]
         reversals += int((np.diff(np.sign(moving)) != 0.0).sum())
@@ -350,86 +304,15 @@ def _reversal_time(joint: Joint, recordings: Sequence[Recording], side: str) -> 
     return float(f"{time / reversals:.3g}")
 
 
-def unseen(optimum: Optimum) -> tuple[Unseen, ...]:
-    """Return the directions in which the recordings know less than the prior."""
-    values, vectors = np.linalg.eigh(optimum.evaluation.information)
-    names = [each.name for each in optimum.unknowns.numbers]
-    found = []
-    for value, vector in zip(values.tolist(), vectors.T, strict=True):
-        if value > 3.0:
-            break
-        parts = ranked(list(zip(names, vector.tolist(), strict=True)), 0.3)
-        named = [name.removeprefix("arm.") for name, _ in parts]
-        shown = named[0]
-        if len(named) > 1:
-            shown = f"{', '.join(named[:-1])} and {named[-1]}, which look alike"
-        motion = next((text for name, text in _MOTIONS.items() if name in parts[0][0]), "")
-        found.append(Unseen(parts, f"{shown}{motion}"))
-    return tuple(found)
-
-
-_MOTIONS = {
-    "stiffness": ": a motion near the joint's resonance would show it",
-    "gravity": ": slow motion through larger angles would show it",
-    "inertia": ": faster accelerations would show it",
-    "damping": ": long motion at several speeds would show it",
-    "friction": ": slow motion with many reversals would show it, if there is any",
-    "offset": ": rest at several angles, or motion in both directions, would show it",
-    "delay": ": steps of the torque would show it",
-    "process_noise": ": it is too small to matter beside the other noises",
-    "time_constant": ": a longer recording would show it",
-    "density": ": a longer recording would show it",
-}
-"""What would show a number, by a part of its name."""
-
-
-def _found_lacks(numbers: Sequence[Found]) -> list[Lack]:
-    """Return what was found that the request did not have."""
-    made = []
-    for each in numbers:
-        if not each.significant or each.before:
-            continue
-        value = f"{each.value:.3g} {each.unit}"
-        if each.name in FRICTION:
-            side = SIDES[FRICTION.index(each.name)]
-            made.append(
-                Lack(
-                    f"Coulomb friction of the {side}, {value}",
-                    f"the fitted request has a torque disturbance of the {side} for it",
-                )
-            )
-        elif each.name == OFFSET:
-            made.append(Lack(f"an offset of the torque, {value}", "the fitted request has it"))
-        elif each.name.endswith(".offset"):
-            name = each.name.removesuffix(".offset")
-            made.append(
-                Lack(f"an offset of {name}, {value}", "subtract it from what the driver publishes")
-            )
-        elif each.name == DELAY and each.value > 0.0:
-            made.append(Lack(f"a delay of the torque, {value}", "the fitted request has it"))
-        elif each.name == DELAY:
-            made.append(
-                Lack(
-                    f"a torque that acts {-each.value:.3g} s before its stamp",
-                    "",
-                )
-            )
-        elif each.name.endswith("damping"):
-            made.append(
-                Lack(f"{each.name.removeprefix('arm.')} of {value}", "the fitted request has it")
-            )
-    return made
-
-
 def _mean_log_likelihoods(
-    joint: Joint, recordings: Sequence[tuple[Recording, int]]
+    joint: Joint, recordings: Sequence[Recording], begins: Sequence[int]
 ) -> tuple[float, float]:
     """Return the log likelihood per sample before the held-out parts begin, and in them."""
     totals, counts = [0.0, 0.0], [0, 0]
-    for recording, begin in recordings:
-        found = innovations(joint, recording, gate=GATE)
+    for recording, begin in zip(recordings, begins, strict=True):
+        found = innovations(joint, recording)
         for place, part in enumerate((slice(0, begin), slice(begin, None))):
-            totals[place] += log_likelihood(found.errors[part], found.variances[part], GATE)
+            totals[place] += log_likelihood(found.errors[part], found.variances[part])
             counts[place] += len(found.errors[part])
     fitted, held_out = (
         total / count if count else math.nan for total, count in zip(totals, counts, strict=True)
@@ -447,7 +330,7 @@ def fit(
     joint: str | None = None,
     topic: str | None = None,
     seed: int = 0,
-    advance: Callable[[int], None] = lambda _: None,
+    advance: Advance = lambda _: None,
 ) -> Fit:
     """Fit the numbers of a joint to recordings.
 
@@ -477,41 +360,41 @@ def fit(
     >>> 9.5 < found.number("stiffness").value < 10.5
     True
     """
-    if not isinstance(request, ArmRequest):
-        raise ModelError("request: expected one for an arm; a T-S system has no numbers to fit")
+    require_arm(request)
     if not 0.0 <= held_out <= 0.9:
         raise ModelError(f"held_out: expected a share from 0 to 0.9, got {held_out!r}")
+    joints = [joint] if joint else []
     start, recordings, notes = read(
-        request, logs, columns=columns, units=units, joint=joint, topic=topic
+        request, logs, topic=topic, joints=joints, columns=columns, units=units
     )
     unknowns = Unknowns.of(start, free)
     begins = [round((1.0 - held_out) * each.count) for each in recordings]
     fitted = [each.part(0, end) for each, end in zip(recordings, begins, strict=True)]
     require_torque(unknowns, _middle_of(fitted[0], _START_SAMPLES))
-    optimum = maximise(unknowns, fitted, seed=seed, advance=advance)
-    start, optimum, added = with_disturbed_sensor(start, free, optimum, fitted, advance)
+    optimum = maximise(unknowns, fitted, advance, seed=seed)
+    start, optimum, added = _with_disturbed_sensor(start, free, optimum, fitted, advance)
     optimum = _with_zero(optimum, fitted, advance)
-    likeliest = optimum.joint
-    numbers = _found(optimum)
-    observed = observable(likeliest, numbers, fitted, advance)
+    likeliest, numbers = optimum.joint, optimum.numbers
     longest = max(range(len(recordings)), key=lambda place: recordings[place].count)
     whole = recordings[longest]
     begin = begins[longest] if held_out else whole.count // 2
-    outputs, traces = output_fits(likeliest, whole, begin, GATE)
-    rest = list(zip(recordings, begins, strict=True))
-    before, after = (_mean_log_likelihoods(each, rest) for each in (unknowns.joint, likeliest))
+    outputs, traces = output_fits(likeliest, whole, begin)
+    before, after = (
+        _mean_log_likelihoods(each, recordings, begins) for each in (unknowns.joint, likeliest)
+    )
+    samples = sum(begins)
     return Fit(
-        request=observed,
+        request=_observable(likeliest, numbers, fitted, advance),
         before=start,
         joint=likeliest,
         numbers=numbers,
-        unseen=unseen(optimum),
-        lacks=(*added, *_found_lacks(numbers), *lacks(likeliest, fitted, GATE)),
+        unseen=unseen(optimum.unknowns, optimum.evaluation.information),
+        lacks=(*added, *found_lacks(numbers), *remaining_lacks(likeliest, fitted)),
         outputs=outputs,
         log_likelihood=(before[0], after[0]),
         log_likelihood_held_out=(before[1], after[1]),
-        samples=(sum(begins), sum(each.count - end for each, end in rest)),
+        samples=(samples, sum(each.count for each in recordings) - samples),
         outliers=optimum.evaluation.outliers,
-        notes=notes,
+        notes=tuple(notes),
         traces=traces,
     )

@@ -34,16 +34,18 @@ _UNITS = {
     "gravity_torque": "N m",
     "link_damping": "N m s/rad",
     "motor_damping": "N m s/rad",
+    "link_friction": "N m",
+    "motor_friction": "N m",
     "gain": "",
     "offset": "N m",
     "delay": "s",
     "time_constant": "s",
     "frequency": "rad/s",
-    "link_friction": "N m",
-    "motor_friction": "N m",
     "link": "rad²/s³",
     "motor": "rad²/s³",
 }
+"""By the last part of a number's name."""
+
 UNCERTAINTY = {
     "stiffness": "stiffness",
     "gravity_torque": "gravity",
@@ -87,6 +89,11 @@ class Number(NamedTuple):
     prior_std: float
     positive: bool = True
     from_nothing: bool = False
+
+    @property
+    def before(self) -> float:
+        """The request's value."""
+        return 0.0 if self.from_nothing else self.start
 
     def value(self, coordinate: float) -> float:
         """Return the number at a distance from the start, in units of `prior_std`."""
@@ -203,64 +210,49 @@ class Unknowns:
         """How many they are."""
         return len(self.numbers)
 
-    def without(self, name: str) -> "Unknowns":
-        """Return all but one of them."""
-        return replace(self, numbers=tuple(each for each in self.numbers if each.name != name))
+    def without(self, *names: str) -> "Unknowns":
+        """Return all but some of them."""
+        return replace(self, numbers=tuple(one for one in self.numbers if one.name not in names))
 
     def noises(self) -> "Unknowns":
         """Return those of noises and disturbances, which are no properties of arm and drive."""
-        own = ("arm.", "torque.", *FRICTION)
-        chosen = [each for each in self.numbers if not each.name.startswith(own)]
-        ends = (".delay", ".offset")
-        return replace(self, numbers=tuple(n for n in chosen if not n.name.endswith(ends)))
-
-    def values(self, coordinates: Array) -> dict[str, float]:
-        """Return the numbers by their names, from distances in units of their priors."""
-        each = zip(self.numbers, coordinates.tolist(), strict=True)
-        return {number.name: number.value(at) for number, at in each}
+        own, ends = ("arm.", "torque.", *FRICTION), (".delay", ".offset")
+        names = [each.name for each in self.numbers]
+        return self.without(*(n for n in names if n.startswith(own) or n.endswith(ends)))
 
     def at(self, coordinates: Array) -> Joint:
-        """Return the joint with these numbers."""
-        return with_values(self.joint, self.values(coordinates))
+        """Return the joint with the numbers at distances in units of their priors, shape (k,)."""
+        each = zip(self.numbers, coordinates.tolist(), strict=True)
+        return with_values(self.joint, {number.name: number.value(at) for number, at in each})
 
 
 def with_values(joint: Joint, values: Mapping[str, float]) -> Joint:
     """Return a joint with some numbers changed, by their names."""
-    groups: dict[str, dict[str, float]] = {}
+    tree: dict[str, Any] = {}
     for name, value in values.items():
-        group, _, rest = name.partition(".")
-        groups.setdefault(group, {})[rest] = value
+        *groups, last = name.split(".")
+        branch = tree
+        for group in groups:
+            branch = branch.setdefault(group, {})
+        branch[last] = value
     request = joint.request
     outputs, delays, offsets = [], [], []
     for output, delay, offset in zip(
         request.sensors, joint.output_delays, joint.output_offsets, strict=True
     ):
-        own = groups.get(output.measures, {})
-        delays.append(own.get("delay", delay))
-        offsets.append(own.get("offset", offset))
-        std = own.get("measurement_std", output.measurement_std)
-        terms = _terms_with(output.disturbance, own, "disturbance.")
-        outputs.append(replace(output, measurement_std=std, disturbance=terms))
-    disturbed = {
-        side: _terms_with(
-            getattr(request.torque_disturbance, side),
-            groups.get("torque_disturbance", {}),
-            f"{side}.",
-        )
-        for side in SIDES
-    }
+        own = tree.pop(output.measures, {})
+        delays.append(own.pop("delay", delay))
+        offsets.append(own.pop("offset", offset))
+        outputs.append(_changed(output, own))
+    friction = zip(FRICTION, joint.friction, strict=True)
+    motor, link = (tree.pop(name, known) for name, known in friction)
+    path = tree.pop("torque", {})
     changed = replace(
         request,
-        arm=replace(request.arm, **groups.get("arm", {})),
-        process_noise=replace(request.process_noise, **groups.get("process_noise", {})),
-        torque_disturbance=replace(request.torque_disturbance, **disturbed),
         measurement_std=outputs[0].measurement_std,
         disturbance=outputs[0].disturbance,
         outputs=tuple(outputs) if request.outputs else (),
-    )
-    motor, link = (
-        groups.get(name, {}).get("", known)
-        for name, known in zip(FRICTION, joint.friction, strict=True)
+        **{name: _changed(getattr(request, name), branch) for name, branch in tree.items()},
     )
     return replace(
         joint,
@@ -268,21 +260,26 @@ def with_values(joint: Joint, values: Mapping[str, float]) -> Joint:
         output_delays=tuple(delays),
         output_offsets=tuple(offsets),
         friction=(motor, link),
-        **groups.get("torque", {}),
+        **path,
     )
 
 
-def _terms_with(
-    terms: Sequence[DisturbanceTerm], values: Mapping[str, float], prefix: str
-) -> tuple[DisturbanceTerm, ...]:
-    """Return terms with the parameters that `values` names as "prefix + place.parameter"."""
-    changed = []
-    for place, term in enumerate(terms):
-        entries: dict[str, Any] = dict(term)
-        for key in entries:
-            entries[key] = values.get(f"{prefix}{place}.{key}", entries[key])
-        changed.append(DisturbanceTerm.from_mapping(entries))
-    return tuple(changed)
+def _changed(value: Any, tree: Any) -> Any:
+    """Return a record, or a sequence of them, with the numbers in a tree of its entries."""
+    if not isinstance(tree, dict):
+        return tree
+    if isinstance(value, DisturbanceTerm):
+        return DisturbanceTerm.from_mapping({**value, **tree})
+    if isinstance(value, Sequence):
+        return tuple(_changed(each, tree.get(str(at), {})) for at, each in enumerate(value))
+    changes = {name: _changed(getattr(value, name), branch) for name, branch in tree.items()}
+    return replace(value, **changes)
+
+
+def require_arm(request: object) -> None:
+    """Refuse a request that is for no arm."""
+    if not isinstance(request, ArmRequest):
+        raise ModelError("request: expected one for an arm; a T-S system has no numbers to fit")
 
 
 def _rounded(value: float) -> float:
@@ -296,58 +293,50 @@ def _names(prefix: str, name: str) -> bool:
 
 def numbers_of(request: ArmRequest) -> list[Number]:
     """Return all numbers of a request that can be estimated."""
-    arm, found = request.arm, list[Number]()
-    speed = float(request.reach[1])
+    arm, period, found = request.arm, request.period, list[Number]()
+    torque, speed = arm.reference_torque, float(request.reach[1])
+
+    def add(name: str, start: float, std: float, unit: str | None = None, **kind: bool) -> None:
+        unit = _UNITS.get(name.rpartition(".")[2], "") if unit is None else unit
+        found.append(Number(name, unit, start, std, **kind))
+
+    def add_terms(prefix: str, terms: Sequence[DisturbanceTerm], unit: str) -> None:
+        units = {"density": f"({unit})²/s", "rate_density": f"({unit})²/s³", "std": unit}
+        for place, term in enumerate(terms):
+            for key, value in term.items():
+                # A recording does not show those of its start.
+                if key != "kind" and not key.startswith("initial_") and value:
+                    std = 0.1 if key == "frequency" else _NOISE
+                    add(f"{prefix}.{place}.{key}", float(value), std, units.get(key))
+
     for name, entry in UNCERTAINTY.items():
         if start := getattr(arm, name):
             std = request.uncertainty.get(entry, _UNKNOWN / _BOUND_STD) * _BOUND_STD
-            found.append(Number(f"arm.{name}", _UNITS[name], start, std))
-    torque = arm.reference_torque
+            add(f"arm.{name}", start, std)
     for name in ("link_damping", "motor_damping"):
-        own = getattr(arm, name)
+        own, bound = getattr(arm, name), request.uncertainty.get(name)
         start = own or _SMALL * torque / speed
-        bound = request.uncertainty.get(name)
         std = math.log1p(bound * _BOUND_STD / start) if bound else 2.0 * _UNKNOWN
-        found.append(
-            Number(f"arm.{name}", _UNITS[name], start, std if own else _NOISE, True, own == 0.0)
-        )
+        add(f"arm.{name}", start, std if own else _NOISE, from_nothing=own == 0.0)
     for name in FRICTION:
-        found.append(Number(name, _UNITS[name], _SMALL * torque, _NOISE, True, True))
-    path = request.torque
-    found.append(Number(TORQUE_GAIN, "", path.gain, _UNKNOWN))
-    found.append(Number(OFFSET, "N m", path.offset, 0.1 * torque, False))
-    found.append(Number(DELAY, "s", path.delay, 2.0 * request.period, False))
+        add(name, _SMALL * torque, _NOISE, from_nothing=True)
+    add(TORQUE_GAIN, request.torque.gain, _UNKNOWN)
+    add(OFFSET, request.torque.offset, 0.1 * torque, positive=False)
+    add(DELAY, request.torque.delay, 2.0 * period, positive=False)
     for side in ("link", "motor"):
         density = getattr(request.process_noise, side)
-        size = density or 1e-8 * (torque / arm.link_inertia) ** 2 * request.period
-        name = f"process_noise.{side}"
-        found.append(Number(name, _UNITS[side], size, _NOISE, True, density == 0.0))
+        size = density or 1e-8 * (torque / arm.link_inertia) ** 2 * period
+        add(f"process_noise.{side}", size, _NOISE, from_nothing=density == 0.0)
     for place, output in enumerate(request.sensors):
-        prefix = output.measures
-        unit = "rad" if output.measures.endswith("_angle") else "rad/s"
-        found.append(Number(f"{prefix}.measurement_std", unit, output.measurement_std, _NOISE))
+        name, unit = output.measures, "rad" if output.measures.endswith("_angle") else "rad/s"
+        add(f"{name}.measurement_std", output.measurement_std, _NOISE, unit)
         if place and unit == "rad":
-            found.append(Number(f"{prefix}.delay", "s", output.delay, 2.0 * request.period, False))
+            add(f"{name}.delay", output.delay, 2.0 * period, positive=False)
         if unit == "rad" and not output.model.state_count and (place or arm.gravity_torque):
-            found.append(Number(f"{prefix}.offset", unit, 0.0, _OFFSET, False))
-        found += _of_terms(f"{prefix}.disturbance", output.disturbance, unit)
+            add(f"{name}.offset", 0.0, _OFFSET, unit, positive=False)
+        add_terms(f"{name}.disturbance", output.disturbance, unit)
     for side in SIDES:
-        terms = getattr(request.torque_disturbance, side)
-        found += _of_terms(f"torque_disturbance.{side}", terms, "N m")
-    return found
-
-
-def _of_terms(prefix: str, terms: Sequence[DisturbanceTerm], unit: str) -> list[Number]:
-    """Return the numbers of terms that a recording shows, but for those of its start."""
-    found = []
-    for place, term in enumerate(terms):
-        for key, value in term.items():
-            if key == "kind" or key.startswith("initial_") or not value:
-                continue
-            units = {"density": f"({unit})²/s", "rate_density": f"({unit})²/s³", "std": unit}
-            std = 0.1 if key == "frequency" else _NOISE
-            name = f"{prefix}.{place}.{key}"
-            found.append(Number(name, units.get(key, _UNITS.get(key, "")), float(value), std))
+        add_terms(f"torque_disturbance.{side}", getattr(request.torque_disturbance, side), "N m")
     return found
 
 

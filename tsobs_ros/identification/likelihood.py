@@ -31,6 +31,9 @@ BLOCKS = 40
 """Parts of a recording whose scores are compared: their spread is that of the estimates, whatever
 the innovations are correlated with."""
 
+GATE = 6.0
+"""Sigmas of an innovation from which on it is an outlier, once the numbers are about right."""
+
 _STEP = 1e-2
 """Step of a difference, by the 1σ that the number is known to."""
 
@@ -70,21 +73,21 @@ class Innovations(NamedTuple):
     Attributes:
         errors: y − ŷ of each output given those before it, NaN if it is missing, shape (n, p).
         variances: Expected of their squares, shape (n, p).
-        states: Predicted before each sample, in design coordinates; empty if not asked for.
+        states: Predicted before each sample, in design coordinates, shape (n, states).
     """
 
     errors: Array
     variances: Array
     states: Array
 
+    @property
+    def standardised(self) -> Array:
+        """The errors by their expected 1σ, shape (n, p)."""
+        return np.asarray(self.errors / np.sqrt(self.variances))
+
 
 def innovations(
-    joint: Joint,
-    recording: Recording,
-    *,
-    gate: float = math.inf,
-    corrected_until: int | None = None,
-    with_states: bool = False,
+    joint: Joint, recording: Recording, *, gate: float = GATE, corrected_until: int | None = None
 ) -> Innovations:
     """Filter a recording by a joint's model.
 
@@ -94,7 +97,6 @@ def innovations(
         gate: Sigmas beyond which an output is not used.
         corrected_until: Sample from which on none is used: the innovations are then those of a
             simulation; None: all are used.
-        with_states: Whether to return the states.
     """
     request = joint.request
     covariances = (request.measurement_covariance, request.initial_covariance)
@@ -109,9 +111,7 @@ def innovations(
     u = joint.gain * delayed(recording.u, durations, joint.delay) + joint.offset
     n, count = shape.n, recording.count
     errors, variances = np.empty((count, shape.p)), np.empty((count, shape.p))
-    states = np.empty((count, n) if with_states else (0, n))
-    arm = request.arm
-    motor, link = joint.friction
+    states, arm, (motor, link) = np.empty((count, n)), request.arm, joint.friction
     native.estimator_innovations(
         model.view(np.float64),
         recording.durations,
@@ -177,7 +177,7 @@ class Likelihood:
             found = innovations(joint, recording, gate=self._gate)
             there = np.isfinite(recording.y)
             with np.errstate(all="ignore"):
-                errors.append((found.errors / np.sqrt(found.variances))[there])
+                errors.append(found.standardised[there])
                 logs.append(np.log(found.variances)[there])
             self._advance(recording.count)
         return np.concatenate(errors), np.concatenate(logs)
@@ -206,17 +206,13 @@ class Likelihood:
             results = list(pool.map(self._filtered, points))
         errors, logs = results[0]
         regular = errors * errors <= self._gate * self._gate
-        by_error = np.empty((len(errors), k))
-        by_log = np.empty((len(errors), k))
+        by_error, by_log = np.empty((len(errors), k)), np.empty((len(errors), k))
         for place, (moved_errors, moved_logs) in enumerate(results[1:]):
             # ∂e/√s at fixed s: the standardised innovation's own derivative lacks its share of s.
             change = (moved_logs - logs) / self._spacing[place]
-            by_log[:, place] = change
-            by_error[:, place] = (moved_errors - errors) / self._spacing[
-                place
-            ] + 0.5 * errors * change
-        by_error[~regular] = 0.0
-        by_log[~regular] = 0.0
+            slope = (moved_errors - errors) / self._spacing[place]
+            by_log[:, place], by_error[:, place] = change, slope + 0.5 * errors * change
+        by_error[~regular] = by_log[~regular] = 0.0
         squares = np.where(regular, errors * errors, 1.0)
         # Score of each sample: ½ ∂(e²/s + log s).
         scores = errors[:, None] * by_error + 0.5 * (1.0 - squares)[:, None] * by_log
@@ -237,8 +233,8 @@ class Likelihood:
         return made
 
 
-def log_likelihood(errors: Array, variances: Array, gate: float) -> float:
+def log_likelihood(errors: Array, variances: Array) -> float:
     """Return log L of innovations, NaN of one that is missing."""
     with np.errstate(all="ignore"):
-        squares = np.minimum(errors * errors / variances, gate * gate)
+        squares = np.minimum(errors * errors / variances, GATE * GATE)
         return -0.5 * float(np.nansum(squares + np.log(2.0 * math.pi * variances)))

@@ -45,9 +45,8 @@ _SLOW_SHARE = 0.4
 _SLOW_PERIODS = 2.0
 """Periods of the slowest tone in the slow part."""
 
-_SLOW_TONES, _FAST_TONES = 5, 20
-_KNOTS = 5
-"""Frequencies of the fast part at which its amplitudes are chosen."""
+_TONES, _KNOTS = (5, 20), (2, 5)
+"""Tones of the slow and the fast part, and frequencies at which their amplitudes are chosen."""
 
 _BEYOND = 2.5
 """Fastest tone by the joint's resonance."""
@@ -69,37 +68,32 @@ class Limits(NamedTuple):
     angle: float
     velocity: float
 
-    @classmethod
-    def of(
-        cls,
-        request: ArmRequest,
-        torque: float | None = None,
-        angle: float | None = None,
-        velocity: float | None = None,
-    ) -> "Limits":
-        """Return limits, those that are left out from a request.
 
-        Raises:
-            ModelError: A limit is out of range.
-        """
-        arm, known = request.arm, request.torque_limit
-        largest = known if known and known < NO_LIMIT else math.inf
-        if torque is None:
-            torque = min(0.5 * largest, arm.reference_torque)
-        if positive("max_torque", torque) > largest:
-            raise ModelError(
-                f"max_torque: expected at most the request's torque_limit = {largest:g} N m, got "
-                f"{torque:g}"
-            )
-        angle = _ANGLE_SHARE * request.x_max if angle is None else positive("max_angle", angle)
-        if angle > request.max_angle:
-            raise ModelError(
-                f"max_angle: expected at most the request's x_max = {request.x_max:g} rad, got "
-                f"{angle:g}"
-            )
-        if velocity is None:
-            velocity = float(request.reach[1])
-        return cls(torque, angle, positive("max_velocity", velocity))
+def limits_of(
+    request: ArmRequest, torque: float | None, angle: float | None, velocity: float | None
+) -> Limits:
+    """Return limits, those that are None from a request.
+
+    Raises:
+        ModelError: A limit is out of range.
+    """
+    known = request.torque_limit
+    largest = known if known and known < NO_LIMIT else math.inf
+    if torque is None:
+        torque = min(0.5 * largest, request.arm.reference_torque)
+    if positive("max_torque", torque) > largest:
+        raise ModelError(
+            f"max_torque: expected at most the request's torque_limit = {largest:g} N m, got "
+            f"{torque:g}"
+        )
+    angle = _ANGLE_SHARE * request.x_max if angle is None else positive("max_angle", angle)
+    if angle > request.max_angle:
+        raise ModelError(
+            f"max_angle: expected at most the request's x_max = {request.x_max:g} rad, got "
+            f"{angle:g}"
+        )
+    velocity = float(request.reach[1]) if velocity is None else velocity
+    return Limits(torque, angle, positive("max_velocity", velocity))
 
 
 class TrialArm(NamedTuple):
@@ -170,106 +164,67 @@ def simulated(
     return np.asarray(ArmMotion(scenario, [0]).move(0, inputs, torques)[0][0])
 
 
-class Scaled(NamedTuple):
-    """A motion within limits.
+class _Part(NamedTuple):
+    """Consecutive samples, their tones [rad/s], and the angle by the torque of each tone."""
 
-    Attributes:
-        torque: Shape (n,) [N m].
-        scale: What the angle was multiplied by.
-        reached: Largest torque [N m], angle [rad] and velocity [rad/s].
-    """
-
-    torque: Array
-    scale: float
-    reached: Limits
-
-
-class Part(NamedTuple):
-    """Consecutive samples with tones of their own.
-
-    Attributes:
-        begin: The first sample.
-        end: The one behind the last.
-        frequencies: Of the tones [rad/s], shape (tones,).
-        knots: Numbers that their amplitudes are interpolated from.
-    """
-
-    begin: int
-    end: int
+    within: slice
     frequencies: Array
-    knots: int
-
-
-class Genes(NamedTuple):
-    """What is searched for.
-
-    Attributes:
-        phases: Of the tones of each part [rad].
-        levels: Logarithms of torques at the knots of each part.
-        shares: Logarithms of the parts' sizes, shape (parts,).
-    """
-
-    phases: tuple[Array, ...]
-    levels: tuple[Array, ...]
-    shares: Array
-
-
-def slowest_mode(arm: ElasticJointArm) -> float:
-    """Return the frequency of the arm's swing, or half of the joint's resonance [rad/s]."""
-    swing = math.sqrt(arm.gravity_torque / (arm.link_inertia + arm.motor_inertia))
-    return min(swing or math.inf, 0.5 * resonance(arm))
-
-
-def resonance(arm: ElasticJointArm) -> float:
-    """Return the frequency at which link and motor swing against each other [rad/s]."""
-    return math.sqrt(arm.stiffness / arm.link_inertia + arm.stiffness / arm.motor_inertia)
+    gains: Array
 
 
 class Mover:
     """The motions of a request's arm, and the torques for them.
 
+    A motion has a slow part, with many reversals, and a fast one. Its genes are the phases of their
+    tones [rad], the logarithms of torques at their knots, and those of the parts' sizes.
+
     Args:
         request: Of the arm.
         duration: Of a motion [s].
+        limits: Of the motions, with a margin.
 
     Attributes:
-        parts: The slow one, with many reversals, and the fast one.
         times: Of the samples [s], shape (n,).
-        fastest: The fastest tone [rad/s].
+        slowest: The slowest tone [rad/s].
+        fastest: The fastest one [rad/s].
+        steps: Steps of a search in each gene, by those of a phase, shape (genes,).
 
     Raises:
-        ModelError: The duration is too short.
+        ModelError: The duration is too short, or the rate too low.
     """
 
-    def __init__(self, request: ArmRequest, duration: float) -> None:
-        self.request, arm = request, request.arm
+    def __init__(self, request: ArmRequest, duration: float, limits: Limits) -> None:
+        self.request, self.limits, arm = request, limits, request.arm
         count = math.floor(duration * request.rate + 1e-9) + 1
         self.times = np.arange(count) / request.rate
         slow_time = _SLOW_SHARE * duration
-        slowest = math.tau * _SLOW_PERIODS / slow_time
-        mode, joint = slowest_mode(arm), resonance(arm)
-        if slowest > mode:
+        self.slowest = math.tau * _SLOW_PERIODS / slow_time
+        # The frequencies at which link and motor swing against each other, and at which the arm
+        # swings.
+        joint = math.sqrt(arm.stiffness / arm.link_inertia + arm.stiffness / arm.motor_inertia)
+        swing = math.sqrt(arm.gravity_torque / (arm.link_inertia + arm.motor_inertia))
+        mode = min(swing or math.inf, 0.5 * joint)
+        if self.slowest > mode:
             least = math.tau * _SLOW_PERIODS / mode / _SLOW_SHARE
             raise ModelError(
                 f"duration: expected at least {math.ceil(10.0 * least) / 10.0:g} s for "
                 f"{_SLOW_PERIODS:g} periods of the slowest frequency, {mode:.3g} rad/s, got "
                 f"{duration:g}"
             )
-        fastest = min(_BEYOND * joint, math.tau * request.rate / 8.0)
-        if fastest < joint:
+        self.fastest = min(_BEYOND * joint, math.tau * request.rate / 8.0)
+        if self.fastest < joint:
             raise ModelError(
                 f"rate: expected at least {math.ceil(8.0 * joint / math.tau)} Hz for the joint's "
                 f"resonance of {joint:.4g} rad/s, got {request.rate:g}"
             )
         middle = round(slow_time * request.rate)
-        self.parts = (
-            Part(0, middle, np.geomspace(slowest, 3.0 * slowest, _SLOW_TONES), 2),
-            Part(
-                middle, count, np.geomspace(max(slowest, 0.5 * mode), fastest, _FAST_TONES), _KNOTS
-            ),
-        )
-        self.fastest, self._highest = fastest, 4.0 * fastest
-        self._gains = [self._angle_gain(part.frequencies) for part in self.parts]
+        slow = np.geomspace(self.slowest, 3.0 * self.slowest, _TONES[0])
+        fast = np.geomspace(max(self.slowest, 0.5 * mode), self.fastest, _TONES[1])
+        self._parts = [
+            _Part(slice(0, middle), slow, self._angle_gain(slow)),
+            _Part(slice(middle, count), fast, self._angle_gain(fast)),
+        ]
+        self.steps = np.repeat([1.0, 2.0, 1.0], [sum(_TONES), sum(_KNOTS), len(self._parts)])
 
     def _angle_gain(self, frequencies: Array) -> Array:
         """Return the link angle by the torque of some damping, shape (tones,) [rad/(N m)]."""
@@ -281,32 +236,31 @@ class Mover:
         torque = (motor * s * s + rub_motor * s) * (1.0 + spring / arm.stiffness) + spring
         return np.asarray(1.0 / np.abs(torque))
 
-    def random(self, rng: np.random.Generator) -> Genes:
-        """Return tones of random phases and equal torques."""
-        phases = [rng.uniform(0.0, math.tau, len(part.frequencies)) for part in self.parts]
-        levels = tuple(np.zeros(part.knots) for part in self.parts)
-        return Genes(tuple(phases), levels, np.zeros(len(self.parts)))
+    def random(self, rng: np.random.Generator) -> Array:
+        """Return the genes of random phases and equal torques."""
+        genes = np.zeros(len(self.steps))
+        genes[: sum(_TONES)] = rng.uniform(0.0, math.tau, sum(_TONES))
+        return genes
 
-    def angle(self, genes: Genes, limits: Limits) -> Array:
+    def angle(self, genes: Array) -> Array:
         """Return the link angle up to a scale; with shares of 0 each part alone is at its limits.
 
         Args:
-            genes: Of the tones.
-            limits: Of the nominal arm.
+            genes: Shape (genes,).
         """
         # A held torque acts half a period later.
         times = self.times + 0.5 / self.request.rate
-        total = np.zeros(len(times))
-        shares = np.exp(genes.shares - genes.shares.max()).tolist()
-        each = zip(self.parts, self._gains, genes.phases, genes.levels, shares, strict=True)
-        for part, gain, phases, levels, share in each:
-            logs = np.log(part.frequencies)
-            knots = np.linspace(logs[0], logs[-1], part.knots)
-            amplitudes = gain * np.exp(np.interp(logs, knots, levels))
-            within = np.arange(part.begin, part.end)
-            waves = np.sin(np.outer(times[within], part.frequencies) + phases)
+        total, limits = np.zeros(len(times)), self.limits
+        *tones, sizes = np.split(genes, np.cumsum([*_TONES, *_KNOTS]))
+        shares = np.exp(sizes - sizes.max()).tolist()
+        each = zip(self._parts, tones[:2], tones[2:], shares, strict=True)
+        for (within, frequencies, gains), phases, levels, share in each:
+            logs = np.log(frequencies)
+            knots = np.linspace(logs[0], logs[-1], len(levels))
+            amplitudes = gains * np.exp(np.interp(logs, knots, levels))
+            waves = np.sin(np.outer(times[within], frequencies) + phases)
             angle = np.zeros(len(times))
-            angle[within] = window(len(within)) * (waves @ amplitudes)
+            angle[within] = _window(len(waves)) * (waves @ amplitudes)
             angle *= limits.angle / max(float(np.abs(angle).max()), 1e-300)
             velocity = float(np.abs(np.diff(angle)).max()) * self.request.rate
             torque = float(np.abs(self.torque(angle)).max())
@@ -316,13 +270,13 @@ class Mover:
     def sine(self, frequency: float) -> Array:
         """Return the link angle of one tone over all the time, up to a scale."""
         wave = np.sin(frequency * (self.times + 0.5 / self.request.rate))
-        return np.asarray(window(len(wave)) * wave)
+        return np.asarray(_window(len(wave)) * wave)
 
     def torque(self, angle: Array) -> Array:
         """Return the torque under which the nominal arm moves so, shape (n,) [N m]."""
         arm = self.request.arm
         rate = 1j * np.fft.rfftfreq(len(angle), self.request.period) * math.tau
-        rate[np.abs(rate) > self._highest] = 0.0
+        rate[np.abs(rate) > 4.0 * self.fastest] = 0.0
 
         def moved(position: Array, inertia: float, damping: float) -> Array:
             spectrum = np.fft.rfft(position) * (inertia * rate * rate + damping * rate)
@@ -343,53 +297,41 @@ class Mover:
             arms: The arms.
         """
         whole = np.concatenate([torque, np.zeros(round(_TAIL * self.request.rate))])
-
-        def sizes(arm: TrialArm) -> list[float]:
-            link, link_speed, motor, motor_speed = (
-                np.abs(simulated(self.request, arm, whole)).max(axis=0).tolist()
-            )
-            return [max(link, motor), max(link_speed, motor_speed)]
-
         with ThreadPoolExecutor(WORKERS) as pool:
-            found = list(pool.map(sizes, arms))
-        return np.column_stack([np.full(len(arms), np.abs(torque).max()), np.array(found)])
+            states = pool.map(lambda arm: simulated(self.request, arm, whole), arms)
+            largest = np.array([np.abs(each).max(axis=0) for each in states])
+        reached = np.maximum(largest[:, :2], largest[:, 2:])
+        return np.column_stack([np.full(len(arms), np.abs(torque).max()), reached])
 
     def scaled(
-        self,
-        angle: Array,
-        arms: Sequence[TrialArm],
-        limits: Limits,
-        *,
-        scale: float = 1.0,
-        rounds: int = 2,
-    ) -> Scaled:
-        """Return a motion that is as large as the limits allow.
+        self, angle: Array, arms: Sequence[TrialArm], *, scale: float = 1.0, rounds: int = 2
+    ) -> tuple[Array, float, Limits]:
+        """Return torque, scale and what is reached by a motion as large as the limits allow.
 
         Args:
             angle: Of the link, up to a scale, shape (n,).
             arms: That must stay within the limits.
-            limits: With a margin.
             scale: To start from.
             rounds: Number of corrections upwards; it is then made smaller until the limits hold.
         """
-        count, near = 0, list(arms)
+        count, near, limits = 0, list(arms), np.array(self.limits)
         while True:
             torque = self.torque(scale * angle)
             each = self.reached(torque, near if count < rounds else arms)
             if count == 0:
-                order = np.argsort(-(each / np.array(limits)).max(axis=1), kind="stable")
+                order = np.argsort(-(each / limits).max(axis=1), kind="stable")
                 near = [arms[at] for at in order[:_NEAR].tolist()]
             reached = each.max(axis=0)
-            ratio = max(float((reached / np.array(limits)).max()), 1e-9)
+            ratio = max(float((reached / limits).max()), 1e-9)
             if count >= rounds and ratio <= 1.0:
-                return Scaled(torque, scale, Limits(*reached.tolist()))
+                return torque, scale, Limits(*reached.tolist())
             scale *= min(max(0.99 / ratio, 0.1), 3.0 if count < rounds else 1.0)
             # Beyond its limit of angle nothing is gained.
-            scale = min(scale, limits.angle / float(np.abs(angle).max()))
+            scale = min(scale, self.limits.angle / float(np.abs(angle).max()))
             count += 1
 
 
-def window(count: int) -> Array:
+def _window(count: int) -> Array:
     """Return a window that rises from rest and falls to rest, with four smooth derivatives."""
     at = np.arange(count) / max(count - 1, 1)
     rise = np.clip(np.minimum(at, 1.0 - at) / _EDGE, 0.0, 1.0)

@@ -7,10 +7,10 @@ is far better with another sign or scale, or in angles that leave the domain.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,39 +51,19 @@ _BETTER = 100.0
 _SCALES = tuple(10.0 ** (step / 3.0) for step in range(-12, 13))
 _UNITS = {1e-3: "mN m", 1e-2: "N cm"}
 
-
-class Read(NamedTuple):
-    """Recordings as they are fitted.
-
-    Attributes:
-        request: With the recordings' rate.
-        recordings: The samples.
-        notes: Remarks for the user.
-    """
-
-    request: ArmRequest
-    recordings: tuple[Recording, ...]
-    notes: tuple[str, ...]
+_Raw = tuple[str, Array, Array, Array]
+"""Name, times, outputs and torques of a recording."""
 
 
 def read(
-    request: ArmRequest,
-    logs: Sequence[str | Path | Samples],
-    *,
-    columns: Mapping[str, str] | None = None,
-    units: Mapping[str, str] | None = None,
-    joint: str | None = None,
-    topic: str | None = None,
-) -> Read:
-    """Return the recordings of one joint, checked.
+    request: ArmRequest, logs: Sequence[str | Path | Samples], **options: Any
+) -> tuple[ArmRequest, list[Recording], list[str]]:
+    """Return the request with the recordings' rate, the checked recordings, and remarks.
 
     Args:
         request: What its numbers are taken for.
         logs: Paths of CSV logs or bags, or arrays.
-        columns: Of CSV logs, see `LogSource`.
-        units: Of CSV logs, likewise.
-        joint: The joint's name; None if there is only one.
-        topic: The measurements' topic in bags; None if there is only one.
+        **options: Of `open_source`.
 
     Raises:
         LogError: A recording is of no use; the text names it and says why, in one line.
@@ -92,7 +72,12 @@ def read(
     """
     if not logs:
         raise ModelError("logs: expected at least one recording")
-    raw = [_samples(request, each, columns, units, joint, topic) for each in logs]
+    raw = []
+    for log in logs:
+        if isinstance(log, str | Path):
+            raw.append(_complete(*_of_file(request, log, options)))
+        else:
+            raw.append(_complete(*_of_arrays(request, log)))
     period = float(np.median(np.concatenate([np.diff(time) for _, time, _, _ in raw])))
     if not period > 0.0:
         raise LogError(f"{raw[0][0]}: its samples have no time between them")
@@ -102,12 +87,7 @@ def read(
             f"note: the recording has {1.0 / period:.4g} samples per second, the request "
             f"{request.rate:.4g}: the fitted request has the recording's rate"
         )
-        rate = float(f"{1.0 / period:.6g}")
-        request = replace(request, rate=rate)
-        period = 1.0 / rate
-    else:
-        period = request.period
-    found = []
+        request = replace(request, rate=float(f"{1.0 / period:.6g}"))
     zeros = _zeros(request, raw)
     if zeros.any():
         shown = ", ".join(
@@ -118,16 +98,16 @@ def read(
         notes.append(
             f"note: the zeros of the angles differ; subtracted from the recordings: {shown}"
         )
-    for name, time, given, u in raw:
-        y = given - zeros
-        recording, remark = _even(name, time, y, u, period)
+    found = []
+    for name, time, y, u in raw:
+        recording, remark = _even(name, time, y - zeros, u, request.period)
         found.append(recording)
         notes += [f"note: {name}: {remark}"] * bool(remark)
         notes += _checked(request, recording)
-    return Read(request, tuple(found), tuple(notes))
+    return request, found, notes
 
 
-def _zeros(request: ArmRequest, raw: Sequence[tuple[str, Array, Array, Array]]) -> Array:
+def _zeros(request: ArmRequest, raw: Sequence[_Raw]) -> Array:
     """Return what to subtract from outputs whose zero is far from the others', shape (p,)."""
     zeros = np.zeros(len(request.sensors))
     angles = [i for i, one in enumerate(request.sensors) if one.measures.endswith("_angle")]
@@ -145,41 +125,34 @@ def _zeros(request: ArmRequest, raw: Sequence[tuple[str, Array, Array, Array]]) 
     return zeros
 
 
-def _samples(
-    request: ArmRequest,
-    log: str | Path | Samples,
-    columns: Mapping[str, str] | None,
-    units: Mapping[str, str] | None,
-    joint: str | None,
-    topic: str | None,
-) -> tuple[str, Array, Array, Array]:
-    """Return name, times, outputs and torques of a recording in order of time, complete ones."""
-    if isinstance(log, str | Path):
-        source = open_source(
-            log, topic=topic, joints=[joint] if joint else (), columns=columns, units=units
+def _of_file(request: ArmRequest, log: str | Path, options: dict[str, Any]) -> _Raw:
+    source = open_source(log, **options)
+    if len(source.joints) != 1:
+        raise LogError(f"{log}: joints {', '.join(source.joints)}: name one of them with --joint")
+    source.observe([request])
+    whole = next(source.parts()).samples
+    keep = (whole.stamps > 0) & whole.complete[:, 0]
+    stamps = whole.stamps[keep]
+    # Stamps since the epoch have no digits left below a microsecond as one number.
+    times = (stamps - stamps.min(initial=2**62)) / NANOSECONDS
+    return str(log), times, whole.y[keep, 0], whole.u[keep, 0, 0]
+
+
+def _of_arrays(request: ArmRequest, log: Samples) -> _Raw:
+    times, y, u = (np.asarray(each, np.float64) for each in log)
+    y = y.reshape(len(times), -1) if times.ndim == 1 and len(times) else y
+    p = len(request.sensors)
+    if times.ndim != 1 or y.shape != (len(times), p) or u.shape != times.shape:
+        raise ModelError(
+            f"logs: expected times (n,), outputs (n, {p}) and torques (n,), got "
+            f"{times.shape}, {y.shape} and {u.shape}"
         )
-        if len(source.joints) != 1:
-            raise LogError(
-                f"{log}: joints {', '.join(source.joints)}: name one of them with --joint"
-            )
-        source.observe([request])
-        whole = next(source.parts()).samples
-        name, y, u = str(log), whole.y[:, 0], whole.u[:, 0, 0]
-        keep = (whole.stamps > 0) & whole.complete[:, 0]
-        # Stamps since the epoch have no digits left below a microsecond as one number.
-        times = (whole.stamps - whole.stamps[keep].min(initial=2**62)) / NANOSECONDS
-    else:
-        name = "the arrays"
-        times, y, u = (np.asarray(each, np.float64) for each in log)
-        y = y.reshape(len(times), -1) if times.ndim == 1 and len(times) else y
-        p = len(request.sensors)
-        if times.ndim != 1 or y.shape != (len(times), p) or u.shape != times.shape:
-            raise ModelError(
-                f"logs: expected times (n,), outputs (n, {p}) and torques (n,), got "
-                f"{times.shape}, {y.shape} and {u.shape}"
-            )
-        keep = np.isfinite(times)
-    keep = keep & np.isfinite(u) & np.isfinite(y).any(axis=1)
+    return "the arrays", times, y, u
+
+
+def _complete(name: str, times: Array, y: Array, u: Array) -> _Raw:
+    """Return the samples with a time, a torque and an output, in order of time."""
+    keep = np.isfinite(times) & np.isfinite(u) & np.isfinite(y).any(axis=1)
     times, y, u = times[keep], y[keep], u[keep]
     times, first = np.unique(times, return_index=True)
     y, u = y[first], u[first]
@@ -201,9 +174,9 @@ def _even(name: str, time: Array, y: Array, u: Array, period: float) -> tuple[Re
     jitter = np.abs(durations - period) < _JITTER * period
     if (jitter | gaps).all() and np.ptp(drift[~gaps]) < 0.5 * period:
         durations = np.where(gaps, durations, period)
-    lost = float(durations[gaps].sum())
     remark = ""
     if gaps.any():
+        lost = float(durations[gaps].sum())
         remark = f"{int(gaps.sum())} gaps, {lost:.3g} s in all, are left out"
     return Recording(name, time, np.where(gaps, -1.0, durations), y, u), remark
 
@@ -290,10 +263,6 @@ def _require_no_gear(request: ArmRequest, recording: Recording) -> None:
 
 def require_torque(unknowns: Unknowns, recording: Recording) -> None:
     """Refuse a torque of the wrong sign, or whose unit or gear ratio is wrong.
-
-    Args:
-        unknowns: What is estimated.
-        recording: A part of the samples.
 
     Raises:
         LogError: Another sign or scale is far likelier.

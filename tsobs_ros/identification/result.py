@@ -2,13 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records of a fit: what was found, how well it is known, and what the model lacks."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
+
+import yaml
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest
-from tsobs_ros.identification.joint import Joint
+from tsobs_ros.identification.joint import Joint, numbers_of
+from tsobs_ros.schema import encode
 
 
 class Found(NamedTuple):
@@ -61,10 +64,12 @@ class Lack(NamedTuple):
     Attributes:
         what: In plain words, with a number.
         entry: The request's entry that would add it, as YAML in one line; empty if none would.
+        is_added: Whether the fitted request has it.
     """
 
     what: str
     entry: str
+    is_added: bool = False
 
 
 class OutputFit(NamedTuple):
@@ -124,7 +129,7 @@ class Fit:
         joint: The likeliest joint, with friction, which the request has as a torque disturbance.
         numbers: What was estimated.
         unseen: What the recordings cannot tell.
-        lacks: What the model still lacks.
+        lacks: What the request's model lacks, and what the fitted one still lacks.
         outputs: How well each output is predicted.
         log_likelihood: Per sample, before and after [nat].
         log_likelihood_held_out: The same of the part that was held out.
@@ -154,10 +159,8 @@ class Fit:
         Raises:
             KeyError: It was not estimated.
         """
-        for one in self.numbers:
-            if name in (one.name, one.name.removeprefix("arm.")):
-                return one
-        raise KeyError(name)
+        by_name = {each.name: each for each in self.numbers}
+        return by_name.get(name) or by_name[f"arm.{name}"]
 
     def summary(self) -> dict[str, Any]:
         """Return the result as plain data."""
@@ -171,49 +174,112 @@ class Fit:
             },
             "numbers": [each._asdict() | {"seen": each.seen} for each in self.numbers],
             "unseen": [{"numbers": dict(e.numbers), "text": e.text} for e in self.unseen],
-            "lacks": [each._asdict() for each in self.lacks],
+            "lacks": [{"what": each.what, "entry": each.entry} for each in self.lacks],
             "outputs": [each._asdict() for each in self.outputs],
             "outliers": self.outliers,
             "notes": list(self.notes),
         }
 
     def __str__(self) -> str:
-        return "\n".join(_lines(self))
-
-
-def _lines(fit: Fit) -> list[str]:
-    """Return a fit as text."""
-    width = max(len(each.name) for each in fit.numbers)
-    lines = [f"{'number':{width}}  {'before':>10}  {'fitted':>10}  {'1 sigma':>9}  unit"]
-    for each in fit.numbers:
-        seen = "" if each.seen else "   not shown by the recording"
+        width = max(len(each.name) for each in self.numbers)
+        lines = [f"{'number':{width}}  {'before':>10}  {'fitted':>10}  {'1 sigma':>9}  unit"]
+        for each in self.numbers:
+            seen = "" if each.seen else "   not shown by the recording"
+            lines.append(
+                f"{each.name:{width}}  {each.before:>10.4g}  {each.value:>10.4g}  "
+                f"{each.std:>9.2g}  {each.unit}{seen}"
+            )
+        before, after = self.log_likelihood
+        held_before, held_after = self.log_likelihood_held_out
+        fitted, held_out = self.samples
         lines.append(
-            f"{each.name:{width}}  {each.before:>10.4g}  {each.value:>10.4g}  {each.std:>9.2g}  "
-            f"{each.unit}{seen}"
+            f"log likelihood per sample: {before:.4g} before, {after:.4g} after ({fitted:,} "
+            f"samples); held out: {held_before:.4g} before, {held_after:.4g} after "
+            f"({held_out:,} samples)"
         )
-    before, after = fit.log_likelihood
-    held_before, held_after = fit.log_likelihood_held_out
-    lines.append(
-        f"log likelihood per sample: {before:.4g} before, {after:.4g} after ({fit.samples[0]:,} "
-        f"samples); held out: {held_before:.4g} before, {held_after:.4g} after "
-        f"({fit.samples[1]:,} samples)"
-    )
-    for one in fit.outputs:
-        lines.append(
-            f"{one.name}, held out: one sample ahead {one.one_step:.4g} %, simulated for "
-            f"{one.horizon:.3g} s {one.free_run:.4g} %; innovations {one.innovation_std:.3g} times "
-            f"as large as expected, neighbours correlated by {one.correlation:.2f}"
+        for one in self.outputs:
+            lines.append(
+                f"{one.name}, held out: one sample ahead {one.one_step:.4g} %, simulated for "
+                f"{one.horizon:.3g} s {one.free_run:.4g} %; innovations {one.innovation_std:.3g} "
+                f"times as large as expected, neighbours correlated by {one.correlation:.2f}"
+            )
+        lines += [f"not shown: {each.text}" for each in self.unseen]
+        if added := [f"  {each.what}" for each in self.lacks if each.is_added]:
+            lines += ["found, and in the fitted request:", *added]
+        if rest := [each for each in self.lacks if not each.is_added]:
+            lines.append("the model still lacks:")
+            lines += [f"  {each.what}" + f"; {each.entry}" * bool(each.entry) for each in rest]
+        return "\n".join([*lines, *self.notes])
+
+
+_HEADER = """\
+# What `tsobs design` is asked for, with numbers of `tsobs fit`: {samples} samples of
+# {names}.
+# ± is the 1 sigma of a fitted number. One that is hardly shown stays near its value before.
+# Units are SI and radians.
+"""
+
+
+def request_text(fit: Fit, names: str) -> str:
+    """Return the fitted request as a file, in which comments say where each number comes from.
+
+    Args:
+        fit: The fit.
+        names: Of the recordings.
+    """
+    request, found = fit.request, {each.name: each for each in fit.numbers}
+    data: dict[str, Any] = encode(request)
+    # Others stand for these.
+    unwritten = ("disturbance", "measurement_std") if request.outputs else ("outputs",)
+    lines = [_HEADER.format(samples=f"{fit.samples[0]:,}", names=names), "design:\n"]
+    for name in [each.name for each in fields(ArmRequest) if each.name not in unwritten]:
+        if data.get(name) not in (None, {}, []) or name == "uncertainty":
+            lines.append(_entry(name, data[name], found, request))
+    lines += [f"# The model lacks {lack.what}.\n" for lack in fit.lacks]
+    return "".join(lines)
+
+
+def _entry(name: str, value: Any, found: Mapping[str, Found], request: ArmRequest) -> str:
+    """Return the lines of one entry of the request."""
+    written = {key: each.value for key, each in found.items()}
+    written |= {each.name: each.start for each in numbers_of(request)}
+
+    def comments(indent: str, *prefixes: str) -> str:
+        return "".join(
+            f"{indent}# {key}: {_words(one, written[key])}\n"
+            for key, one in found.items()
+            # No request has an offset of an output.
+            if key.startswith(prefixes) and not key.endswith("_angle.offset")
         )
-    lines += [f"not shown: {each.text}" for each in fit.unseen]
-    lines += [f"the model lacks {_with_entry(each)}" for each in fit.lacks]
-    return lines + list(fit.notes)
+
+    if isinstance(value, Mapping) and name in ("arm", "torque"):
+        lines = [f"  {name}:\n"]
+        for key, each in value.items():
+            one = found.get(f"{name}.{key}")
+            lines.append(f"    {key}: {_flow(each)}{f'  # {_words(one, each)}' if one else ''}\n")
+        return "".join(lines)
+    if name == "outputs":
+        lines = ["  outputs:\n"]
+        for each in value:
+            lines.append(comments("    ", f"{each['measures']}.") + f"    - {_flow(each)}\n")
+        return "".join(lines)
+    comment = comments("  ", f"{name}.", f"link_angle.{name}")
+    if name == "uncertainty" and value:
+        comment = "  # Three sigmas of the fit; the prior's bound of what it does not show.\n"
+    return f"{comment}  {name}: {_flow(value)}\n"
 
 
-def _with_entry(lack: Lack) -> str:
-    return f"{lack.what}; {lack.entry}" if lack.entry else lack.what
+def _words(one: Found, value: float) -> str:
+    if not (value or one.significant):
+        return f"nothing is shown ({one.value:.2g} ± {one.std:.2g} {one.unit})"
+    if not one.seen:
+        return f"the recording hardly shows it (± {one.std:.2g} {one.unit})".replace(" )", ")")
+    if abs(value / one.value - 1.0) > 1e-4:
+        return f"likeliest of a filter without friction; with it {one.value:.4g} ± {one.std:.2g}"
+    return f"fitted, ± {one.std:.2g} {one.unit}; it was {one.before:.4g}".replace(" ;", ";")
 
 
-def ranked(pairs: Sequence[tuple[str, float]], least: float) -> tuple[tuple[str, float], ...]:
-    """Return the pairs whose number is at least so large, the largest first."""
-    chosen = [each for each in pairs if abs(each[1]) >= least]
-    return tuple(sorted(chosen, key=lambda each: -abs(each[1])))
+def _flow(value: Any) -> str:
+    """Return plain data as YAML in one line."""
+    text: str = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10_000)
+    return text.removesuffix("\n").removesuffix("\n...")
