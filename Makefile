@@ -15,7 +15,12 @@ DEMO_EXTRAS ?= report,watch
 EXTRAS := design,report,export,campaign,watch
 # The NumPy that a ROS found was built for; another one breaks its messages.
 NUMPY = $$(test -s $(VENV)/.ros || $(BIN)/python -c 'import numpy; print("numpy==" + numpy.__version__)')
-PYTEST_ARGS ?= -n 3
+PYTEST_ARGS ?= -n 3 --dist loadgroup
+# Else threads of the linear algebra wait actively for cores that other tests use.
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest $(PYTEST_ARGS)
+# Python keeps what it compiles, also in a container that asks for the opposite: tests and nodes are
+# hundreds of processes.
+unexport PYTHONDONTWRITEBYTECODE
 CHECKS := undefined,float-cast-overflow
 SANITIZE := -fsanitize=address,$(CHECKS) -fno-sanitize-recover=$(CHECKS) -O1 -g \
   -fno-omit-frame-pointer
@@ -24,7 +29,7 @@ SANITIZE_TESTS ?= test/estimation test/model test/simulation
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all sanitize fuzz lint format docs links figures clean
+.PHONY: help demo test quick-tests test-all all-tests sanitize fuzz lint format docs links figures clean
 .DEFAULT_GOAL := help
 
 # A version manager's shim may exist and yet fail, so every candidate is run.
@@ -50,11 +55,18 @@ demo: $(VENV)/.demo ## Simulate the arm, observe it, record, and report (DEMO_AR
 	@echo "Designs, Parquet files and campaigns take more: pip install -e" \
 	  "'.[design,export,campaign]'" >&2
 
-test: lint ## Lint, check types and run the tests, but for those marked slow (PYTEST_ARGS=…)
-	$(BIN)/pytest -m "not slow" $(PYTEST_ARGS)
+# The checks run beside the tests.
+test: $(VENV)/.test ## Lint, check types and run the tests, but for those marked slow (PYTEST_ARGS=…)
+	@$(MAKE) --no-print-directory --jobs=2 lint quick-tests
 
-test-all: lint ## Lint, check types and run all tests
-	$(BIN)/pytest $(PYTEST_ARGS)
+test-all: $(VENV)/.test ## Lint, check types and run all tests
+	@$(MAKE) --no-print-directory --jobs=2 lint all-tests
+
+quick-tests: $(VENV)/.test
+	$(PYTEST) -m "not slow"
+
+all-tests: $(VENV)/.test
+	$(PYTEST)
 
 # The sanitizer has to be in the process before Python: a core linked with it cannot be loaded
 # otherwise. Memory that Python hands out itself would hide accesses out of bounds. Its reports go
@@ -134,4 +146,5 @@ $(BIN)/python:
 	  "$$python" -m venv --clear $(VENV); \
 	  echo "Made $(VENV) with $$version; ROS will come from PyPI"; \
 	  printf 'ros,' > $(VENV)/.ros; \
-	fi
+	fi; \
+	$(PIP) --quiet --upgrade pip  # Python 3.11 brings one that takes twice the time

@@ -22,6 +22,8 @@ import pytest
 
 import tsobs_ros as ts
 
+pytestmark = pytest.mark.xdist_group("bits")  # its fixtures take seconds
+
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """
 import other_build

@@ -26,6 +26,8 @@ from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.model.torque_path import TorquePath
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
+pytestmark = pytest.mark.xdist_group("c program")  # its fixtures take seconds
+
 ROOT = Path(__file__).resolve().parents[2]
 CORE = ROOT / "tsobs_ros" / "core"
 PROGRAM = ROOT / "examples" / "c" / "step_log.c"

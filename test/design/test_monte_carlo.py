@@ -19,6 +19,8 @@ from tsobs_ros.simulation.plant import TorqueDisturbance as TrueTorques
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import GaussMarkov, Sine
 
+pytestmark = pytest.mark.xdist_group("monte carlo")  # its fixtures take seconds
+
 Array = NDArray[np.float64]
 RUNS = 800
 INSTANTS = (200, 1000)

@@ -15,6 +15,8 @@ from tsobs_ros.identification.result import request_text
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.torque_path import TorquePath
 
+pytestmark = pytest.mark.xdist_group("fit")  # its fixtures take seconds
+
 TRUE = {
     "link_inertia": ARM.link_inertia,
     "motor_inertia": ARM.motor_inertia,

@@ -22,6 +22,8 @@ from tsobs_ros.paper.examples import example_1
 from tsobs_ros.paper.page import make_paper_report
 from tsobs_ros.paper.runs import ExampleRun, run_example
 
+pytestmark = pytest.mark.xdist_group("paper")  # its fixtures take seconds
+
 Array = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[2]
 PNG = b"\x89PNG\r\n\x1a\n"

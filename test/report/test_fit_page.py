@@ -12,6 +12,8 @@ import pytest
 import tsobs_ros as ts
 from tsobs_ros.cli.main import main
 
+pytestmark = pytest.mark.xdist_group("page of a fit")  # its fixtures take seconds
+
 HOSTILE = "<b>arm&.csv"
 REQUEST = """\
 design:
