@@ -115,6 +115,30 @@ def runge_kutta() -> Callable[[Callable[[Any], Any], Any, float], Any]:
     return step
 
 
+@pytest.fixture(scope="session")
+def predicted() -> Callable[..., Any]:
+    """Moves augmented states, with a covariance if given, by the core's steps of a flow."""
+    import numpy as np
+
+    from tsobs_ros.core import native
+    from tsobs_ros.model.prediction import FlowSizes, flow_record, scratch_size
+
+    def move(flow: Any, x: Any, u: Any, duration: float, covariance: Any = None) -> Any:
+        record, none = flow_record(flow), np.empty(0)
+        sizes = FlowSizes(*(int(record[name][0]) for name in FlowSizes._fields))
+        states = np.array(x, np.float64, order="C", ndmin=2)
+        inputs = np.array(np.broadcast_to(u, (len(states), np.shape(u)[-1])))
+        spread = none if covariance is None else np.array(covariance)[np.newaxis]
+        scratch = np.empty(scratch_size(sizes))
+        native.advance_all(
+            record.view(np.float64), states, none, spread, none, none, inputs, duration, scratch
+        )
+        moved = states.reshape(np.shape(x))
+        return moved if covariance is None else (moved, spread[0])
+
+    return move
+
+
 @pytest.fixture(scope="session", autouse=True)
 def ros_log_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Keep ROS logs out of the home folder, which may be read-only."""

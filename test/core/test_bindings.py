@@ -21,7 +21,7 @@ from tsobs_ros.estimation.history import REASONS
 from tsobs_ros.estimation.state import Shape, new_model
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import ObserverSettings, make_estimator
-from tsobs_ros.model.prediction import flow_record, scratch_size
+from tsobs_ros.model.prediction import FlowSizes, flow_record, scratch_size
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 DESIGN = load_design(config_path(FIXED_DESIGN))
@@ -96,7 +96,7 @@ def calls() -> dict[str, dict[str, Any]]:
         "advance_all": {
             "flow": flow, "x": zeros(2, n), "upsilon": zeros(0), "covariance": zeros(2, n, n),
             "theta": zeros(0), "y": zeros(0), "u": zeros(2, m), "duration": 0.01,
-            "scratch": zeros(scratch_size(FLOW.sizes())),
+            "scratch": zeros(scratch_size(FlowSizes(n, m, 1, 1, 0, 4))),
         },
         "flow_over": {
             "series": zeros(4, 10), "terms": 4, "reach": 1.0, "duration": 1.0, "phi": zeros(4),

@@ -67,12 +67,12 @@ def test_obstacles_agree_with_a_rank_test(request_: ArmRequest, slope: float) ->
     obstacles = find_obstacles(request_)
     for obstacle in obstacles:
         at = obstacle.slope if obstacle.slope is not None else request_.slope_range[1]
-        A, shape = flow.slope_matrix(at), obstacle.shape
+        A, shape = flow.augmented(request_.arm.slope_matrix(at)), obstacle.shape
         residual = A @ shape - obstacle.eigenvalue * shape
         assert np.linalg.norm(residual) < 1e-9 * np.linalg.norm(A)
         assert np.linalg.norm(flow.output_matrix @ shape) < 1e-9
         assert obstacle.eigenvalue.real > -1e-9
-    A = flow.slope_matrix(slope if request_.arm.gravity_torque else 0.0)
+    A = flow.augmented(request_.arm.slope_matrix(slope))
     anywhere = {round(each.eigenvalue.imag, 6) for each in obstacles if each.slope is None}
     # At the eigenvalues themselves, which numbers have only to few digits if they are defective.
     candidates = (0.0, 2.0, 3.0)

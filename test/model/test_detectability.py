@@ -10,12 +10,12 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.detectability import hidden_modes, undetectable_modes
-from tsobs_ros.model.disturbance import bias, sinusoid
+from tsobs_ros.model.detectability import HiddenMode, format_mode, hidden_modes, undetectable_modes
+from tsobs_ros.model.disturbance import sinusoid
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise
 
 Array = NDArray[np.float64]
-PROPERTY = settings(max_examples=40)
+PROPERTY = settings(max_examples=20)
 EYE = np.eye(4)
 
 
@@ -47,24 +47,14 @@ def test_a_hidden_mode_that_decays_is_detectable() -> None:
     assert [mode.eigenvalue for mode in undetectable_modes(A, np.array([[1.0, 0.0]]))] == [2.0]
 
 
-def test_a_bias_hides_where_gravity_has_no_slope() -> None:
-    flow = ArmFlow(ElasticJointArm(), bias(), ProcessNoise(), 0.005)
-    (mode,) = undetectable_modes(flow.slope_matrix(0.0), flow.output_matrix)
-    # Link and motor turned by the same angle, and the bias takes it back: q₁ = q₂ = −w.
-    assert abs(mode.eigenvalue) < 1e-6
-    shape = mode.shape / mode.shape[0]
-    assert shape == pytest.approx([1.0, 0.0, 10.0, 0.0, -1.0], abs=1e-6)
-
-
-@pytest.mark.parametrize("slope", [0.75, 0.9, 1.0])
-def test_a_tone_hides_at_the_arms_own_frequencies_and_nowhere_else(slope: float) -> None:
+def test_a_tone_hides_at_the_arms_own_frequencies_and_nowhere_else() -> None:
     arm = ElasticJointArm()
-    own = np.linalg.eigvals(arm.slope_matrix(slope)).imag
-    for frequency in own[own > 0.0]:
-        flow = ArmFlow(arm, sinusoid(float(frequency)), ProcessNoise(), 0.005)
-        modes = undetectable_modes(flow.slope_matrix(slope), flow.output_matrix)
-        assert sorted(mode.eigenvalue.imag for mode in modes) == pytest.approx(
-            [-frequency, frequency]
-        )
-        flow = ArmFlow(arm, sinusoid(1.05 * float(frequency)), ProcessNoise(), 0.005)
-        assert undetectable_modes(flow.slope_matrix(slope), flow.output_matrix) == []
+    A = arm.slope_matrix(0.9)
+    for frequency in [each for each in np.linalg.eigvals(A).imag.tolist() if each > 0.0]:
+        for factor, hidden in ((1.0, [-frequency, frequency]), (1.05, [])):
+            flow = ArmFlow(arm, sinusoid(factor * frequency), ProcessNoise(), 0.005)
+            modes = undetectable_modes(flow.augmented(A), flow.output_matrix)
+            assert sorted(mode.eigenvalue.imag for mode in modes) == pytest.approx(hidden)
+    assert format_mode(HiddenMode(-1.5j, np.array([0.5, -2j]), 0.0), "x") == (
+        "0-1.5j with x = [0+0.25j, 1]"
+    )

@@ -24,7 +24,7 @@ from tsobs_ros.model.disturbance import (
 )
 
 Array = NDArray[np.float64]
-PROPERTY = settings(max_examples=40)
+PROPERTY = settings(max_examples=15)
 STATES = st.floats(-2.0, 2.0)
 TIMES = st.floats(0.0, 20.0)
 MODELS = st.one_of(
@@ -62,22 +62,13 @@ def test_a_sum_generates_the_sum_of_its_signals(
     split = first.state_count
     parts = generated(first, start[:split], t) + generated(second, start[split:], t)
     np.testing.assert_allclose(generated(total, start, t), parts, atol=1e-10)
-    assert total.state_count == first.state_count + second.state_count
-    assert (total.initial_std == [*first.initial_std, *second.initial_std]).all()
+    state, step = expm(total.S * t) @ np.array(start), 1e-6
+    change = generated(total, state, step) - generated(total, state, -step)
+    np.testing.assert_allclose(total.rate_map @ state, change / 2e-6, rtol=1e-6, atol=1e-7)
     driven = total.G @ total.G.T
     assert (driven[:split, :split] == first.G @ first.G.T).all()
     assert (driven[split:, split:] == second.G @ second.G.T).all()
     assert not driven[:split, split:].any()
-
-
-@PROPERTY
-@given(MODELS, TIMES)
-def test_the_rate_map_is_the_derivative_of_the_signal(model: DisturbanceModel, t: float) -> None:
-    start = np.linspace(0.5, 1.0, model.state_count)
-    state = expm(model.S * t) @ start
-    step = 1e-6
-    numeric = (generated(model, state, step) - generated(model, state, -step)) / (2.0 * step)
-    np.testing.assert_allclose(model.rate_map @ state, numeric, rtol=1e-6, atol=1e-8)
 
 
 def test_channels_stand_side_by_side() -> None:
@@ -97,21 +88,14 @@ def test_a_disturbance_acts_through_the_fault_matrix() -> None:
 
 
 TWO = per_channel([bias(), bias()])
-SQUARE, ROW = np.eye(2), np.ones((1, 2))
 
 
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: bias().through([[0.0], [0.0]]), "D_s: expected full column rank"),
         (lambda: TWO.through([[1.0, 2.0], [2.0, 4.0]]), "D_s: expected full column rank"),
-        (lambda: TWO.through([[1.0, 2.0]]), "full column rank"),
         (lambda: bias().through([[1.0, 0.0]]), r"D_s: expected shape \(1, 1\), got \(1, 2\)"),
-        (
-            lambda: bias().through([1.0]),
-            r"D_s: expected a matrix, shape \(p, 1\), got",
-        ),
-        (lambda: bias().through([[np.nan]]), "D_s: every entry must be finite"),
+        (lambda: bias().through([1.0]), r"D_s: expected a matrix, shape \(p, 1\), got"),
         (lambda: bias() + clean(2), "same number of channels, got 1 and 2"),
         (lambda: per_channel([]), "at least one disturbance model"),
         (lambda: bias(-1e-4), "bias density: expected a finite number of at least 0, got -0.0001"),
@@ -120,10 +104,7 @@ SQUARE, ROW = np.eye(2), np.ones((1, 2))
         (lambda: gauss_markov(time_constant=0.0), "gauss_markov time_constant: expected"),
         (lambda: sinusoid(0.0), "sinusoid frequency: expected a finite number above 0, got 0.0"),
         (lambda: sinusoid(1.0, density=-1.0), "sinusoid density: expected"),
-        (lambda: sinusoid(1.0, initial_std=-1.0), "sinusoid initial_std: expected"),
-        (lambda: ramp(density=-1.0), "ramp density: expected"),
         (lambda: ramp(rate_density=np.inf), "ramp rate_density: expected"),
-        (lambda: ramp(initial_std=-1.0), "ramp initial_std: expected"),
         (lambda: ramp(initial_rate_std=-1.0), "ramp initial_rate_std: expected"),
     ],
 )

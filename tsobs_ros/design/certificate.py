@@ -24,7 +24,7 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.design.problem import Request
 from tsobs_ros.errors import CertificateError
-from tsobs_ros.model.vertices import VertexSystem
+from tsobs_ros.model.prediction import VertexSystem
 
 _ROUNDING = 100.0 * float(np.finfo(np.float64).eps)
 """Relative error of a sum of n products of matrices, for each row, with a reserve of about 30."""

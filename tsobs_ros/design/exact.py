@@ -38,8 +38,8 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, QUANTITIES
 from tsobs_ros.model.disturbance import DisturbanceModel
+from tsobs_ros.model.flow import kick_corners
 from tsobs_ros.model.uncertainty import EXTERNAL, TORQUE
-from tsobs_ros.model.vertices import kick_corners, linear_directions
 
 Rational = NDArray[Any]
 """An array of `Fraction`; NumPy's products and sums of such arrays are exact."""
@@ -190,11 +190,10 @@ def _arm_parts(request: ArmRequest) -> _Parts:
     density[LINK_VELOCITY, LINK_VELOCITY] = Fraction(request.process_noise.link)
     density[MOTOR_VELOCITY, MOTOR_VELOCITY] = Fraction(request.process_noise.motor) * (k / j1) ** 2
     drift, density = _with_disturbance(drift, density, flow.disturbance)
-    if (torque := flow.torque_disturbance) is not None:
-        n = len(drift)
-        drift, density = _with_disturbance(drift, density, torque)
-        motor, link = rational(torque.H)
-        drift[MOTOR_VELOCITY, n:], drift[LINK_VELOCITY, n:] = k / (j1 * j2) * motor, link / j1
+    n = len(drift)
+    drift, density = _with_disturbance(drift, density, flow.torque_disturbance)
+    motor, link = rational(flow.torque_disturbance.H)
+    drift[MOTOR_VELOCITY, n:], drift[LINK_VELOCITY, n:] = k / (j1 * j2) * motor, link / j1
     output, scale = rational(flow.output_matrix), [Fraction(1)] * 2 + [j1 / k] * 2
     for row, each in zip(output, request.sensors, strict=True):
         place = QUANTITIES.index(each.measures)
@@ -215,7 +214,7 @@ def _kicks(request: ArmRequest, n: int) -> Iterator[Rational]:
     if arm.gravity_torque:
         slopes.insert(0, cosine_below(Fraction(request.x_max)))
     torques = rational([request.flow.motor_torque, request.flow.link_torque])
-    linear = [] if covered is None else linear_directions(covered)
+    linear = [] if covered is None else covered.linear_places
     changes = rational(request.uncertainty_model.directions[linear, 0])
     for corner in kick_corners(slopes, covered, bounds):
         kick = identity(n)

@@ -144,8 +144,8 @@ def _shared_mode(
     """Yield the mode of an eigenvalue in which disturbances take back the arm's motion."""
     flow, (lowest, highest) = request.flow, request.slope_range
     n, shows = flow.state_count, [not output.model.arbitrary for output in request.sensors]
-    A = flow.slope_matrix(0.0) - eigenvalue * np.eye(n)
-    pull = A[LINK_VELOCITY, LINK_ANGLE] - flow.slope_matrix(1.0)[LINK_VELOCITY, LINK_ANGLE]
+    A = flow.augmented(request.arm.slope_matrix(0.0)) - eigenvalue * np.eye(n)
+    pull = A[LINK_VELOCITY, LINK_ANGLE] - request.arm.slope_matrix(1.0)[LINK_VELOCITY, LINK_ANGLE]
     others = np.delete(A, LINK_VELOCITY, axis=0)
     kernel = _kernel(np.vstack([others, flow.output_matrix[shows], *np.conj(pure)]))
     force, height = A[LINK_VELOCITY] @ kernel, kernel[LINK_ANGLE]

@@ -18,9 +18,8 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.options import TorqueLimits
 from tsobs_ros.model import disturbance as disturbances
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.prediction import Flow
+from tsobs_ros.model.prediction import Flow, VertexSystem
 from tsobs_ros.model.uncertainty import Uncertainty
-from tsobs_ros.model.vertices import VertexSystem
 
 DISTURBANCE_KINDS: Mapping[str, Callable[..., DisturbanceModel]] = {
     name: getattr(disturbances, name)
@@ -278,10 +277,8 @@ class Request(ABC):
     @cached_property
     def initial_covariance(self) -> Array:
         """Error covariance before any measurement in design coordinates, shape (n, n)."""
-        flow = self.flow
-        std = [self.plant_std, flow.disturbance.initial_std]
-        if flow.torque_disturbance is not None:
-            std.append(flow.torque_disturbance.initial_std)
+        models = self.flow.disturbance, self.flow.torque_disturbance
+        std = [self.plant_std, *(model.initial_std for model in models)]
         with np.errstate(over="ignore"):  # what is not finite is refused by the observer
             return fixed(np.diag(np.concatenate(std) ** 2))
 

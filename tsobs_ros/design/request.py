@@ -32,15 +32,14 @@ from tsobs_ros.design.problem import (
 )
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.options import TORQUE_RATE, TorqueLimits
-from tsobs_ros.model import disturbance as disturbances
 from tsobs_ros.model.arm import LINK_ANGLE, QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
+from tsobs_ros.model.prediction import VertexSystem
 from tsobs_ros.model.torque_path import DIRECT, TorquePath, require_delay
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
-from tsobs_ros.model.vertices import VertexSystem, linear_directions
 
 __all__ = [
     "ArmRequest",
@@ -138,11 +137,9 @@ class TorqueDisturbance:
         return Fixed({side: model for side, model in models if model.state_count})
 
     @cached_property
-    def model(self) -> DisturbanceModel | None:
-        """The exosystem of both sides, None if neither has a model."""
-        if not self.by_side:
-            return None
-        return per_channel([self.by_side.get(side, disturbances.clean()) for side in SIDES])
+    def model(self) -> DisturbanceModel:
+        """The exosystem of both sides."""
+        return per_channel([channel.model for channel in self.channels])
 
 
 @dataclass(frozen=True)
@@ -231,7 +228,7 @@ class ArmRequest(Request):
         if self.certify_uncertainty:
             if not self.uncertainty:
                 raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
-            linear_directions(uncertain)
+            _ = uncertain.linear_places
 
     def _take_outputs(self) -> None:
         """Let the first output's entries stand for those of the link angle alone."""
@@ -495,7 +492,9 @@ class TSRequest(Request):
             )
         if self.certify_uncertainty and self.uncertainty is None:
             raise ModelError("certify_uncertainty: expected at least one uncertain direction")
-        if self.certify_uncertainty and self.slope_vertices and not self.uncertainty_model.common:
+        directions = self.uncertainty_model.directions
+        is_common = bool((directions == directions[:, :1]).all())
+        if self.certify_uncertainty and self.slope_vertices and not is_common:
             raise ModelError(
                 "certify_uncertainty: with slope_vertices every direction must be one matrix for "
                 "all rules, got one that differs"

@@ -39,7 +39,7 @@ from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.remedies import helpful, remedies_of_gain
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import DesignError
-from tsobs_ros.model.vertices import VertexSystem
+from tsobs_ros.model.prediction import VertexSystem
 
 MARGINS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 """Extra noise density, as a fraction of the bound per second, that makes the claim strict."""

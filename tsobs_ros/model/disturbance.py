@@ -4,12 +4,12 @@
 
 The method's observer allows an arbitrary ω in every channel, and then the output has no
 information about the state. An estimator that works needs an exosystem: a bias, a drift, a tone,
-a ramp, or a sum of them. Several channels: D_s H takes the place of H.
+a ramp, or a sum of them.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -108,8 +108,7 @@ def clean(channels: int = 1) -> DisturbanceModel:
 
 def arbitrary() -> DisturbanceModel:
     """Return the method's assumption on one channel: any signal, no model at all."""
-    zero = np.zeros((0, 0))
-    return DisturbanceModel("arbitrary", zero, np.zeros((1, 0)), zero, np.zeros(0), arbitrary=True)
+    return replace(clean(), label="arbitrary", arbitrary=True)
 
 
 def bias(density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
@@ -119,9 +118,7 @@ def bias(density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
         density: Growth of its variance [rad²/s].
         initial_std: 1σ before any measurement [rad].
     """
-    root = math.sqrt(non_negative("bias density", density))
-    start = non_negative("bias initial_std", initial_std)
-    return _exosystem("bias", [[0.0]], [1.0], [root], [start])
+    return _exosystem("bias", [[0.0]], [("density", density)], [("initial_std", initial_std)])
 
 
 def gauss_markov(std: float = 0.1, time_constant: float = 20.0) -> DisturbanceModel:
@@ -133,7 +130,8 @@ def gauss_markov(std: float = 0.1, time_constant: float = 20.0) -> DisturbanceMo
     """
     tau = positive("gauss_markov time_constant", time_constant)
     root = positive("gauss_markov std", std) * math.sqrt(2.0 / tau)
-    return _exosystem("gauss_markov", [[-1.0 / tau]], [1.0], [root], [std])
+    matrices = np.array([[-1.0 / tau]]), np.eye(1), np.array([[root]])
+    return DisturbanceModel("gauss_markov", *matrices, np.array([std]))
 
 
 def sinusoid(frequency: float, density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
@@ -145,9 +143,8 @@ def sinusoid(frequency: float, density: float = 1e-4, initial_std: float = 0.3) 
         initial_std: 1σ of each state before any measurement [rad].
     """
     w0 = positive("sinusoid frequency", frequency)
-    root = math.sqrt(non_negative("sinusoid density", density))
-    start = non_negative("sinusoid initial_std", initial_std)
-    return _exosystem("sinusoid", [[0.0, w0], [-w0, 0.0]], [1.0, 0.0], [root] * 2, [start] * 2)
+    densities, stds = [("density", density)] * 2, [("initial_std", initial_std)] * 2
+    return _exosystem("sinusoid", [[0.0, w0], [-w0, 0.0]], densities, stds)
 
 
 def ramp(
@@ -164,11 +161,9 @@ def ramp(
         initial_std: 1σ of the bias before any measurement [rad].
         initial_rate_std: 1σ of the rate before any measurement [rad/s].
     """
-    densities = {"density": density, "rate_density": rate_density}
-    stds = {"initial_std": initial_std, "initial_rate_std": initial_rate_std}
-    roots = [math.sqrt(non_negative(f"ramp {name}", each)) for name, each in densities.items()]
-    start = [non_negative(f"ramp {name}", each) for name, each in stds.items()]
-    return _exosystem("ramp", [[0.0, 1.0], [0.0, 0.0]], [1.0, 0.0], roots, start)
+    densities = [("density", density), ("rate_density", rate_density)]
+    stds = [("initial_std", initial_std), ("initial_rate_std", initial_rate_std)]
+    return _exosystem("ramp", [[0.0, 1.0], [0.0, 0.0]], densities, stds)
 
 
 def per_channel(models: Sequence[DisturbanceModel]) -> DisturbanceModel:
@@ -188,11 +183,10 @@ def per_channel(models: Sequence[DisturbanceModel]) -> DisturbanceModel:
 def _exosystem(
     label: str,
     S: Sequence[Sequence[float]],
-    H: Sequence[float],
-    roots: Sequence[float],
-    initial_std: Sequence[float],
+    densities: Sequence[tuple[str, float]],
+    stds: Sequence[tuple[str, float]],
 ) -> DisturbanceModel:
-    """Return a model of one channel, driven in each state by noise of its own."""
-    return DisturbanceModel(
-        label, np.array(S), np.array([H]), np.diag(roots), np.array(initial_std)
-    )
+    """Return a model of one channel, its first state, driven in each state by noise of its own."""
+    roots = [math.sqrt(non_negative(f"{label} {name}", value)) for name, value in densities]
+    start = np.array([non_negative(f"{label} {name}", value) for name, value in stds])
+    return DisturbanceModel(label, np.array(S), np.eye(1, len(S)), np.diag(roots), start)

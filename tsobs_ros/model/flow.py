@@ -16,14 +16,15 @@ the estimate that serves as premise.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, non_negative, positive
+from tsobs_ros.checks import Array, non_negative
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import (
@@ -35,18 +36,9 @@ from tsobs_ros.model.arm import (
     ElasticJointArm,
 )
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.linear_flow import LinearFlow
-from tsobs_ros.model.matrices import block_diagonal
-from tsobs_ros.model.prediction import Flow, Transition
+from tsobs_ros.model.prediction import NO_TORQUES, Flow, VertexSystem
 from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.model.uncertainty import EXTERNAL, SINE, TORQUE, Uncertainty
-from tsobs_ros.model.vertices import (
-    KickCorner,
-    VertexSystem,
-    describe,
-    kick_corners,
-    linear_directions,
-)
 
 
 @dataclass(frozen=True)
@@ -67,20 +59,66 @@ class ProcessNoise:
             object.__setattr__(self, name, density)
 
 
+class KickCorner(NamedTuple):
+    """One corner of half a kick, in floats or in fractions.
+
+    Attributes:
+        slope: Gravity slope c, that of uncertain gravity and inertia included.
+        theta: θ of every direction that acts on the state linearly; () without uncertainty.
+    """
+
+    slope: Any
+    theta: tuple[Any, ...]
+
+
+def kick_corners(
+    slopes: Sequence[Any], uncertainty: Uncertainty | None, bounds: Sequence[Any] = ()
+) -> Iterator[KickCorner]:
+    """Yield the corners of half a kick; of those on one line only its two ends.
+
+    Half a kick multiplies the error by I + (T/2)(Σ θ_k ∂a_k/∂x − c mgl/J₁ e₂e₁ᵀ), which is affine
+    in the slope c and in each parameter θ_k on its own (gravity's θ multiplies the slope). So over
+    a box of parameters it is a convex combination of its values at the corners. Floats and
+    fractions go through the same formula: an exact proof needs exact corners.
+
+    Args:
+        slopes: Smallest and largest cosine of the domain; any single number without gravity.
+        uncertainty: The uncertain parameters, if any are to be covered.
+        bounds: Bound of each |θ|, in the order of `uncertainty`.
+    """
+    linear, pulls = [], []
+    if uncertainty is not None:
+        linear = uncertainty.linear_places
+        # A direction that scales gravity adds θ c to the slope; none kicks the motor by it.
+        pulls = [bool(each.any()) for each in uncertainty.directions[..., SINE]]
+    free = [bounds[k] for k, pulled in enumerate(pulls) if pulled and k not in linear]
+    for signs in product((-1, 1), repeat=len(linear)):
+        theta = tuple(sign * bounds[k] for sign, k in zip(signs, linear, strict=True))
+        pull = 1 + sum(value for value, k in zip(theta, linear, strict=True) if pulls[k])
+        ends = [
+            slope * (pull + sum(sign * bound for sign, bound in zip(turn, free, strict=True)))
+            for slope in slopes
+            for turn in product((-1, 1), repeat=len(free))
+        ]
+        yield KickCorner(min(ends), theta)
+        if len(ends) > 1:
+            yield KickCorner(max(ends), theta)
+
+
 class ArmFlow(Flow):
     """Predicts the augmented state of one arm (or of a batch of equal arms).
 
-    Attributes:
+    Args:
         arm: The physical model.
         disturbance: The exosystem of the outputs' disturbances, one channel per output.
         process_noise: Densities of the arm's acceleration noise.
-        period: Nominal step [s]; longer steps are taken in nominal ones and a last one.
+        period: Nominal step [s].
         outputs: What is measured, names of `QUANTITIES`.
-        torque_disturbance: The exosystem of torques at motor and link [N m], two channels; None if
-            the arm has the known torque only.
+        torque_disturbance: The exosystem of unknown torques at motor and link [N m].
         torque_path: How the known torque reaches the motor.
         delays: Delay of each output, an angle q(t − delay) ≈ q − delay q̇ [s]; () if there is none.
-        linear: The flow without gravity.
+
+    Attributes:
         motor_torque: Augmented state to the unknown torque at the motor [N m], shape (n,).
         link_torque: Augmented state to the unknown torque at the link [N m], shape (n,).
 
@@ -89,7 +127,7 @@ class ArmFlow(Flow):
             channels.
     """
 
-    kind, plant_count, input_count = native.KIND_ARM, 4, 1
+    kind = native.KIND_ARM
     directions = (1, 4, EXTERNAL + 1)
 
     def __init__(
@@ -99,54 +137,39 @@ class ArmFlow(Flow):
         process_noise: ProcessNoise,
         period: float,
         outputs: Sequence[str] = (QUANTITIES[LINK_ANGLE],),
-        torque_disturbance: DisturbanceModel | None = None,
+        torque_disturbance: DisturbanceModel = NO_TORQUES,
         torque_path: TorquePath = DIRECT,
         delays: Sequence[float] = (),
     ) -> None:
-        self.arm, self.disturbance, self.process_noise = arm, disturbance, process_noise
-        self.period, self.outputs = positive("period", period), tuple(outputs)
-        self.torque_disturbance = torque_disturbance
-        self.torque_path = torque_path
-        measured = self._placed(arm.measured(self.outputs, delays), 0)
-        _require_channels("disturbance", disturbance, self.outputs)
-        torques = np.zeros((2, 0))
-        if torque_disturbance is not None:
-            _require_channels("torque_disturbance", torque_disturbance, SIDES)
-            torques = torque_disturbance.H
-        self.output_matrix = as_matrix("C̄", measured + self.disturbance_map, measured.shape)
-        own = 4 + disturbance.state_count
-        self.motor_torque, self.link_torque = self._placed(torques, own)
-        models = [disturbance] if torque_disturbance is None else [disturbance, torque_disturbance]
-        drift = block_diagonal(arm.spring_matrix, *(model.S for model in models))
-        drift[MOTOR_VELOCITY, own:] = arm.input_matrix[MOTOR_VELOCITY] * torques[0]
-        drift[LINK_VELOCITY, own:] = torques[1] / arm.link_inertia
-        known = np.zeros((self.state_count, 1))
-        known[:4] = arm.input_matrix
+        torques = torque_disturbance.H
+        if len(torques) != len(SIDES):
+            raise ModelError(
+                f"torque_disturbance: expected 2 channels, those of {' and '.join(SIDES)}, "
+                f"got {len(torques)}"
+            )
+        self.arm, self.gravity_gain, self.torque_path = arm, arm.gravity_gain, torque_path
+        effect = np.zeros((4, torque_disturbance.state_count))
+        effect[MOTOR_VELOCITY] = arm.input_matrix[MOTOR_VELOCITY] * torques[0]
+        effect[LINK_VELOCITY] = torques[1] / arm.link_inertia
         scale = arm.stiffness / arm.link_inertia
-        white = np.diag([0.0, process_noise.link, 0.0, process_noise.motor * (scale * scale)])
-        density = block_diagonal(white, *(model.noise_density for model in models))
-        self._drift = drift
-        self.linear = LinearFlow(drift, known, np.asarray(density), self.period)
-
-    def slope_matrix(self, slope: float) -> Array:
-        """Return the continuous augmented matrix with gravity slope c, shape (n, n)."""
-        matrix = self._drift.copy()
-        matrix[:4, :4] = self.arm.slope_matrix(slope)
-        return matrix
+        super().__init__(
+            (arm.spring_matrix, arm.input_matrix, arm.measured(outputs, delays)),
+            np.array([0.0, process_noise.link, 0.0, process_noise.motor * (scale * scale)]),
+            disturbance,
+            period,
+            torque_disturbance,
+            effect,
+        )
+        self.motor_torque, self.link_torque = self._placed(torques, 4 + disturbance.state_count)
 
     def to_physical(self, x: ArrayLike) -> Array:
         """Return [q₁, q̇₁, q₂, q̇₂] (rad, rad/s) of augmented states of shape (..., n)."""
         return self.arm.to_physical(super().to_physical(x))
 
-    def transition(self, duration: float) -> Transition:
-        """Return the linear flow over `duration` [s]."""
-        half_kick = 0.5 * duration * self.arm.gravity_gain
-        return Transition(duration, *self.linear.over(duration), half_kick)
-
     def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
         """Return what only arms have in their record; see `Flow.numbers`."""
         numbers: dict[str, Any] = {
-            "gravity_gain": self.arm.gravity_gain,
+            "gravity_gain": self.gravity_gain,
             "motor_torque": self.motor_torque,
             "link_torque": self.link_torque,
             "has_unknown": int(self.motor_torque.any() or self.link_torque.any()),
@@ -173,26 +196,33 @@ class ArmFlow(Flow):
             uncertainty: Parameters whose errors are to be covered in both half kicks.
             share: How much of their bounds.
         """
-        step = self.nominal
-        bounds = [] if uncertainty is None else [share * b for b in uncertainty.limits.tolist()]
-        has_gravity = self.arm.gravity_torque > 0.0
-        slopes = (slope_min, slope_max) if has_gravity else (0.0,)
-        corners = list(kick_corners(slopes, uncertainty, bounds))
-        kicks = [self._kick_matrix(corner, uncertainty) for corner in corners]
+        step, bounds, names = self.nominal, [], []
+        if uncertainty is not None:
+            bounds = [share * bound for bound in uncertainty.limits.tolist()]
+            names = [uncertainty.names[k] for k in uncertainty.linear_places]
+        slopes = (slope_min, slope_max) if self.arm.gravity_torque else (0.0,)
+        corners = [
+            (corner, self._kick_matrix(corner, uncertainty))
+            for corner in kick_corners(slopes, uncertainty, bounds)
+        ]
         systems = []
-        for first, before in zip(corners, kicks, strict=True):
-            for second, after in zip(corners, kicks, strict=True):
-                noise = after @ step.noise @ after.T
-                where = describe(first, second, uncertainty, has_gravity)
-                transition, slopes = after @ step.phi @ before, (first.slope, second.slope)
-                systems.append(VertexSystem(transition, (noise + noise.T) / 2, where, slopes))
+        for (first, before), (second, after) in product(corners, repeat=2):
+            noise = after @ step.noise @ after.T
+            words = [f"slopes ({first.slope:.4g}, {second.slope:.4g})"]
+            words = words if self.arm.gravity_torque else ["no gravity"]
+            pairs = zip(names, first.theta, second.theta, strict=True)
+            words += [f"{name} ({one:.4g}, {other:.4g})" for name, one, other in pairs]
+            transition, slopes = after @ step.phi @ before, (first.slope, second.slope)
+            systems.append(
+                VertexSystem(transition, (noise + noise.T) / 2, ", ".join(words), slopes)
+            )
         return systems
 
-    def _kick_matrix(self, corner: KickCorner[float], uncertainty: Uncertainty | None) -> Array:
+    def _kick_matrix(self, corner: KickCorner, uncertainty: Uncertainty | None) -> Array:
         """Return the Jacobian of half a kick at one corner, shape (n, n)."""
         matrix = np.eye(self.state_count)
         if uncertainty is not None:
-            change = uncertainty.directions[linear_directions(uncertainty), 0]
+            change = uncertainty.directions[uncertainty.linear_places, 0]
             sum_of_changes = 0.5 * self.period * np.tensordot(corner.theta, change, 1)
             matrix[:4, :4] += sum_of_changes[:, :4]
             # Unknown torques meet what known ones do.
@@ -200,14 +230,6 @@ class ArmFlow(Flow):
                 matrix[:4] += np.outer(sum_of_changes[:, column], torque)
         matrix[LINK_VELOCITY, LINK_ANGLE] -= self.nominal.half_kick * corner.slope
         return matrix
-
-
-def _require_channels(name: str, model: DisturbanceModel, channels: Sequence[str]) -> None:
-    if model.channel_count != len(channels):
-        raise ModelError(
-            f"{name}: expected {len(channels)} channels, those of {', '.join(channels)}, "
-            f"got {model.channel_count}"
-        )
 
 
 def slope_range(x_max: float) -> tuple[float, float]:

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rules of Takagi–Sugeno fuzzy systems: membership functions and normalised rule weights.
 
-A covariance that follows the estimate needs the slopes of the rule weights, since the premise is
-an estimate as well. Membership functions have a slope; at a corner it is that of one side.
+Their values, and the slopes that a covariance along the estimate needs, are the compiled core's.
 """
 
 import math
@@ -111,19 +110,12 @@ class Membership:
         return {"shape": self.shape, **dict(zip(names, self.values, strict=True))}
 
     def __call__(self, z: ArrayLike) -> Array:
-        """Return the grade."""
-        return self._evaluated(z)[0]
-
-    def slope(self, z: ArrayLike) -> Array:
-        """Return the grade's derivative."""
-        return self._evaluated(z)[1]
-
-    def _evaluated(self, z: ArrayLike) -> tuple[Array, Array]:
+        """Return the grade at each of some z."""
         premise = np.ascontiguousarray(z, dtype=np.float64)
         grades, slopes = np.empty((2, premise.size))
         code = SHAPES[self.shape].code
         native.grades_and_slopes(code, np.array(self.coded), premise, grades, slopes)
-        return grades.reshape(np.shape(z)), slopes.reshape(np.shape(z))
+        return grades.reshape(np.shape(z))
 
 
 def membership(shape: str, parameters: Mapping[str, float] | None = None) -> Membership:
@@ -190,17 +182,10 @@ class RuleBase:
         return np.array(codes, np.int64), np.array([[f.coded for f in rule] for rule in self.rules])
 
     def weights(self, z: ArrayLike) -> Array:
-        """Return the normalised rule weights h(z); see `weights_and_slopes`."""
-        return self.weights_and_slopes(z)[0]
-
-    def weights_and_slopes(self, z: ArrayLike) -> tuple[Array, Array]:
-        """Return the normalised rule weights and their slopes.
+        """Return the normalised rule weights h, each ≥ 0, summing to one, shape (..., r).
 
         Args:
             z: Premise variables, shape (..., q).
-
-        Returns:
-            h, shape (..., r), each ≥ 0, summing to one; and ∂hᵢ/∂zⱼ, shape (..., r, q).
 
         Raises:
             ModelError: z has the wrong last axis, or no rule fires at some z.
@@ -217,4 +202,4 @@ class RuleBase:
         if np.isnan(weights).any():
             where = premise[tuple(np.argwhere(np.isnan(weights[..., 0]))[0])].tolist()
             raise ModelError(f"memberships: no rule fires at z = {where}")
-        return weights, slopes
+        return weights

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prediction models as observers and designs use them: a step of the augmented state x̄.
 
-It is [x; w; w_d]: the plant's states, those of the outputs' disturbances, those of torques.
+It is [x; w; w_d]: the plant's states, those of the outputs' disturbances, those of torques. The
+compiled core takes the steps; a model gives it their numbers.
 """
 
 import math
@@ -14,17 +15,20 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array
-from tsobs_ros.core import native
+from tsobs_ros.checks import Array, as_matrix, positive
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.disturbance import DisturbanceModel
+from tsobs_ros.model.disturbance import DisturbanceModel, clean
 from tsobs_ros.model.linear_flow import LinearFlow
+from tsobs_ros.model.matrices import block_diagonal
 from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.model.uncertainty import Uncertainty
 
 Record = np.ndarray[Any, np.dtype[Any]]
 """An array of records."""
+
+NO_TORQUES = clean(2)
+"""The torque disturbance of a plant without: no states."""
 
 
 class FlowSizes(NamedTuple):
@@ -33,7 +37,7 @@ class FlowSizes(NamedTuple):
     Attributes:
         n: Augmented states.
         m: Inputs and scheduled signals.
-        inputs: Inputs, the first of them.
+        inputs: Inputs, the first of those.
         p: Outputs.
         k: Parameters.
         plant: The plant's own states.
@@ -49,6 +53,22 @@ class FlowSizes(NamedTuple):
     plant: int
     rules: int = 0
     premises: int = 0
+
+
+class VertexSystem(NamedTuple):
+    """The error system e⁺ = transition·e + noise at one vertex.
+
+    Attributes:
+        transition: Shape (n, n).
+        noise: Covariance of the noise, shape (n, n).
+        where: The vertex in words, for reports.
+        slopes: Gravity slopes of an arm's first and second half kick.
+    """
+
+    transition: Array
+    noise: Array
+    where: str
+    slopes: tuple[float, float] = (0.0, 0.0)
 
 
 class Transition(NamedTuple):
@@ -72,40 +92,73 @@ class Transition(NamedTuple):
 class Flow(ABC):
     """One step of the augmented state and of its error covariance.
 
-    Attributes:
+    Args:
+        plant: A [1/s], B and C of the plant itself.
+        densities: Of white noise on the derivatives of the plant's states, shape (plant_count,).
         disturbance: The exosystem of the outputs, whose states w follow the plant's in x̄.
-        torque_disturbance: The exosystem of torques at an arm's motor and link, two channels, whose
-            states follow those; None if there is none.
-        torque_path: How torques reach an arm's motor; a step is by the torque that acts there.
         period: Nominal step [s]; longer ones are taken in nominal steps and a last one.
+        torque_disturbance: The exosystem of torques at an arm's motor and link, two channels, whose
+            states follow those.
+        torque_effect: The torques' states to derivatives of the plant's, None if there are none.
+
+    Attributes:
+        torque_path: How torques reach an arm's motor; a step is by the torque that acts there.
         plant_count: Number of the plant's own states, the first ones of x̄.
         output_matrix: Augmented state to measurement C̄ = [C H], shape (p, n).
         input_count: Number m of inputs and scheduled signals.
         scheduled_count: Number of scheduled signals, the last of them.
         rule_counts: Numbers of rules and of premise variables.
         directions: Shape of each of the uncertain directions that a step can take in.
-        linear: The linear flow.
+        linear: The linear flow, of an arm without gravity.
+
+    Raises:
+        ModelError: The disturbance has another number of channels than the plant outputs.
     """
 
     kind: ClassVar[int]
-    disturbance: DisturbanceModel
-    torque_disturbance: DisturbanceModel | None = None
+    linear_share: ClassVar[float] = 1.0
+    """Share of a step that the linear flow takes at once."""
     torque_path: TorquePath = DIRECT
-    period: float
-    plant_count: int
-    output_matrix: Array
-    input_count: int
     scheduled_count: int = 0
     rule_counts: tuple[int, int] = (0, 0)
     directions: tuple[int, ...]
-    linear: LinearFlow
+    gravity_gain: float = 0.0
+
+    def __init__(
+        self,
+        plant: tuple[Array, Array, Array],
+        densities: Array,
+        disturbance: DisturbanceModel,
+        period: float,
+        torque_disturbance: DisturbanceModel = NO_TORQUES,
+        torque_effect: Array | None = None,
+    ) -> None:
+        A, B, C = plant
+        n, m = len(A), B.shape[1]
+        if disturbance.channel_count != len(C):
+            raise ModelError(
+                f"disturbance: expected {len(C)} channels, one an output, "
+                f"got {disturbance.channel_count}"
+            )
+        self.disturbance, self.torque_disturbance = disturbance, torque_disturbance
+        self.period, self.plant_count = positive("period", period), n
+        self.input_count = m + self.scheduled_count
+        joined = self._placed(C, 0) + self.disturbance_map
+        self.output_matrix = as_matrix("C̄", joined, joined.shape)
+        models = disturbance, torque_disturbance
+        self._drift = block_diagonal(A, *(model.S for model in models))
+        if torque_effect is not None:
+            self._drift[:n, n + disturbance.state_count :] = torque_effect
+        density = block_diagonal(np.diag(densities), *(model.noise_density for model in models))
+        inputs = np.zeros((self.state_count, m))
+        inputs[:n] = B
+        self.linear = LinearFlow(self._drift, inputs, density, self.linear_share * self.period)
 
     @property
     def state_count(self) -> int:
         """Length n of the augmented state."""
-        torque = self.torque_disturbance
-        own = self.plant_count + self.disturbance.state_count
-        return own + (torque.state_count if torque else 0)
+        models = self.disturbance, self.torque_disturbance
+        return self.plant_count + sum(model.state_count for model in models)
 
     @cached_property
     def nominal(self) -> Transition:
@@ -126,9 +179,8 @@ class Flow(ABC):
     def torque_map(self) -> Array:
         """Augmented state to torque disturbances [N m], shape (t, n); sides with a model, motor's
         first."""
-        torque = self.torque_disturbance
-        rows = np.zeros((0, 0)) if torque is None else torque.H[torque.H.any(axis=1)]
-        return self._placed(rows, self.plant_count + self.disturbance.state_count)
+        H = self.torque_disturbance.H
+        return self._placed(H[H.any(axis=1)], self.plant_count + self.disturbance.state_count)
 
     def _placed(self, rows: Array, place: int) -> Array:
         """Return rows of a matrix within those of all states, shape (rows, n)."""
@@ -136,67 +188,24 @@ class Flow(ABC):
         placed[:, place : place + rows.shape[1]] = rows
         return placed
 
+    def augmented(self, A: Array) -> Array:
+        """Return the continuous matrix of x̄, shape (n, n), for a state matrix of the plant."""
+        matrix = self._drift.copy()
+        matrix[: self.plant_count, : self.plant_count] = A
+        return matrix
+
     def to_physical(self, x: ArrayLike) -> Array:
         """Return the plant's states in physical units for augmented states, shape (..., n)."""
         return np.asarray(x, dtype=np.float64)[..., : self.plant_count]
 
-    @abstractmethod
     def transition(self, duration: float) -> Transition:
         """Return the linear flow of a step of a duration [s]."""
+        flow = self.linear.over(self.linear_share * duration)
+        return Transition(duration, *flow, 0.5 * duration * self.gravity_gain)
 
     @abstractmethod
     def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
         """Return what only this kind of model has in its record, by name; see `flow_record`."""
-
-    def sizes(self, parameters: int = 0) -> FlowSizes:
-        """Return the sizes of the model's record, with so many parameters θ."""
-        n, m, p = self.state_count, self.input_count, len(self.output_matrix)
-        inputs = m - self.scheduled_count
-        return FlowSizes(n, m, inputs, p, parameters, self.plant_count, *self.rule_counts)
-
-    def predict(self, x: Array, u: Array, duration: float) -> Array:
-        """Return the augmented state a time `duration` later; see `predict_with_covariance`."""
-        return self._advanced(x, None, u, duration)[0]
-
-    def predict_with_covariance(
-        self, x: Array, covariance: Array, u: Array, duration: float
-    ) -> tuple[Array, Array]:
-        """Return the state and the error covariance a time `duration` later.
-
-        The covariance follows the step's Jacobian along the estimate, noise included in the same
-        order as in the step itself.
-
-        Args:
-            x: Augmented state, shape (..., n).
-            covariance: Its error covariance Σ, shape (..., n, n), or (n, n) for all of a batch.
-            u: Inputs held over the step, shape (..., m).
-            duration: [s], at least 0.
-
-        Returns:
-            State and covariance, shapes (..., n) and (..., n, n).
-
-        Raises:
-            ModelError: The duration is negative or not finite.
-        """
-        return self._advanced(x, covariance, u, duration)
-
-    def _advanced(
-        self, x: Array, covariance: Array | None, u: Array, duration: float
-    ) -> tuple[Array, Array]:
-        if not 0.0 <= duration < math.inf:
-            raise ModelError(
-                f"duration: expected a finite number of at least 0, got {duration!r} s"
-            )
-        n, m = self.state_count, self.input_count
-        batch = np.broadcast_shapes(np.shape(x)[:-1], np.shape(u)[:-1])
-        states, inputs = as_rows("x", x, batch, (n,)), as_rows("u", u, batch, (m,))
-        sigma = np.zeros((n, n)) if covariance is None else covariance
-        spread = as_rows("covariance", sigma, batch, (n, n))
-        moved = np.empty(0) if covariance is None else spread
-        none, scratch = np.empty(0), np.empty(scratch_size(self.sizes()))
-        record = flow_record(self).view(np.float64)
-        native.advance_all(record, states, none, moved, none, none, inputs, duration, scratch)
-        return states.reshape(*batch, n), spread.reshape(*batch, n, n)
 
 
 @cache
@@ -227,7 +236,9 @@ def flow_record(flow: Flow, uncertainty: Uncertainty | None = None) -> Record:
             f"uncertainty: expected directions of shape {flow.directions} for "
             f"{type(flow).__name__}, got {uncertainty.directions.shape[1:]}"
         )
-    sizes, linear = flow.sizes(0 if uncertainty is None else uncertainty.count), flow.linear
+    n, m, p = flow.state_count, flow.input_count, len(flow.output_matrix)
+    k, inputs = 0 if uncertainty is None else uncertainty.count, m - flow.scheduled_count
+    sizes, linear = FlowSizes(n, m, inputs, p, k, flow.plant_count, *flow.rule_counts), flow.linear
     phi, gamma, noise = flow.nominal[1:4]
     record = np.zeros(1, flow_type(sizes))
     for name, values in {

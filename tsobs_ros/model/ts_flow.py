@@ -27,26 +27,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, positive
+from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.linear_flow import LinearFlow
-from tsobs_ros.model.matrices import block_diagonal
-from tsobs_ros.model.prediction import Flow, Transition
+from tsobs_ros.model.prediction import Flow, Transition, VertexSystem
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty
-from tsobs_ros.model.vertices import VertexSystem
 
 
 class TSFlow(Flow):
     """Predicts the augmented state x̄ = [x; w] of a T–S system (or of a batch of equal ones).
 
-    Attributes:
+    Args:
         model: The T–S system.
-        disturbance: The exosystem of the measurements' disturbances, one channel an output.
+        disturbance: The exosystem of the outputs' disturbances, one channel per output.
         process_noise: Densities of white noise on each state's derivative [unit²/s], shape (n,).
-        period: Nominal step [s]; longer steps are taken in nominal ones and a remainder.
+        period: Nominal step [s].
+
+    Attributes:
         deviations: [Aᵢ − A₀, Bᵢ − B₀] of every rule, shape (r, n, n + m).
 
     Raises:
@@ -54,7 +53,7 @@ class TSFlow(Flow):
             density is negative or of the wrong shape.
     """
 
-    kind = native.KIND_SYSTEM
+    kind, linear_share = native.KIND_SYSTEM, 0.5
 
     def __init__(
         self,
@@ -63,41 +62,17 @@ class TSFlow(Flow):
         process_noise: ArrayLike,
         period: float,
     ) -> None:
-        self.model, self.disturbance = model, disturbance
-        self.period = positive("period", period)
-        self.plant_count = n = model.state_count
+        self.model, n = model, model.state_count
+        densities = as_matrix("process_noise", process_noise, (n,))
+        if (densities < 0.0).any():
+            raise ModelError(f"process_noise: expected densities of at least 0, got {[*densities]}")
         self.scheduled_count = int(model.schedule.shape[1])
-        self.input_count = model.input_count + self.scheduled_count
         self.rule_counts = model.rule_count, len(model.premise)
-        self.process_noise = as_matrix("process_noise", process_noise, (n,))
-        if disturbance.channel_count != len(model.C):
-            raise ModelError(
-                f"disturbance: expected {len(model.C)} channels, one an output, "
-                f"got {disturbance.channel_count}"
-            )
-        if (self.process_noise < 0.0).any():
-            raise ModelError(
-                f"process_noise: expected densities of at least 0, got {[*self.process_noise]}"
-            )
-        joined = np.hstack([model.C, disturbance.H])
-        self.output_matrix = as_matrix("C̄", joined, joined.shape)
         mean = sum(model.rates[1:], start=model.rates[0]) / model.rule_count
         self._mean = mean[:, :n]
         self.deviations = model.rates - mean
         self.directions = self.deviations.shape
-        density = block_diagonal(np.diag(self.process_noise), disturbance.noise_density)
-        inputs = np.vstack([mean[:, n:], np.zeros((disturbance.state_count, model.input_count))])
-        self.linear = LinearFlow(
-            self.augmented(self._mean), inputs, np.asarray(density), 0.5 * self.period
-        )
-
-    def augmented(self, A: Array) -> Array:
-        """Return diag(A, S), shape (n, n), for a state matrix of the plant."""
-        return block_diagonal(A, self.disturbance.S)
-
-    def transition(self, duration: float) -> Transition:
-        """Return the linear flow over half of `duration` [s]."""
-        return Transition(duration, *self.linear.over(0.5 * duration))
+        super().__init__((self._mean, mean[:, n:], model.C), densities, disturbance, period)
 
     def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
         """Return what only T–S systems have in their record; see `Flow.numbers`."""

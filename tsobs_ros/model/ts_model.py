@@ -100,7 +100,8 @@ class TSModel:
 
     def weights(self, x: Array, held: Array) -> Array:
         """Return h(z), shape (..., r), for states (..., n) and held signals [u; s] (..., m + s)."""
-        return self.rule_base.weights(self._premises(x, held))
+        scheduled = held[..., self.input_count :]
+        return self.rule_base.weights(x @ self.premise.T + scheduled @ self.schedule.T)
 
     def derivative(self, x: Array, held: Array) -> Array:
         """Return ẋ, shape (..., n).
@@ -109,23 +110,9 @@ class TSModel:
             x: State, shape (..., n).
             held: Inputs and scheduled signals [u; s], shape (..., m + s).
         """
+        signals = np.concatenate([x, held[..., : self.input_count]], axis=-1)
         weights = self.weights(x, held)
-        return np.asarray((weights[..., np.newaxis] * self._rates(x, held)).sum(axis=-2))
-
-    def jacobian(self, x: Array, held: Array) -> Array:
-        """Return dẋ/dx, shape (..., n, n); the premise moves with the state. See `derivative`."""
-        weights, slopes = self.rule_base.weights_and_slopes(self._premises(x, held))
-        turning = np.swapaxes(self._rates(x, held), -1, -2) @ (slopes @ self.premise)
-        return np.asarray(np.tensordot(weights, self.A, 1) + turning)
-
-    def _premises(self, x: Array, held: Array) -> Array:
-        return np.asarray(x @ self.premise.T + held[..., self.input_count :] @ self.schedule.T)
-
-    def _rates(self, x: Array, held: Array) -> Array:
-        """Return Aᵢx + Bᵢu of every rule, shape (..., r, n)."""
-        n, m = self.state_count, self.input_count
-        flat = x @ self.A.reshape(-1, n).T + held[..., :m] @ self.B.reshape(-1, m).T
-        return np.asarray(flat.reshape(*flat.shape[:-1], -1, n))
+        return np.asarray(np.einsum("...r,rnk,...k->...n", weights, self.rates, signals))
 
 
 def _length(name: str, matrix: ArrayLike, axis: int, axes: int) -> int:

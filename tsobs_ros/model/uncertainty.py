@@ -23,6 +23,20 @@ SINE, TORQUE, EXTERNAL = 4, 5, 6
 """Columns of the arm's directions that sin x₁, the motor's torque and one at the link [N m] meet;
 before them is the state."""
 
+ARM_DIRECTIONS = (
+    "stiffness",
+    "gravity",
+    "link_damping",
+    "motor_damping",
+    "link_inverse_inertia",
+    "motor_inverse_inertia",
+)
+"""The arm's uncertain parameters: relative changes of k, of mgl, of 1/J₁ and of 1/J₂, and added
+damping [N m s/rad]."""
+
+_MAX_DIRECTIONS = 3
+"""Uncertain directions of a proof besides gravity: k of them make 4·4^k vertices."""
+
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
@@ -67,9 +81,19 @@ class Uncertainty:
         return self.directions[..., : self.directions.shape[2]]
 
     @property
-    def common(self) -> bool:
-        """Whether every direction is the same in all rules."""
-        return bool((self.directions == self.directions[:, :1]).all())
+    def linear_places(self) -> list[int]:
+        """Places of the directions that act on the state linearly, all but gravity's.
+
+        Raises:
+            ModelError: They are too many for a proof by vertices.
+        """
+        places = [k for k in range(self.count) if self.linear[k].any()]
+        if len(places) > _MAX_DIRECTIONS:
+            raise ModelError(
+                f"certify_uncertainty: expected at most {_MAX_DIRECTIONS} uncertain parameters "
+                f"besides gravity, got {', '.join(self.names[k] for k in places)}"
+            )
+        return places
 
 
 def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncertainty:
@@ -87,8 +111,21 @@ def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncert
     ('stiffness',)
     """
     check_names("uncertainty", bounds, ARM_DIRECTIONS)
-    known, shape = _arm_directions(arm), (len(bounds), 1, 4, EXTERNAL + 1)
-    return Uncertainty(bounds, np.reshape([known[name] for name in bounds], shape))
+    link, motor = LINK_VELOCITY, MOTOR_VELOCITY
+    found = {name: np.zeros((1, 4, EXTERNAL + 1)) for name in ARM_DIRECTIONS}
+    (stiffness,), (gravity,) = found["stiffness"], found["gravity"]
+    stiffness[link, [0, 2]] = -arm.stiffness / arm.link_inertia, 1.0
+    stiffness[motor, :4] = -arm.stiffness / arm.motor_inertia * stiffness[link, :4]
+    gravity[link, SINE] = -arm.gravity_gain
+    found["link_damping"][0, link, link] = -1.0 / arm.link_inertia
+    found["motor_damping"][0, motor, motor] = -1.0 / arm.motor_inertia
+    of_link = found["link_inverse_inertia"][0, link]
+    of_link[:4], of_link[SINE] = arm.spring_matrix[link], -arm.gravity_gain
+    of_link[EXTERNAL] = 1.0 / arm.link_inertia
+    of_motor = found["motor_inverse_inertia"][0, motor]
+    of_motor[:4], of_motor[TORQUE] = arm.spring_matrix[motor], arm.input_matrix[motor, 0]
+    stack = np.reshape([found[name] for name in bounds], (len(bounds), 1, 4, EXTERNAL + 1))
+    return Uncertainty(bounds, stack)
 
 
 def system_uncertainty(
@@ -120,33 +157,3 @@ def system_uncertainty(
             raise ModelError(f"uncertainty.{name}.E: expected a matrix other than zero")
         placed[..., :n] = matrix
     return Uncertainty(bounds, stack)
-
-
-def _arm_directions(arm: ElasticJointArm) -> Mapping[str, Array]:
-    """Return the direction of each of `ARM_DIRECTIONS`, shape (4, 7)."""
-    link, motor = LINK_VELOCITY, MOTOR_VELOCITY
-    found = {name: np.zeros((4, EXTERNAL + 1)) for name in ARM_DIRECTIONS}
-    found["stiffness"][link, [0, 2]] = -arm.stiffness / arm.link_inertia, 1.0
-    found["stiffness"][motor, :4] = (
-        -arm.stiffness / arm.motor_inertia * found["stiffness"][link, :4]
-    )
-    found["gravity"][link, SINE] = -arm.gravity_gain
-    found["link_damping"][link, link] = -1.0 / arm.link_inertia
-    found["motor_damping"][motor, motor] = -1.0 / arm.motor_inertia
-    of_link, of_motor = found["link_inverse_inertia"][link], found["motor_inverse_inertia"][motor]
-    of_link[:4], of_link[SINE] = arm.spring_matrix[link], -arm.gravity_gain
-    of_link[EXTERNAL] = 1.0 / arm.link_inertia
-    of_motor[:4], of_motor[TORQUE] = arm.spring_matrix[motor], arm.input_matrix[motor, 0]
-    return found
-
-
-ARM_DIRECTIONS = (
-    "stiffness",
-    "gravity",
-    "link_damping",
-    "motor_damping",
-    "link_inverse_inertia",
-    "motor_inverse_inertia",
-)
-"""The arm's uncertain parameters: relative changes of k, of mgl, of 1/J₁ and of 1/J₂, and added
-damping [N m s/rad]."""
