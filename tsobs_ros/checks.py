@@ -87,25 +87,26 @@ def fixed(array: Array) -> Array:
 
 def positive(name: str, value: float) -> float:
     """Return `value` as a float if it is a finite number above zero, else raise `ModelError`."""
-    number = _number(value)
-    if not 0.0 < number < math.inf:
-        raise ModelError(f"{name}: expected a finite number above 0, got {shown(value)}")
-    return number
+    return _number(name, value, lambda number: number > 0.0, " above 0")
 
 
 def non_negative(name: str, value: float) -> float:
     """Return `value` as a float if it is finite and at least zero, else raise `ModelError`."""
-    number = _number(value)
-    if not 0.0 <= number < math.inf:
-        raise ModelError(f"{name}: expected a finite number of at least 0, got {shown(value)}")
-    return number
+    return _number(name, value, lambda number: number >= 0.0, " of at least 0")
 
 
 def finite(name: str, value: float) -> float:
     """Return `value` as a float if it is a finite number, else raise `ModelError`."""
-    number = _number(value)
-    if not math.isfinite(number):
-        raise ModelError(f"{name}: expected a finite number, got {shown(value)}")
+    return _number(name, value, math.isfinite, "")
+
+
+def _number(name: str, value: float, accepts: Callable[[float], bool], words: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not (math.isfinite(number) and accepts(number)):
+        raise ModelError(f"{name}: expected a finite number{words}, got {shown(value)}")
     return number
 
 
@@ -115,14 +116,6 @@ def check_each(
     """Apply `positive`, `non_negative` or `finite` to attributes of a record, named in errors."""
     for name in names:
         check(prefix + name, getattr(record, name))
-
-
-def _number(value: float) -> float:
-    """Return `value` as a float, NaN if it is none."""
-    try:
-        return float(value)
-    except (TypeError, ValueError, OverflowError):
-        return math.nan
 
 
 def check_names(entry: str, names: Iterable[str], known: Collection[str]) -> None:

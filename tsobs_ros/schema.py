@@ -52,7 +52,8 @@ def decode(data: object, kind: type[T]) -> T:
         DesignFileError: The data is not of this type; the text has the path of the entry, what
             was expected and what came.
     """
-    return cast(T, _decoded(data, kind, ""))
+    with within(""):
+        return cast(T, _decoded(data, kind))
 
 
 def encode(value: Any) -> Any:
@@ -76,7 +77,7 @@ def encode(value: Any) -> Any:
 
 @contextlib.contextmanager
 def within(place: str) -> Iterator[None]:
-    """Put the path of an entry in front of what its values are refused for."""
+    """Put the name of an entry, or its path, in front of what its values are refused for."""
     try:
         yield
     except _REFUSALS as problem:
@@ -121,27 +122,22 @@ def _entries(kind: Any) -> dict[str, _Entry]:
     }
 
 
-def _decoded(data: Any, kind: Any, place: str) -> Any:
-    if get_origin(kind) in (UnionType, Union):
-        choices = [each for each in get_args(kind) if each is not NoneType]
-        if data is None and NoneType in get_args(kind):
-            return None
-    else:
-        choices = [kind]
+def _decoded(data: Any, kind: Any) -> Any:
+    choices = get_args(kind) if get_origin(kind) in (UnionType, Union) else (kind,)
+    if data is None and NoneType in choices:
+        return None
+    shapes = {_shape(each): each for each in choices if each is not NoneType}
     if isinstance(data, dict):
         for name in data:
             if not isinstance(name, str):
-                raise DesignFileError(located(place, f"expected names of entries, got {name!r}"))
-    shapes = {_shape(each): each for each in choices}
+                raise DesignFileError(f"expected names of entries, got {name!r}")
     if Any in shapes:
         return data
     if isinstance(data, dict) and dict in shapes:
-        return _of_mapping(data, shapes[dict], place)
+        return _of_mapping(data, shapes[dict])
     if isinstance(data, list) and list in shapes:
-        return _of_list(data, shapes[list], place)
-    if isinstance(data, dict | list):
-        raise DesignFileError(located(place, _expected(shapes, data)))
-    return _plain(data, shapes, place)
+        return _of_list(data, shapes[list])
+    return _plain(data, shapes)
 
 
 def _shape(kind: Any) -> Any:
@@ -152,78 +148,75 @@ def _shape(kind: Any) -> Any:
     return list if issubclass(origin, Sequence | np.ndarray) else dict
 
 
-def _of_mapping(data: dict[str, Any], kind: Any, place: str) -> Any:
+def _of_mapping(data: dict[str, Any], kind: Any) -> Any:
     origin = get_origin(kind) or kind
     if is_dataclass(origin):
         known = _entries(cast(Any, origin))
         for name, entry in known.items():
             if entry.required and name not in data:
-                raise DesignFileError(located(place, f"{name}: missing"))
+                raise DesignFileError(f"{name}: missing")
         for name in data:
             if name not in known:
-                message = (
+                raise DesignFileError(
                     f"unknown entry {shown(name)}{meant(name, known)}, "
                     f"expected some of {', '.join(known)}"
                 )
-                raise DesignFileError(located(place, message))
-        values = {
-            known[name].field: _decoded(value, known[name].kind, _path(place, name))
-            for name, value in data.items()
-        }
-        with within(place):
-            return cast(Any, origin)(**values)
+        kinds = {name: entry.kind for name, entry in known.items()}
+        values = _each(data, kinds)
+        return cast(Any, origin)(**{known[name].field: each for name, each in values.items()})
     if hasattr(origin, "from_mapping"):
-        for name, value in data.items():
-            _decoded(value, str | float, _path(place, name))
-        with within(place):
-            return origin.from_mapping(data)
+        _each(data, dict.fromkeys(data, str | float))
+        return origin.from_mapping(data)
     _, inner = get_args(kind) or (str, Any)
-    return {name: _decoded(value, inner, _path(place, name)) for name, value in data.items()}
+    return _each(data, dict.fromkeys(data, inner))
 
 
-def _of_list(data: list[Any], kind: Any, place: str) -> Any:
+def _each(data: dict[str, Any], kinds: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entries of a mapping as instances of their types."""
+    values = {}
+    for name, value in data.items():
+        with within(name):
+            values[name] = _decoded(value, kinds[name])
+    return values
+
+
+def _of_list(data: list[Any], kind: Any) -> Any:
     origin = get_origin(kind) or kind
     if origin is np.ndarray:
-        return np.array(_numbers(data, place))
+        return np.array(_numbers(data))
     inner, *_ = get_args(kind) or (Any,)
-    items = [_decoded(item, inner, f"{place}[{i}]") for i, item in enumerate(data)]
+    items = []
+    for place, item in enumerate(data):
+        with within(f"[{place}]"):
+            items.append(_decoded(item, inner))
     return items if origin is list else tuple(items)
 
 
-def _plain(data: Any, kinds: Mapping[Any, Any], place: str) -> Any:
+def _plain(data: Any, kinds: Mapping[Any, Any]) -> Any:
     if isinstance(data, int | float) and not abs(data) <= sys.float_info.max:
-        raise DesignFileError(located(place, f"expected a finite number, got {shown(data)}"))
+        raise DesignFileError(f"expected a finite number, got {shown(data)}")
     if type(data) in kinds:
         return data
     if isinstance(data, str) and _NUMBER.fullmatch(data) and not {int, float}.isdisjoint(kinds):
-        return _plain(float(data) if re.search(r"[.eE]", data) else int(data), kinds, place)
+        return _plain(float(data) if re.search(r"[.eE]", data) else int(data), kinds)
     if not isinstance(data, bool):
         if isinstance(data, int) and float in kinds:
             return float(data)
         if isinstance(data, float) and int in kinds and data.is_integer():
             return int(data)
-    raise DesignFileError(located(place, _expected(kinds, data)))
-
-
-def _expected(kinds: Mapping[Any, Any], data: Any) -> str:
     wanted = " or ".join(words for kind, words in _WORDS.items() if kind in kinds)
-    return f"expected {wanted}, got {shown(data)}"
+    raise DesignFileError(f"expected {wanted}, got {shown(data)}")
 
 
-def _path(place: str, name: str) -> str:
-    return f"{place}.{name}" if place else name
-
-
-def _numbers(value: Any, place: str) -> Any:
+def _numbers(value: Any) -> Any:
     """Return numbers in lists of lists, all lists of a level of one length."""
     if not isinstance(value, list):
-        return _plain(value, {float: float}, place)
-    rows = [_numbers(item, f"{place}[{i}]") for i, item in enumerate(value)]
-    for i, row in enumerate(rows):
-        if np.shape(row) != np.shape(rows[0]):
-            message = (
-                f"{place}[{i}]: expected shape {np.shape(rows[0])} as {place}[0] has, "
-                f"got {np.shape(row)}"
-            )
-            raise DesignFileError(message)
+        return _plain(value, {float: float})
+    rows = []
+    for place, item in enumerate(value):
+        with within(f"[{place}]"):
+            rows.append(_numbers(item))
+            expected, got = np.shape(rows[0]), np.shape(rows[-1])
+            if got != expected:
+                raise DesignFileError(f"expected shape {expected} as [0] has, got {got}")
     return rows

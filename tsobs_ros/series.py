@@ -14,8 +14,6 @@ Stamps: TypeAlias = NDArray[np.int64]
 NANOSECONDS = 1_000_000_000
 """Stamps are integer nanoseconds, so that differences of them are exact."""
 
-_MAX_KEPT = 2**16
-
 
 class Series(NamedTuple):
     """Values with their stamps.
@@ -61,10 +59,9 @@ class ThinnedValues:
     [0.0, 4.0, 8.0]
     """
 
-    def __init__(self, max_kept: int = _MAX_KEPT) -> None:
+    def __init__(self, max_kept: int = 2**16) -> None:
         self._max_kept, self._step, self._count = max_kept, 1, 0
-        self._parts: list[Array] = []
-        self._kept = 0
+        self._kept, self._parts = 0, list[Array]()
 
     @property
     def values(self) -> Array:

@@ -38,92 +38,51 @@ _TYPES: Mapping[type, tuple[str, str, str]] = {
 }
 
 
-def setting(
-    default: T,
-    description: str,
-    *,
-    unit: str = "",
-    minimum: float | None = None,
-    maximum: float | None = None,
-    choices: Sequence[Any] = (),
-    live: bool = False,
-    hidden: bool = False,
-) -> T:
-    """Declare a dataclass field as a setting, of type bool, int, float, str, an enum or tuples.
+@dataclass(frozen=True)
+class Setting:
+    """A setting of a dataclass.
 
-    Args:
+    Attributes:
         default: Value if the user gives none; must obey the rules below.
-        description: One line, without the unit.
+        summary: One line, without the unit.
         unit: SI unit, or "".
         minimum: Least accepted value, in `unit`; of each element of a tuple.
         maximum: Greatest accepted value, in `unit`; of each element of a tuple.
         choices: The only accepted values, if not empty; of each element of a tuple.
         live: Whether the value may be changed while a node runs.
         hidden: Whether help and reference leave it out, as users can hardly choose it.
-
-    Returns:
-        A dataclass field, typed as the default so that annotations check.
+        name: Its full name.
+        element: Its type as a user gives it, or that of an element: bool, int, float or str.
+        is_array: Whether it is a tuple.
+        make: Its type, or that of an element, which may be an enum.
     """
-    one = Setting("", description, unit, minimum, maximum, tuple(choices), live, hidden, default)
-    return field(default=default, metadata={_KEY: one})
 
-
-def live_setting(default: T, description: str, **rules: Any) -> T:
-    """Declare a setting that may be changed while a node runs: `setting` with `live`."""
-    return setting(default, description, live=True, **rules)
-
-
-def settings_group(make: Callable[..., T], **members: Any) -> T:
-    """Declare a dataclass field that is itself a dataclass of settings.
-
-    Args:
-        make: The frozen dataclass. Its settings are named "<field>.<name>".
-        **members: Those of its fields that are settings, each as a `setting`, if it does not
-            declare them itself. The others keep their defaults.
-
-    Returns:
-        A dataclass field that holds an instance.
-    """
-    given = {name: item.default for name, item in members.items()}
-    return field(default_factory=lambda: make(**given), metadata={_KEY: members})
-
-
-@dataclass(frozen=True)
-class Setting:
-    """One setting: the arguments of `setting`, its full name, and its type, that of an element."""
-
-    name: str
-    summary: str
-    unit: str
-    minimum: float | None
-    maximum: float | None
-    only: tuple[Any, ...]
-    live: bool
-    hidden: bool
     default: Any
+    summary: str
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: Sequence[Any] = ()
+    live: bool = False
+    hidden: bool = False
+    name: str = ""
     element: type = str
     is_array: bool = False
+    make: type = str
 
     @property
     def kind(self) -> str:
         """The name of the type in ROS, such as "double_array"."""
-        element = str if issubclass(self.element, Enum) else self.element
-        return _TYPES[element][0] + "_array" * self.is_array
-
-    @property
-    def choices(self) -> tuple[Any, ...]:
-        """The only accepted values, if not empty."""
-        of_enum = self.element if issubclass(self.element, Enum) else ()
-        return self.only or tuple(each.value for each in of_enum)
+        return _TYPES[self.element][0] + "_array" * self.is_array
 
     @property
     def limits(self) -> tuple[str, ...]:
         """What is accepted, in words."""
-        low, high, choices = self.minimum, self.maximum, self.choices
+        low, high = self.minimum, self.maximum
         return (
             *([] if low is None else [f"at least {low}"]),
             *([] if high is None else [f"at most {high}"]),
-            *([f"one of: {', '.join(map(str, choices))}"] if choices else []),
+            *([f"one of: {', '.join(map(str, self.choices))}"] if self.choices else []),
         )
 
     @property
@@ -155,27 +114,25 @@ class Setting:
             text = value.strip()
             try:
                 words = {"true": True, "false": False}
-                element: Any = self.element
-                value = words[text.lower()] if element is bool else element(text)
+                value = words[text.lower()] if self.element is bool else self.element(text)
             except (KeyError, ValueError):
                 raise self._wrong_type(value) from None
         return self.converted(value)
 
     def _element(self, value: Any) -> Any:
-        kind: Any = self.element
-        if issubclass(kind, Enum) and isinstance(value, kind):
+        low, high, kind = self.minimum, self.maximum, cast(Any, self.element)
+        if isinstance(value, self.make) and isinstance(value, Enum):
             value = value.value
         if isinstance(value, bool) != (kind is bool):
             raise self._wrong_type(value)
         if kind in (int, float) and isinstance(value, Integral):
             value = kind(value)
-        if not isinstance(value, str if issubclass(kind, Enum) else kind):
+        if not isinstance(value, kind):
             raise self._wrong_type(value)
-        low, high, number = self.minimum, self.maximum, cast(Any, value)
         if isinstance(value, float) and not math.isfinite(value):
             accepted, limits = False, "finite"
         else:
-            accepted = (low is None or number >= low) and (high is None or number <= high)
+            accepted = (low is None or value >= low) and (high is None or value <= high)
             accepted &= not self.choices or value in self.choices
             limits = " and ".join(self.limits)
         if not accepted:
@@ -184,18 +141,52 @@ class Setting:
             raise ParameterError(
                 f"{each}parameter '{self.name}' must be {limits}{unit}, got {in_yaml(value)}"
             )
-        return kind(value)
+        return self.make(value)
 
     def _wrong_type(self, value: Any) -> ParameterError:
         hint = ""
         if self.is_array and isinstance(value, str) and value.lstrip().startswith("["):
             # ros2cli sends a list of mixed types as a string, and rcl refuses it in YAML.
             hint = "; lists must not mix types: write every number with a decimal point"
-        element = str if issubclass(self.element, Enum) else self.element
-        _, one, several = _TYPES[element]
+        _, one, several = _TYPES[self.element]
         expected = f"a list of {several}" if self.is_array else one
         got = "nothing" if value is None else in_yaml(value)
         return ParameterError(f"parameter '{self.name}': expected {expected}, got {got}{hint}")
+
+
+def setting(default: T, description: str, **rules: Any) -> T:
+    """Declare a dataclass field as a setting, of type bool, int, float, str, an enum or tuples.
+
+    Args:
+        default: Value if the user gives none.
+        description: One line, without the unit.
+        **rules: Other attributes of `Setting`: `unit`, `minimum`, `maximum`, `choices`, `live` and
+            `hidden`.
+
+    Returns:
+        A dataclass field, typed as the default so that annotations check.
+    """
+    return field(default=default, metadata={_KEY: Setting(default, description, **rules)})
+
+
+def live_setting(default: T, description: str, **rules: Any) -> T:
+    """Declare a setting that may be changed while a node runs: `setting` with `live`."""
+    return setting(default, description, live=True, **rules)
+
+
+def settings_group(make: Callable[..., T], **members: Any) -> T:
+    """Declare a dataclass field that is itself a dataclass of settings.
+
+    Args:
+        make: The frozen dataclass. Its settings are named "<field>.<name>".
+        **members: Those of its fields that are settings, each as a `setting`, if it does not
+            declare them itself. The others keep their defaults.
+
+    Returns:
+        A dataclass field that holds an instance.
+    """
+    given = {name: item.default for name, item in members.items()}
+    return field(default_factory=lambda: make(**given), metadata={_KEY: members})
 
 
 class Schema:
@@ -229,11 +220,14 @@ class Schema:
                 self._parts[name] = group
                 self.entries |= group.entries
                 continue
-            element = (get_args(hint) or (hint,))[0]
-            if own is None or not issubclass(element, (*_TYPES, Enum)):
+            kind = (get_args(hint) or (hint,))[0]
+            if own is None or not issubclass(kind, (*_TYPES, Enum)):
                 raise TypeError(f"{make.__name__}.{name}: {hint} is not a setting")
-            entry = replace(own, name=full_name, element=element, is_array=hint is not element)
-            self._parts[name] = self.entries[full_name] = entry
+            found = {"name": full_name, "make": kind, "element": kind, "is_array": hint is not kind}
+            if issubclass(kind, Enum):
+                choices = own.choices or tuple(each.value for each in kind)
+                found |= {"element": str, "choices": choices}
+            self._parts[name] = self.entries[full_name] = replace(own, **found)
 
     def build(self, values: Mapping[str, Any]) -> Any:
         """Return the dataclass made of values by their full names.

@@ -34,10 +34,12 @@ _LONG_NUMBER = re.compile(r"[-+0-9_:.]{200,}")
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
+MakeError = Callable[[str], TsobsError]
+"""The kind of error to raise."""
+
+
 def read_yaml(
-    path: str | PathLike[str],
-    what: str = "design file",
-    error: Callable[[str], TsobsError] = DesignFileError,
+    path: str | PathLike[str], what: str = "design file", error: MakeError = DesignFileError
 ) -> dict[Any, Any]:
     """Return the mapping that a YAML file holds.
 
@@ -49,24 +51,13 @@ def read_yaml(
     Raises:
         TsobsError: The file is missing, too large, not YAML, or not a mapping.
     """
-    return yaml_mapping(read_text(path, what, error), path, what, error)
+    return yaml_mapping(read_text(path, what, error), path, error)
 
 
 def read_text(
-    path: str | PathLike[str],
-    what: str = "design file",
-    error: Callable[[str], TsobsError] = DesignFileError,
+    path: str | PathLike[str], what: str = "design file", error: MakeError = DesignFileError
 ) -> str:
-    """Return a small file's text, with its line ends as they are.
-
-    Args:
-        path: The file.
-        what: What it is, for errors.
-        error: The kind of error to raise.
-
-    Raises:
-        TsobsError: The file is missing, too large or not UTF-8.
-    """
+    """Return a small file's text, with its line ends as they are; as `read_yaml`."""
     try:
         with open_regular(Path(path)) as stream:
             raw = stream.read(MAX_BYTES + 1)
@@ -82,16 +73,9 @@ def read_text(
 
 
 def yaml_mapping(
-    text: str,
-    name: str | PathLike[str],
-    what: str = "design file",
-    error: Callable[[str], TsobsError] = DesignFileError,
+    text: str, name: str | PathLike[str], error: MakeError = DesignFileError
 ) -> dict[Any, Any]:
-    """Return the mapping that a YAML text holds; the arguments besides are those of `read_yaml`.
-
-    Raises:
-        TsobsError: The text is too large, not YAML, or not a mapping.
-    """
+    """Return the mapping that a YAML text of a file holds; as `read_yaml`."""
     try:
         data = load_yaml(text)
     except ValueError as problem:
@@ -113,19 +97,9 @@ def write_yaml(
     path: str | PathLike[str],
     text: str,
     what: str = "the design file",
-    error: Callable[[str], TsobsError] = DesignFileError,
+    error: MakeError = DesignFileError,
 ) -> None:
-    """Replace a file by a new one in one step, which a power cut cannot halve.
-
-    Args:
-        path: The file.
-        text: Its content.
-        what: Its name for errors.
-        error: The kind of error to raise.
-
-    Raises:
-        TsobsError: The file cannot be written.
-    """
+    """Replace a file by a new one in one step, which a power cut cannot halve; as `read_yaml`."""
     path = Path(path)
     temporary = path.with_name(f".{path.name}.partial")
     try:
@@ -143,10 +117,7 @@ def write_yaml(
 
 
 def load_yaml(text: str) -> object:
-    """Return the plain data that a YAML text holds.
-
-    Args:
-        text: One document.
+    """Return the plain data that a YAML text of one document holds.
 
     Raises:
         ValueError: It is not YAML, is too large, has aliases, merge keys, tags of other languages
@@ -179,23 +150,20 @@ def _check_structure(text: str) -> None:
     depth = nodes = 0
     for event in yaml.parse(text, Loader=_LOADER):
         problem = ""
-        if isinstance(event, yaml.NodeEvent):
-            nodes += 1
-            if nodes > _MAX_NODES:
-                problem = f"more than {_MAX_NODES} values"
+        nodes += isinstance(event, yaml.NodeEvent)
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
         if isinstance(event, yaml.AliasEvent):
             problem = "aliases are not supported"
-        elif isinstance(event, yaml.ScalarEvent):
-            if event.implicit[0] and event.value == "<<":
+        elif nodes > _MAX_NODES:
+            problem = f"more than {_MAX_NODES} values"
+        elif depth > _MAX_DEPTH:
+            problem = f"nested deeper than {_MAX_DEPTH} levels"
+        elif isinstance(event, yaml.ScalarEvent) and event.implicit[0]:
+            if event.value == "<<":
                 problem = "merge keys are not supported"
-            elif event.implicit[0] and _LONG_NUMBER.fullmatch(event.value):
+            elif _LONG_NUMBER.fullmatch(event.value):
                 problem = f"a number of {len(event.value)} digits"
-        elif isinstance(event, yaml.CollectionStartEvent):
-            depth += 1
-            if depth > _MAX_DEPTH:
-                problem = f"nested deeper than {_MAX_DEPTH} levels"
-        elif isinstance(event, yaml.CollectionEndEvent):
-            depth -= 1
         if problem:
             raise ValueError(f"line {event.start_mark.line + 1}: {problem}")
 

@@ -243,7 +243,7 @@ def load_campaign(path: str | PathLike[str]) -> Campaign:
 
 def parse_campaign(text: str, name: str) -> CampaignEntries:
     """Return the entries of a campaign file's text; `name` is the file, for errors."""
-    data = yaml_mapping(text, name, "campaign file")
+    data = yaml_mapping(text, name)
     with naming(name):
         file = decode(data, _File)
     if (file.format, file.version) != (FORMAT, VERSION):
