@@ -439,7 +439,7 @@ def _observers(
 
 def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
     table, p = run.table, len(run.signals[joint].outputs)
-    estimator = run.loop.estimators[joint]
+    estimator = run.loop.trackers[joint].estimator
     outputs_shape = (p,) if p > 1 else ()
     innovations = table.innovations[joint]
     used = np.isfinite(innovations).any(axis=1)

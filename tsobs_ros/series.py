@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stamped rows of numbers, of which runs are made, and numbers in bounded memory."""
 
-from typing import NamedTuple, TypeAlias
+from tempfile import TemporaryFile
+from typing import Any, NamedTuple, TypeAlias
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +46,36 @@ class Series(NamedTuple):
     def seconds(self, origin: int = 0) -> Array:
         """Return the stamps as seconds since `origin` [ns], shape (n,)."""
         return np.asarray((self.stamps - origin) / NANOSECONDS, dtype=np.float64)
+
+
+class Spool:
+    """Records that grow in a temporary file, so that long recordings need little memory.
+
+    Args:
+        type_: Of a record.
+
+    >>> spool = Spool(np.dtype(np.int64))
+    >>> spool.add(np.arange(2))
+    >>> spool.add(np.arange(3))
+    >>> spool.read().tolist()
+    [0, 1, 0, 1, 2]
+    """
+
+    def __init__(self, type_: np.dtype[Any]) -> None:
+        self._type = type_
+        self._file = TemporaryFile()  # noqa: SIM115
+        finalize(self, self._file.close)
+
+    def add(self, records: NDArray[Any]) -> None:
+        """Add records, shape (n,)."""
+        self._file.write(records.tobytes())
+
+    def read(self) -> Any:
+        """Return all records, which are paged in as they are used, shape (n,)."""
+        self._file.flush()
+        size = self._file.tell()  # of nothing there is no map
+        found = np.memmap(self._file, self._type, "r+") if size else np.zeros(0, self._type)
+        return found.view(np.recarray) if self._type.names else found
 
 
 class ThinnedValues:

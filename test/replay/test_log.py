@@ -45,7 +45,7 @@ def stamps_of(source: LogSource) -> list[int]:
 
 
 def samples(source: LogSource) -> Any:
-    return next(source.parts()).samples
+    return source.samples
 
 
 @pytest.mark.parametrize(

@@ -263,7 +263,7 @@ def test_columns_of_both_sides_are_found(tmp_path, header, options) -> None:
 
     source = opened(path, ts.load_design(BOTH), columns=options)
 
-    samples = next(source.parts()).samples
+    samples = source.samples
     np.testing.assert_array_equal(samples.y[:, 0], [[0.25, -2.0], [NAN, -1.0], [0.5, NAN]])
     assert samples.u[:, 0, 0].tolist() == [3.0, 4.0, 5.0]
     assert samples.complete.all()
@@ -308,7 +308,7 @@ def test_the_columns_of_a_ts_system_have_the_names_of_its_signals(tmp_path) -> N
     row = ",".join(["1", *(f"{k}.5" for k in range(len(names)))])
 
     path = write(tmp_path / "log.csv", ",".join(["time", *names]), row)
-    samples = next(opened(path, design).parts()).samples
+    samples = opened(path, design).samples
     assert [*samples.y[0, 0], *samples.u[0, 0]] == [k + 0.5 for k in range(len(names))]
     path = write(tmp_path / "other.csv", ",".join(["time", *names[1:]]), row)
     with pytest.raises(LogError, match=f"no column is called {names[0]} of system"):

@@ -13,7 +13,7 @@ from tsobs_ros.design.file import DesignFile
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, make_runs, run_all
 from tsobs_ros.replay.log import LogSource
-from tsobs_ros.replay.source import BagSource, restarts
+from tsobs_ros.replay.source import BagSource, passes
 from tsobs_ros.report.comparison import RunScores
 
 DECODE = JointStateDecoder()
@@ -64,7 +64,7 @@ def result(run, bag):
     for message in BagReader(bag).messages():
         found.setdefault(message.topic, []).append(message)
     counts = run.loop.used, run.loop.rejected, run.loop.rewinds, run.loop.failures
-    return found, counts, run.estimates, run.events(), run.health(), run.agreement()
+    return found, counts, run.estimates, run.events, run.health(), run.agreement()
 
 
 @pytest.mark.parametrize("observed", [False, True])
@@ -163,11 +163,15 @@ def restamped(data: bytes, times: int) -> bytes:
     return JointStateEncoder(names)(stamp + times * 3 * SECOND, position, (), effort)
 
 
-def test_restarts_are_told_from_stragglers() -> None:
-    first = [k * SECOND // 10 for k in range(1, 61)]
+def test_restarts_are_distinguished_from_stragglers() -> None:
+    first = np.arange(1, 61) * (SECOND // 10)
 
-    assert restarts(first) == []
-    assert restarts([*first, first[0], *(s + 6 * SECOND for s in first)]) == []
-    assert restarts([*first, *first, *first]) == [60, 120]
-    assert restarts([*first[:50], 0, *first[50:]]) == []  # a zero stamp is no time at all
-    assert restarts([*first, *(s - SECOND // 2 for s in first[56:])]) == []  # merely late
+    for others, begins in (
+        ([], [0]),
+        ([first[:1], first + 6 * SECOND], [0]),
+        ([first, first], [0, 60, 120]),
+        ([[0], first[:50] + 6 * SECOND], [0]),  # a zero stamp is no time at all
+        ([first[56:] - SECOND // 2], [0]),  # merely late
+    ):
+        found = passes(np.concatenate([first, *others]))
+        assert [begin for begin, _ in found] == begins

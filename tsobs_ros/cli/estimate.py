@@ -268,7 +268,7 @@ def _result(
     lines += remarks
     lines += [] if agreement is None else [agreement.text()]
     if len(runs) == 1:
-        lines += list_events(runs[0].events(), begin)
+        lines += list_events(runs[0].events, begin)
     lines += ["", *render_comparison(errors).split("\n")] if errors else []
     lines += [] if output is None else [f"wrote {output}"]
     mapping = {
@@ -289,7 +289,7 @@ def _result(
                 "rewinds": run.loop.rewinds,
                 "failures": run.loop.failures,
                 "health": {joint: one.as_mapping() for joint, one in run.health().items()},
-                **map_events(run.events(), begin),
+                **map_events(run.events, begin),
             }
             for run in runs
         ],

@@ -130,7 +130,7 @@ def _of_file(request: ArmRequest, log: str | Path, options: dict[str, Any]) -> _
     if len(source.joints) != 1:
         raise LogError(f"{log}: joints {', '.join(source.joints)}: name one of them with --joint")
     source.observe([request])
-    whole = next(source.parts()).samples
+    whole = source.samples
     keep = (whole.stamps > 0) & whole.complete[:, 0]
     stamps = whole.stamps[keep]
     # Stamps since the epoch have no digits left below a microsecond as one number.

@@ -25,14 +25,14 @@ from tsobs_ros.bag.cdr import encode_text
 from tsobs_ros.bag.container import MAGIC
 from tsobs_ros.bag.copying import ChunkCopy
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.bag.joint_series import RawMessages, Times
+from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.message_series import Message, MessageSeries
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.bag.tick_log import DEFINITION, TICK_LOG, encode_ticks
 from tsobs_ros.bag.writer import BagWriter, whole_bag
-from tsobs_ros.checks import Flags
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
@@ -41,13 +41,14 @@ from tsobs_ros.estimation.health import judge_rate
 from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import ObserverSettings, contender, make_estimator, make_tracker
 from tsobs_ros.replay.designs import STRING
-from tsobs_ros.replay.health import EventFinder, Health, HealthSum, JointEvent
-from tsobs_ros.replay.live import COMPARED, Agreement, LiveComparison
+from tsobs_ros.replay.health import EventFinder, Health, HealthSum
+from tsobs_ros.replay.live import COMPARED, Agreement, digests
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.loop import Loop, Table
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.replay.windows import Window, Windows
+from tsobs_ros.series import Spool
 
 _OF_BAGS = (".mcap", ".yaml", ".db3")
 _STRING = MessageDefinition(STRING, "string data\n", "")
@@ -145,40 +146,43 @@ class Run:
         estimates: Number of ticks with an estimate.
         window: The last window.
         table: The estimates and innovations of this window.
+        events: What the node would have logged until now, in order.
     """
 
     window: Window
     table: Table
 
     def __init__(self, observer: Observer, source: Source, windows: Windows) -> None:
-        self.observer, self.windows = observer, windows
+        self.observer, self.windows, self._source = observer, windows, source
         self.estimates = 0
-        self._source = source
         settings, each = observer.settings, {id(design): design for design in observer.designs}
         made = {key: make_estimator(design, settings) for key, design in each.items()}
         trackers = [make_tracker(one, settings, made[id(one)]) for one in observer.designs]
-        self.loop = Loop(trackers, observer.settings.stale_after)
+        self.loop = Loop(trackers, settings.stale_after, at_samples=windows.at_samples)
         self.signals = source.signals_of([design.request for design in observer.designs])
         self._prefix = f"{source.namespace}/{observer.name}/"
-        places = [
-            places_of(
-                joint,
-                own,
-                alone=len(source.joints) == 1,
-                learnt=settings.learnt(design),
-                rated="disturbance_rate" not in made[id(design)].lacking,
-            )
-            for joint, own, design in zip(
-                source.joints, self.signals, observer.designs, strict=True
-            )
-        ]
-        self._encoder = EstimateEncoder(self._prefix, places)
+        self._encoder = EstimateEncoder(
+            self._prefix,
+            [
+                places_of(
+                    joint,
+                    own,
+                    alone=len(source.joints) == 1,
+                    learnt=settings.learnt(design),
+                    rated="disturbance_rate" not in made[id(design)].lacking,
+                )
+                for joint, own, design in zip(
+                    source.joints, self.signals, observer.designs, strict=True
+                )
+            ],
+        )
+        self._made = {topic: Spool(np.dtype(np.int64)) for topic in COMPARED if windows.live}
         self._parameters_due, self._health_due = _Due(), _Due()
-        self._comparison = LiveComparison(windows.counts) if windows.as_live else None
         self._health = {joint: HealthSum() for joint in source.joints}
-        self._events = EventFinder(
+        finder = EventFinder(
             source.joints, source.topic, settings.stale_after, same_clock=source.same_clock
         )
+        self._find_events, self.events = finder.add, finder.events
         # Numbers of restarts: until now, and before the last health; and of ticks since the last.
         self._restarts, self._restarts_before, self._ticks = 0, 0, 0
         self._is_first = True
@@ -216,46 +220,42 @@ class Run:
         self.window, self.table = window, self.loop.run(window)
         ticks, done = window.ticks, self.table.done
         self.estimates += int(done.sum())
-        joints = range(len(self.observer.designs))
+        restarts = self._restarts + np.cumsum(ticks.resets)
         made: list[MessageSeries] = []
         if encode:
-            made += self._restart_messages(window.live.get(topics.RESTARTS))
+            made += self._restart_messages(restarts)
             made += self._tick_messages()
             of_tick = np.searchsorted(ticks.known, np.arange(len(window.samples)), side="right")
             of_use = ticks[of_tick]
             of_use.stamps = window.samples.stamps
             made += self._encoder.messages(topics.INNOVATION, of_use, self.table.innovations)
-        if encode or self._comparison:
-            for topic in COMPARED:
-                values = [self.table.values(joint, *ESTIMATES[topic]) for joint in joints]
-                messages = self._encoder.messages(topic, ticks, values)
-                made += messages
-                if self._comparison:
-                    self._comparison.add_made(topic, messages)
-        if self._comparison:
-            for topic in COMPARED:
-                if topic in window.live:
-                    self._comparison.add_recorded(topic, window.live[topic])
-            if window.is_whole:
-                self._comparison.settle(window.horizon)
-        made += self._slow_messages(encode=encode)
+        for topic in COMPARED if encode or self._made else ():
+            messages = self._encoder.messages(topic, ticks, self._values(*ESTIMATES[topic]))
+            made += messages
+            for one in messages if self._made else ():
+                self._made[topic].add(digests(one.data))
+        made += self._slow_messages(restarts, encode=encode)
+        self._restarts = int(restarts[-1]) if len(restarts) else self._restarts
+        self._is_first = self._is_first and not len(ticks)
         return made if encode else []
 
-    def _restart_messages(self, recorded: RawMessages | None) -> list[MessageSeries]:
+    def _values(self, *names: str) -> list[Array]:
+        """Return some fields of each joint's estimates side by side."""
+        return [self.table.values(joint, *names) for joint in range(len(self.table.rows))]
+
+    def _restart_messages(self, restarts: NDArray[np.int64]) -> list[MessageSeries]:
         """Return the messages of the start and of the restarts, those recorded if there are any."""
-        name = self._prefix + topics.RESTARTS
-        if recorded is not None:
-            logs, sent = recorded.log_times, recorded.publish_times
+        ticks, live = self.window.ticks, self.windows.live
+        if live is not None and live.restarts:
+            name = self._prefix + topics.RESTARTS
             return [
-                MessageSeries(name, JOINT_STATE, logs[places], sent[places], data)
-                for places, data in recorded.groups
+                MessageSeries(name, JOINT_STATE, one.log_times[at], one.publish_times[at], data)
+                for one in (live.restarts if self._is_first else ())
+                for at, data in one.groups
             ]
-        ticks = self.window.ticks
         starts = ticks.resets == 1
         starts[: int(self._is_first)] = True
-        self._is_first = self._is_first and not len(ticks)
-        numbers = (self._restarts + np.cumsum(ticks.resets))[starts].astype(np.float64)
-        each = [numbers[:, np.newaxis]] * len(self.observer.designs)
+        each = [restarts[starts, np.newaxis].astype(np.float64)] * len(self.observer.designs)
         return self._encoder.messages(topics.RESTARTS, ticks[starts], each)
 
     def _tick_messages(self) -> list[MessageSeries]:
@@ -280,33 +280,27 @@ class Run:
             found.append(MessageSeries(self._prefix + topics.TICKS, TICK_LOG, *times, data))
         return found
 
-    def _slow_messages(self, *, encode: bool) -> list[MessageSeries]:
+    def _slow_messages(self, restarts: NDArray[np.int64], *, encode: bool) -> list[MessageSeries]:
         """Note what the estimates are worth; return the messages that come now and then."""
         ticks, table, made = self.window.ticks, self.table, list[MessageSeries]()
-        joints = range(len(self.observer.designs))
-        valid: Flags = np.array([table.rows[joint]["parameters_valid"] == 1.0 for joint in joints])
+        valid: Flags = np.array([own["parameters_valid"] == 1.0 for own in table.rows])
         due = self._parameters_due.among(ticks.stamps, np.asarray(valid.any(axis=0)))
-        if encode and len(due):
-            for topic in topics.PARAMETER_TOPICS:
-                values = [table.values(joint, *ESTIMATES[topic])[due] for joint in joints]
-                known = [
-                    np.where(valid[joint, due, None], values[joint], np.nan) for joint in joints
-                ]
-                made += self._encoder.messages(topic, ticks[due], known)
-        conditions = [table.values(joint, *HEALTH) for joint in joints]
+        for topic in topics.PARAMETER_TOPICS if encode and len(due) else ():
+            each = zip(self._values(*ESTIMATES[topic]), valid, strict=True)
+            known = [np.where(there[due, None], own[due], np.nan) for own, there in each]
+            made += self._encoder.messages(topic, ticks[due], known)
+        conditions = self._values(*HEALTH)
         for health, own in zip(self._health.values(), conditions, strict=True):
             health.add(own)
         due = self._health_due.among(ticks.stamps, table.done)
-        restarts = self._restarts + np.cumsum(ticks.resets)
         if len(due):
             chosen = [own[due] for own in conditions]
             if encode:
                 made += self._encoder.messages(topics.HEALTH, ticks[due], chosen)
             restarted = np.diff(restarts[due], prepend=self._restarts_before) > 0
             together = np.stack(chosen, axis=1)
-            self._events.add(ticks.stamps[due], ticks.log_times[due], together, restarted)
+            self._find_events(ticks.stamps[due], ticks.log_times[due], together, restarted)
             self._restarts_before = int(restarts[due[-1]])
-        self._restarts = int(restarts[-1]) if len(restarts) else self._restarts
         return made
 
     def outputs(self) -> dict[str, dict[str, dict[str, int]]]:
@@ -332,10 +326,6 @@ class Run:
             found += [f"warning: {joint}: {text}"] if off else []
         return found
 
-    def events(self) -> list[JointEvent]:
-        """Return the events that the node would have logged, in order."""
-        return self._events.events
-
     def health(self) -> dict[str, Health]:
         """Return the health of each joint that has estimates."""
         found = {joint: one.result() for joint, one in self._health.items()}
@@ -343,7 +333,10 @@ class Run:
 
     def agreement(self) -> Agreement | None:
         """Return the comparison with the recorded estimates, if there is a tick log."""
-        return None if self._comparison is None else self._comparison.result()
+        live = self.windows.live
+        if live is None:
+            return None
+        return live.compare({topic: spool.read() for topic, spool in self._made.items()})
 
 
 class _Due:
@@ -429,7 +422,7 @@ def make_runs(
         observers: The observers.
         rate: Estimate at this rate [Hz]; None: at every measurement.
         as_live: Estimate, instead of both, when the recorded observer did.
-        window: Number of messages in a window; None for one that has them all, so that the runs'
+        window: Number of ticks in a window; None for one that has them all, so that the runs'
             tables have everything.
 
     Raises:

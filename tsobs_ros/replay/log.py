@@ -32,7 +32,7 @@ from tsobs_ros.replay.columns import (
     unit_of,
 )
 from tsobs_ros.replay.places import Layout
-from tsobs_ros.replay.source import MEASUREMENTS, Part, Records, Source, joined, sample_type
+from tsobs_ros.replay.source import MEASUREMENTS, Records, Source
 from tsobs_ros.series import NANOSECONDS
 
 _BLOCK = 4096
@@ -124,11 +124,10 @@ class LogSource(Source):
         self._named = self._joints_named()
         self.joints = tuple(joints) or self._named or (_ONLY,)
 
-    def _observe(self) -> None:
-        self.signals = self.signals_of(self._requests)
+    def _read(self) -> None:
         try:
             self._choose()
-            self._survey()
+            self._read_lines()
         except OSError as error:
             raise LogError(f"{self.path}: cannot read it: {error}") from error
         except LogError as error:
@@ -280,22 +279,28 @@ class LogSource(Source):
             )
         return signal.unit, 1.0
 
-    def _survey(self) -> None:
-        """Read the whole log for what must be known before the first line is used."""
-        clock = _LogClock()
-        first, equal, self.count = LATEST, 0, 0
-        for samples in self._lines(clock, _BLOCK):
+    def _read_lines(self) -> None:
+        spool, clock = self._new_samples(), _LogClock()
+        first, equal = LATEST, 0
+        for samples in self._blocks(clock):
             there = samples.stamps[samples.stamps != NO_TIME]
-            if not self.count:
+            if first == LATEST:
                 self._check_period(there)
-            self.count += len(samples)
             first = int(there.min(initial=first))
             equal += int((np.diff(there) == 0).sum())
+            spool.add(samples)
+        self.samples = spool.read()
         if not self.count:
             raise LogError("no lines below the header")
         if first == LATEST:
             raise LogError(f"no line has a time in column {self._time.title!r}")
         self.moved_by = 0 if first > 0 else NANOSECONDS - first
+        for begin in range(0, self.count, _BLOCK):
+            samples = self.samples[begin : begin + _BLOCK]
+            there = samples.stamps != NO_TIME
+            samples.stamps = np.where(there, samples.stamps + there * self.moved_by, 0)
+            samples.log_times += self.moved_by
+            samples.checksums = [crc32(row) for row in self._encoded(samples)]
         if self._file.cut_off:
             self.remarks += ("note: the last line is cut off, and left out",)
         if self.moved_by:
@@ -307,7 +312,6 @@ class LogSource(Source):
                 "are rejected: write times with more digits",
             )
         self.same_clock = not clock.restarts
-        self.span = first + self.moved_by, clock.last + self.moved_by
 
     def _check_period(self, stamps: Times) -> None:
         """Raise `LogError` if the times of the first lines seem to have another unit."""
@@ -324,13 +328,11 @@ class LogSource(Source):
                     "seconds, --units time=s"
                 )
 
-    def _lines(self, clock: "_LogClock", size: int) -> Iterator[Records]:
+    def _blocks(self, clock: "_LogClock") -> Iterator[Records]:
         """Yield the log block by block, its times as they are."""
         rows = self._file.rows(self._places)
-        p = max(len(one.outputs) for one in self.signals)
-        m = max(len(one.inputs) for one in self.signals)
-        while block := list(islice(rows, size)):
-            samples: Records = np.recarray(len(block), sample_type(len(self.joints), p, m))
+        while block := list(islice(rows, _BLOCK)):
+            samples: Records = np.recarray(len(block), self._sample_type)
             samples.stamps = [self._stamp(line, cells[0]) for line, cells in block]
             samples.log_times = clock.times(samples.stamps)
             # Inputs without a column are 0.
@@ -379,24 +381,6 @@ class LogSource(Source):
             TopicInfo(f"/{MEASUREMENTS}", JOINT_STATE, qos_profiles=qos, definition=definition),
         )
 
-    def parts(self, size: int | None = None, with_live: bool = False) -> Iterator[Part]:
-        blocks = map(self._moved, self._lines(_LogClock(), size or _BLOCK))
-        if size is None:
-            blocks = map(joined, [list(blocks)])
-        samples = next(blocks)
-        for following in blocks:
-            yield Part(samples, {}, float(samples.log_times[-1]))
-            samples = following
-        yield Part(samples, {})
-
-    def _moved(self, samples: Records) -> Records:
-        """Return samples with the stamps of messages, and their checksums."""
-        there = samples.stamps != NO_TIME
-        samples.stamps = np.where(there, samples.stamps + there * self.moved_by, 0)
-        samples.log_times += self.moved_by
-        samples.checksums = [crc32(row) for row in self._encoded(samples)]
-        return samples
-
     def sensor(self, quantity: str, column: str = "") -> tuple["LogSource", list[str]]:
         """Return the log as of a sensor that no design measures, and its column for each joint.
 
@@ -431,7 +415,8 @@ class LogSource(Source):
         return found, [each.title for each in own]
 
     def messages(self) -> Iterator[BagMessage]:
-        for samples, _, _ in self.parts(_BLOCK):
+        for begin in range(0, self.count, _BLOCK):
+            samples = self.samples[begin : begin + _BLOCK]
             times, data = samples.log_times, self._encoded(samples)
             series = MessageSeries(f"/{MEASUREMENTS}", JOINT_STATE, times, times, data)
             yield from map(BagMessage._make, series.messages())

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array, Flags
-from tsobs_ros.estimation.estimator import Estimator, Rows
+from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.history import GATED, NON_FINITE, REASONS, USED
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.replay.source import Records
 from tsobs_ros.replay.windows import Window
 from tsobs_ros.series import NANOSECONDS, ThinnedValues
 
@@ -115,17 +116,21 @@ class Loop:
     Args:
         trackers: Of the joints.
         stale_after: Age of a joint's newest measurement after which it is not estimated [s].
+        at_samples: Whether there are only estimates at measurements that are in use.
 
     Attributes:
+        trackers: The same.
         used: Number of measurements used, of all joints.
         rejected: Number of measurements not used, by reason.
         outputs: Of each joint, for each of its outputs, how often it was gated and how often it
             was missing, shape (p, 2).
     """
 
-    def __init__(self, trackers: Sequence[Tracker], stale_after: float = 5.0) -> None:
-        self._trackers = tuple(trackers)
-        self._stale_after = stale_after
+    def __init__(
+        self, trackers: Sequence[Tracker], stale_after: float = 5.0, *, at_samples: bool = False
+    ) -> None:
+        self.trackers = tuple(trackers)
+        self._stale_after, self._at_samples = stale_after, at_samples
         self.used = 0
         self.rejected: Counter[RejectReason] = Counter()
         self.outputs = [np.zeros((one.estimator.shape.p, 2), np.int64) for one in trackers]
@@ -139,36 +144,26 @@ class Loop:
         return [1.0 / float(np.median(one)) if len(one) >= _ENOUGH else math.nan for one in values]
 
     @property
-    def estimators(self) -> tuple[Estimator, ...]:
-        """The estimator of each joint."""
-        return tuple(tracker.estimator for tracker in self._trackers)
-
-    @property
     def rewinds(self) -> int:
         """Number of late measurements put in their place."""
-        return sum(tracker.rewinds for tracker in self._trackers)
+        return sum(tracker.rewinds for tracker in self.trackers)
 
     @property
     def failures(self) -> int:
         """Number of states or outputs that were not finite."""
-        return sum(tracker.failures for tracker in self._trackers)
+        return sum(tracker.failures for tracker in self.trackers)
 
     def run(self, window: Window) -> Table:
         """Make the ticks of a window."""
-        joints = range(len(self._trackers))
-        workers = min(len(joints), os.cpu_count() or 1)
-        if workers > 1:
-            with ThreadPoolExecutor(workers) as pool:
-                results = list(pool.map(lambda joint: self._run_joint(window, joint), joints))
-        else:
-            results = [self._run_joint(window, joint) for joint in joints]
-        samples = window.samples
+        joints, samples = range(len(self.trackers)), window.samples
+        with ThreadPoolExecutor(min(len(joints), os.cpu_count() or 1)) as pool:
+            results = list(pool.map(lambda joint: self._run_joint(window, joint), joints))
         if refused := int(samples.refused.sum()):
             self.rejected[RejectReason.WRONG_JOINT] += refused
-        done = self._done(window, results)
+        done = self._done(window.ticks, results)
         innovations, rows = [], []
         for joint, one in enumerate(results):
-            rows.append(self._trackers[joint].estimator.as_rows(one.rows))
+            rows.append(self.trackers[joint].estimator.as_rows(one.rows))
             one.rows[~(done & one.there)] = np.nan
             spread = np.full((len(samples), one.innovations.shape[1]), np.nan)
             spread[samples.complete[:, joint]] = one.innovations
@@ -177,7 +172,7 @@ class Loop:
         return Table(rows, done, innovations)
 
     def _run_joint(self, window: Window, joint: int) -> JointResults:
-        samples, ticks, tracker = window.samples, window.ticks, self._trackers[joint]
+        samples, ticks, tracker = window.samples, window.ticks, self.trackers[joint]
         own, shape = samples.complete[:, joint], tracker.estimator.shape
         apart: Array = np.asarray(np.diff(np.sort(samples.stamps[own])) / NANOSECONDS)
         self._periods[joint].add(apart[apart > 0.0])
@@ -200,11 +195,10 @@ class Loop:
         each = [(one.output_codes == code).sum(axis=0) for code in (GATED, NON_FINITE)]
         self.outputs[joint] += np.stack(each, axis=1)
 
-    def _done(self, window: Window, results: Sequence[JointResults]) -> Flags:
+    def _done(self, ticks: Records, results: Sequence[JointResults]) -> Flags:
         """Return the ticks at which a node would publish estimates; stamps rise to a restart."""
-        ticks = window.ticks
         done: Flags = np.any([one.there for one in results], axis=0) & ticks.estimated
-        if window.at_samples:
+        if self._at_samples:
             done &= np.any([one.newest == ticks.stamps for one in results], axis=0)
         for part in np.split(np.arange(len(ticks)), np.flatnonzero(ticks.resets)):
             if len(part) and ticks.resets[part[0]]:

@@ -2,12 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded measurements of some joints, in the order of recording, and the bags that hold them."""
 
-import math
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 from zlib import crc32
 
 import numpy as np
@@ -18,7 +16,6 @@ from tsobs_ros.bag.joint_series import (
     JointSeries,
     RawMessages,
     Times,
-    Wanted,
     read_blocks,
     require_joint_states,
     until_damage,
@@ -33,7 +30,8 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError, MessageError, ModelError
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.replay.live import COMPARED, LiveRun
+from tsobs_ros.series import NANOSECONDS, Spool
 
 MEASUREMENTS = "joint_measurements"
 UNNAMED_SYSTEM = "system"
@@ -45,119 +43,32 @@ _RESTART = NANOSECONDS
 _RESTART_MESSAGES = 10
 _SAME_CLOCK = NANOSECONDS
 _FIRST_MESSAGES = 1000
-_SURVEYED = 2**15
+_BLOCK = 2**15
 
 
 Records: TypeAlias = Any
 """Record arrays, one row per message or tick."""
 
 
-def sample_type(joints: int, outputs: int, inputs: int) -> np.dtype[np.void]:
-    """Return the type of a record of a message with measurements of some joints.
+def passes(stamps: Times) -> list[tuple[int, int]]:
+    """Return the begin and end of each pass of time, as of stamps [ns] in order of arrival.
 
-    `y` and `u` have NaN for an output that is missing or that a joint does not have, and 0 for an
-    input that it does not have. Stamps and log times are in ns, those of the epoch.
+    Before a further pass they go back by more than a second, and stay back.
     """
-    return np.dtype(
-        [
-            ("stamps", np.int64),
-            ("log_times", np.int64),
-            ("y", np.float64, (joints, outputs)),
-            ("u", np.float64, (joints, inputs)),
-            # Whether it has an output and all inputs of the joint.
-            ("complete", np.bool_, (joints,)),
-            # Number of joints that it is refused for: that it names, or all if it names none.
-            ("refused", np.int64),
-            # CRC-32 of the message.
-            ("checksums", np.int64),
-        ]
-    )
-
-
-def joined(parts: Sequence[Records]) -> Records:
-    """Return the records of several arrays, one behind the other."""
-    return np.concatenate(parts).view(np.recarray)
-
-
-def samples_of(
-    series: JointSeries, raw: RawMessages, joints: Sequence[Signals], assume_zero_torque: bool
-) -> Records:
-    """Return the measurements in a topic's messages, as `sample_type` has them.
-
-    Args:
-        series: With the places of each joint's outputs, then of each one's inputs, then of those
-            instead of these.
-        raw: The same messages.
-        joints: The places of the signals of J joints.
-        assume_zero_torque: Take messages without a number of an input as 0.
-    """
-    count = len(joints)
-    p = max(len(one.outputs) for one in joints)
-    m = max(len(one.inputs) for one in joints)
-    samples: Records = np.recarray(series.count, sample_type(count, p, m))
-    own, other = slice(count, 2 * count), slice(2 * count, None)
-    there: Flags = series.given[:, own, :m] | series.given[:, other, :m]
-    u = series.values[:, own, :m]
-    u = np.where(np.isnan(u), series.values[:, other, :m], u)
-    for joint, one in enumerate(joints):
-        torques = [assume_zero_torque and place.field == "effort" for place in one.inputs]
-        silent = ~there[:, joint] & np.array([*torques, *[True] * (m - len(torques))])
-        there[:, joint] |= silent
-        u[:, joint][silent] = 0.0
-    samples.stamps, samples.log_times = series.stamps, series.log_times
-    samples.y, samples.u = series.values[:, :count, :p], u
-    samples.complete = series.given[:, :count].any(axis=2) & there.all(axis=2)
-    named: Flags = np.asarray(series.named.reshape(-1, 3, count).any(axis=1))
-    samples.refused = (named & ~samples.complete).sum(axis=1)
-    samples.refused[~named.any(axis=1)] = count
-    for places, data in raw.groups:
-        samples.checksums[places] = [crc32(row) for row in data]
-    return samples
-
-
-def restarts(stamps: Sequence[int] | Times, highest: int = 0) -> list[int]:
-    """Return the places where stamps [ns] go back by more than a second, and stay back.
-
-    Args:
-        stamps: In order of arrival [ns].
-        highest: Largest one before these, since time restarted [ns].
-    """
-    found: list[int] = []
-    if isinstance(stamps, np.ndarray):
-        # They hardly ever go back.
-        if (np.diff(stamps, prepend=highest) >= 0).all():
-            return found
-        stamps = stamps.tolist()
-    for place, stamp in enumerate(stamps):
+    begins = [0]
+    # They hardly ever go back.
+    known = stamps.tolist() if (np.diff(stamps) < -_RESTART).any() else []
+    highest = 0
+    for place, stamp in enumerate(known):
         floor = highest - _RESTART
-        if 0 < stamp < floor and max(stamps[place : place + _RESTART_MESSAGES]) < floor:
-            found.append(place)
+        if 0 < stamp < floor and max(known[place : place + _RESTART_MESSAGES]) < floor:
+            begins.append(place)
             highest = stamp
         highest = max(highest, stamp)
-    return found
+    return list(pairwise([*begins, len(stamps)]))
 
 
-def passes(stamps: Sequence[int] | Times, highest: int = 0) -> list[tuple[int, int]]:
-    """Return the begin and end of each pass of time; a second one follows a restart."""
-    return list(pairwise([0, *restarts(stamps, highest), len(stamps)]))
-
-
-class Part(NamedTuple):
-    """A part of a recording.
-
-    Attributes:
-        samples: Measurements in the order of recording, of `sample_type`.
-        live: Output of the observer that ran during the recording, by the names in
-            `estimate_topics`; empty without a tick log.
-        horizon: Log time from which on messages of the next part may be [ns]; infinite in the last.
-    """
-
-    samples: Records
-    live: dict[str, RawMessages]
-    horizon: float = math.inf
-
-
-class Source(ABC):
+class Source:
     """Measurements of some joints, from a bag or a log.
 
     What is read of each joint depends on its design: before anything else but the joints and what
@@ -167,15 +78,17 @@ class Source(ABC):
         path: The bag or the log.
         joints: Names of the joints.
         signals: The places of each joint's signals.
+        samples: The measurements in the order of recording, one record per message, in a temporary
+            file. `y` and `u` have NaN for an output that is missing or that a joint does not have,
+            and 0 for an input that it does not have; stamps and log times are in ns, those of the
+            epoch; `complete` is whether there are an output and all inputs of a joint, `refused`
+            for how many joints a message is refused that it names, or all if it names none, and
+            `checksums` the CRC-32 of the message.
         ran: What the observer ran that was recorded.
-        count: Number of messages with measurements.
-        span: Smallest and largest log time of them, ns since the epoch.
         same_clock: Whether stamps and log times seem to be of the same clock.
-        without_input: Number of messages with an output of a joint, but without its inputs.
         topic: Name of the measurements' topic, or of the log's file.
         namespace: Begin of the topics' names: empty, or with a slash at its front only.
         was_observed: Whether there is output of an observer that ran during the recording.
-        has_ticks: Whether there is its tick log, too.
         damage: The error that ended reading early.
         remarks: Notes for the user.
         guessed: Whether the joints are those of the first messages, for want of anything better.
@@ -186,15 +99,12 @@ class Source(ABC):
     path: Path
     joints: tuple[str, ...]
     signals: tuple[Signals, ...] = ()
+    samples: Records
     ran = RecordedObserver()
-    count: int
-    span: tuple[int, int]
     same_clock: bool
-    without_input = 0
     topic: str
     namespace = ""
     was_observed = False
-    has_ticks = False
     damage: BagReadError | None = None
     remarks: tuple[str, ...] = ()
     guessed = False
@@ -203,10 +113,10 @@ class Source(ABC):
     _requests: tuple[ArmRequest | TSRequest, ...] = ()
 
     def observe(self, requests: Sequence[ArmRequest | TSRequest]) -> None:
-        """Read from now on what the designs of the joints need, and survey it.
+        """Read what the designs of the joints need.
 
         Args:
-            requests: Of the designs, one a joint.
+            requests: Of the designs, one per joint.
 
         Raises:
             BagReadError: The bag does not have the measurements.
@@ -223,7 +133,18 @@ class Source(ABC):
             )
         if not self._requests:
             self._requests = tuple(requests)
-            self._observe()
+            self.signals = self.signals_of(requests)
+            self._read()
+
+    @property
+    def count(self) -> int:
+        """Number of messages with measurements."""
+        return len(self.samples)
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Smallest and largest log time of them, ns since the epoch."""
+        return int(self.samples.log_times.min()), int(self.samples.log_times.max())
 
     def choose_designs(
         self, given: Sequence[str] = (), *, others_allowed: bool = False
@@ -256,26 +177,41 @@ class Source(ABC):
         each = zip(requests, self.joints, strict=True)
         return tuple(signals(one, joint, self.alone, self.both_sides) for one, joint in each)
 
-    @abstractmethod
-    def _observe(self) -> None:
-        """Decide what is read, and survey it."""
+    def live(self) -> LiveRun | None:
+        """Return what the recorded observer sent, None without its tick log."""
+        return None
 
-    @abstractmethod
-    def parts(self, size: int | None = None, with_live: bool = False) -> Iterator[Part]:
-        """Yield the recording in parts.
-
-        Args:
-            size: Number of messages in a part, divisible by 4; None for a single part.
-            with_live: Whether to read the recorded observer's output.
-        """
-
-    @abstractmethod
     def messages(self) -> Iterator[BagMessage]:
         """Yield the messages of `topics` in order of log time, up to any damage."""
+        raise NotImplementedError
 
     def chunks(self) -> ChunkCopy | None:
         """Return what copies the messages of `topics` chunk by chunk; None if nothing can."""
         return None
+
+    def _read(self) -> None:
+        """Read the measurements, and what there is to know of them."""
+        raise NotImplementedError
+
+    def _new_samples(self) -> Spool:
+        return Spool(self._sample_type)
+
+    @property
+    def _sample_type(self) -> np.dtype[np.void]:
+        joints = len(self.joints)
+        p = max(len(one.outputs) for one in self.signals)
+        m = max(len(one.inputs) for one in self.signals)
+        return np.dtype(
+            [
+                ("stamps", np.int64),
+                ("log_times", np.int64),
+                ("y", np.float64, (joints, p)),
+                ("u", np.float64, (joints, m)),
+                ("complete", np.bool_, (joints,)),
+                ("refused", np.int64),
+                ("checksums", np.int64),
+            ]
+        )
 
 
 class BagSource(Source):
@@ -318,29 +254,27 @@ class BagSource(Source):
         self.namespace = of_topic.get(self.topic, self.topic.rpartition("/")[0])
         self.ran = recorded_observer(self.reader, f"{self.namespace}/{observer}")
         first = self._first_names()
-        self.joints, self.guessed = tuple(joints), not joints
-        if not joints:
-            self.joints = tuple(joint for joint in self.ran.designs if self._is_in(first, joint))
-            self.guessed = not self.joints
-        self.joints = self.joints or tuple(name for name in first if not _is_motor(name, first))
+        self.joints = tuple(joints) or tuple(
+            joint for joint in self.ran.designs if self._is_in(first, joint)
+        )
+        self.guessed = not self.joints
+        motors = [topics.sides(name)[1] for name in first]
+        self.joints = self.joints or tuple(name for name in first if name not in motors)
         self._alone = len(self.ran.designs) <= 1 and not any(
             name.startswith(f"{joint}/") for joint in self.joints for name in first
         )
-        motors = (topics.sides(joint)[1] for joint in self.joints)
-        self.both_sides = both_sides and any(motor in first for motor in motors)
+        self.both_sides = both_sides and any(topics.sides(one)[1] in first for one in self.joints)
         if assume_zero_torque is None:
             assume_zero_torque = self.ran.settings().assume_zero_torque
         self._assume_zero_torque = assume_zero_torque
-        known = (*topics.TOPICS, *topics.TORQUE_TOPICS, *topics.PARAMETER_TOPICS)
-        self._live = self._there({name: f"{observer}/{name}" for name in known})
-        states = self._live.get(topics.STATES)
+        live = self._there(f"{observer}/", (topics.RESTARTS, *COMPARED))
+        states = live.get(topics.STATES)
         self.was_observed = states is not None and self.reader.topics[states].count > 0
         ticks = f"{self.namespace}/{observer}/{topics.TICKS}"
         info = self.reader.topics.get(ticks)
-        self.has_ticks = info is not None and info.type == TICK_LOG and info.count > 0
-        if self.has_ticks:
-            self._live[topics.TICKS] = ticks
-        self.truth = self._there({name: name for name in topics.TRUTH})
+        has_ticks = info is not None and info.type == TICK_LOG and info.count > 0
+        self._live = {topics.TICKS: ticks, **live} if has_ticks else {}
+        self.truth = self._there("", topics.TRUTH)
         shown = self.topic, *self.truth.values()
         self.topics = tuple(self.reader.topics[name] for name in shown)
 
@@ -348,34 +282,10 @@ class BagSource(Source):
     def alone(self) -> bool:
         return self._alone and len(self.joints) == 1
 
-    def _observe(self) -> None:
-        self.signals = self.signals_of(self._requests)
-        self._survey()
-        if not self.same_clock:
-            self.remarks += (
-                "note: the bag's stamps and log times are of different clocks, so each measurement "
-                "is taken to have arrived when it was sampled",
-            )
-        if self.was_observed and not self.has_ticks:
-            self.remarks += (
-                f"note: the bag has no tick log (topic {topics.TICKS} of the observer): estimates "
-                "are made at the measurements' stamps, and not compared with the live ones",
-            )
-        if self.reader.unchecked:
-            self.remarks += (f"note: {UNCHECKED}",)
-
-    def parts(self, size: int | None = None, with_live: bool = False) -> Iterator[Part]:
-        wanted = {self.topic: self._wanted()}
-        live = self._live if with_live else {}
-        raw = [self.topic, *live.values()]
-        for block in read_blocks(self.reader, wanted, size, raw=raw, on_damage=self.damaged):
-            samples = samples_of(
-                block.series[self.topic],
-                block.raw[self.topic],
-                self.signals,
-                self._assume_zero_torque,
-            )
-            yield Part(samples, {name: block.raw[n] for name, n in live.items()}, block.horizon)
+    def live(self) -> LiveRun | None:
+        if not self._live:
+            return None
+        return LiveRun(self.reader, self._live, self.samples.checksums, self.damaged)
 
     def messages(self) -> Iterator[BagMessage]:
         names = [topic.name for topic in self.topics]
@@ -390,16 +300,9 @@ class BagSource(Source):
         """Note damage that has ended reading."""
         self.damage = error
 
-    def _wanted(self) -> Wanted:
-        return [
-            *(one.outputs for one in self.signals),
-            *(one.inputs for one in self.signals),
-            *(one.other_inputs for one in self.signals),
-        ]
-
-    def _there(self, names: dict[str, str]) -> dict[str, str]:
+    def _there(self, prefix: str, names: Iterable[str]) -> dict[str, str]:
         """Return the full names of those topics in the namespace that the bag has."""
-        full = {key: f"{self.namespace}/{name}" for key, name in names.items()}
+        full = {name: f"{self.namespace}/{prefix}{name}" for name in names}
         there = {name for name, topic in self.reader.topics.items() if topic.type == JOINT_STATE}
         return {key: name for key, name in full.items() if name in there}
 
@@ -439,36 +342,67 @@ class BagSource(Source):
         except MessageError as error:
             raise BagReadError(f"{self.path}: {self.topic}: {error}") from error
 
-    def _survey(self) -> None:
-        """Read the measurements for what must be known before the first of them is used."""
-        count, apart_by = 0, np.zeros(2, np.int64)
-        outputs = max((len(own.outputs) for own in self.signals), default=0)
-        there = np.zeros((len(self.joints), outputs), np.bool_)
-        named = np.zeros(len(self.joints), np.bool_)
-        others, times = dict[str, None](), []
-        joints = slice(len(self.joints))
-        wanted = {self.topic: self._wanted()}
-        for block in read_blocks(self.reader, wanted, _SURVEYED, on_damage=self.damaged):
-            measured = block.series[self.topic]
-            if measured.count:
-                times += [int(measured.log_times.min()), int(measured.log_times.max())]
-            apart = measured.log_times - measured.stamps
-            count += measured.count
-            apart_by += [(apart <= -_SAME_CLOCK).sum(), (apart >= _SAME_CLOCK).sum()]
-            given = measured.given[:, joints, :outputs]
-            there |= given.any(axis=0)
-            named |= measured.named[:, joints].any(axis=0)
-            inputs = measured.given[:, joints.stop :].any(axis=(1, 2))
-            if not self._assume_zero_torque:
-                self.without_input += int((given.any(axis=(1, 2)) & ~inputs).sum())
-            others |= dict.fromkeys(measured.other_names)
-        if not count:
-            raise self.damage or BagReadError(f"{self.path}: no message on {self.topic}")
-        missing = [
-            joint
-            for joint, request, one in zip(self.joints, self._requests, named, strict=True)
-            if isinstance(request, ArmRequest) and not one
+    def _read(self) -> None:
+        count, samples = len(self.joints), self._new_samples()
+        outputs = max((len(one.outputs) for one in self.signals), default=0)
+        there, named = np.zeros((count, outputs), np.bool_), np.zeros(count, np.bool_)
+        others, without_input = dict[str, None](), 0
+        wanted = [
+            *(one.outputs for one in self.signals),
+            *(one.inputs for one in self.signals),
+            *(one.other_inputs for one in self.signals),
         ]
+        for block in read_blocks(
+            self.reader, {self.topic: wanted}, _BLOCK, raw=[self.topic], on_damage=self.damaged
+        ):
+            measured = block.series[self.topic]
+            given = measured.given[:, :count, :outputs]
+            there |= given.any(axis=0)
+            named |= measured.named[:, :count].any(axis=0)
+            others |= dict.fromkeys(measured.other_names)
+            if not self._assume_zero_torque:
+                inputs = measured.given[:, count:].any(axis=(1, 2))
+                without_input += int((given.any(axis=(1, 2)) & ~inputs).sum())
+            samples.add(self._samples_of(measured, block.raw[self.topic]))
+        self.samples = samples.read()
+        if not self.count:
+            raise self.damage or BagReadError(f"{self.path}: no message on {self.topic}")
+        self._require_joints(named, others)
+        self._require_outputs(there, others)
+        apart = self.samples.log_times - self.samples.stamps
+        off = max((apart <= -_SAME_CLOCK).sum(), (apart >= _SAME_CLOCK).sum())
+        self.same_clock = bool(2 * off < self.count)  # as of the median of the differences
+        self.remarks += tuple(self._notes(without_input))
+
+    def _samples_of(self, series: JointSeries, raw: RawMessages) -> Records:
+        """Return the measurements in messages, of which the wanted numbers are read."""
+        count = len(self.joints)
+        samples: Records = np.recarray(series.count, self._sample_type)
+        p, m = samples.y.shape[2], samples.u.shape[2]
+        own, other = slice(count, 2 * count), slice(2 * count, None)
+        there: Flags = series.given[:, own, :m] | series.given[:, other, :m]
+        u = series.values[:, own, :m]
+        u = np.where(np.isnan(u), series.values[:, other, :m], u)
+        for joint, one in enumerate(self.signals):
+            zero = [self._assume_zero_torque and place.field == "effort" for place in one.inputs]
+            silent = ~there[:, joint] & np.array([*zero, *[True] * (m - len(zero))])
+            there[:, joint] |= silent
+            u[:, joint][silent] = 0.0
+        samples.stamps, samples.log_times = series.stamps, series.log_times
+        samples.y, samples.u = series.values[:, :count, :p], u
+        samples.complete = series.given[:, :count].any(axis=2) & there.all(axis=2)
+        named: Flags = np.asarray(series.named.reshape(-1, 3, count).any(axis=1))
+        samples.refused = (named & ~samples.complete).sum(axis=1)
+        samples.refused[~named.any(axis=1)] = count
+        for places, data in raw.groups:
+            samples.checksums[places] = [crc32(row) for row in data]
+        return samples
+
+    def _require_joints(self, named: Flags, others: Iterable[str]) -> None:
+        """Raise `BagReadError` if no message names some arm."""
+        arms = [isinstance(request, ArmRequest) for request in self._requests]
+        each = zip(self.joints, arms, named, strict=True)
+        missing = [joint for joint, is_arm, is_named in each if is_arm and not is_named]
         if missing or not self.joints:
             seen = [joint for joint in self.joints if joint not in missing]
             names = ", ".join([*seen, *others]) or "none"
@@ -476,39 +410,45 @@ class BagSource(Source):
                 f"{self.path}: no message of {self.topic} names {', '.join(missing) or 'a joint'}; "
                 f"joints: {names}"
             )
-        self._require_outputs(there, others)
-        if self.without_input and any(isinstance(one, ArmRequest) for one in self._requests):
-            of = "all" if self.without_input == count else f"{self.without_input:,} of"
-            self.remarks += (
-                f"warning: effort is empty in {of} {count:,} messages, which are not used: if no "
-                "torque acts, set assume_zero_torque: --param assume_zero_torque=true",
-            )
-        self.count, self.span = count, (min(times), max(times))
-        # As of the median of the differences.
-        self.same_clock = bool(2 * apart_by.max() < count)
 
     def _require_outputs(self, there: Flags, others: Iterable[str]) -> None:
         """Raise `BagReadError` if no message has some output, which none lacks by chance."""
-        lacking = [
-            f"{request.output_names[place]} of {joint} ({at.described})"
-            for joint, request, own, known in zip(
-                self.joints, self._requests, self.signals, there, strict=True
-            )
-            for place, at in enumerate(own.outputs)
-            if not known[place]
-        ]
+        seen, lacking = list[str](), list[str]()
+        each = zip(self.joints, self._requests, self.signals, there, strict=True)
+        for joint, request, own, known in each:
+            for name, place, is_there in zip(
+                request.output_names, own.outputs, known, strict=False
+            ):
+                text = place.described
+                (seen if is_there else lacking).append(
+                    text if is_there else f"{name} of {joint} ({text})"
+                )
         if not lacking:
             return
         text = f"no message of {self.topic} has {', '.join(lacking)}"
         if not self.was_observed:
-            seen = [at.described for own, known in zip(self.signals, there, strict=True)
-                    for place, at in enumerate(own.outputs) if known[place]]  # fmt: skip
             has = ", ".join([*seen, *others]) or "none"
             raise BagReadError(f"{self.path}: {text}, which the design measures; it has: {has}")
         # The live observer went on with the others.
         self.remarks += (f"warning: {text}",)
 
-
-def _is_motor(name: str, names: Sequence[str]) -> bool:
-    """Return whether a name is that of the motor of another one's joint."""
-    return any(name == topics.sides(other)[1] for other in names)
+    def _notes(self, without_input: int) -> Iterator[str]:
+        """Yield notes on the measurements."""
+        if without_input and any(isinstance(one, ArmRequest) for one in self._requests):
+            of = "all" if without_input == self.count else f"{without_input:,} of"
+            yield (
+                f"warning: effort is empty in {of} {self.count:,} messages, which are not used: if "
+                "no torque acts, set assume_zero_torque: --param assume_zero_torque=true"
+            )
+        if not self.same_clock:
+            yield (
+                "note: the bag's stamps and log times are of different clocks, so each measurement "
+                "is taken to have arrived when it was sampled"
+            )
+        if self.was_observed and not self._live:
+            yield (
+                f"note: the bag has no tick log (topic {topics.TICKS} of the observer): estimates "
+                "are made at the measurements' stamps, and not compared with the live ones"
+            )
+        if self.reader.unchecked:
+            yield f"note: {UNCHECKED}"

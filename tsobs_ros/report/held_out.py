@@ -19,7 +19,7 @@ from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.report.metrics import QuantityMetrics, Windows, inside_windows, quantity_metrics
 from tsobs_ros.report.quantities import QUANTITIES, Quantity
-from tsobs_ros.report.run import BLOCK, Asked, RecordedRun, Rows, align, read_rows
+from tsobs_ros.report.run import Asked, RecordedRun, Rows, align, read_rows
 from tsobs_ros.series import Stamps
 
 _ARM = {one.key: one for one in QUANTITIES[:4]}
@@ -100,9 +100,9 @@ class HeldOut(NamedTuple):
         """Return the place of each joint's readings, and those."""
         sensor, titles = log.sensor(self.quantity, self.place)
         found = [(f"column {title!r}", Rows(1)) for title in titles]
-        for samples, _, _ in sensor.parts(BLOCK):
-            for (_, rows), values in zip(found, samples.y.swapaxes(0, 1), strict=True):
-                rows.add(samples.stamps, samples.log_times, values)
+        samples = sensor.samples
+        for (_, rows), values in zip(found, samples.y.swapaxes(0, 1), strict=True):
+            rows.add(samples.stamps, samples.log_times, values)
         return found
 
     def _read_bag(self, bag: BagSource, arms: Sequence[ArmRequest]) -> list[tuple[str, Rows]]:
