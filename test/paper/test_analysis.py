@@ -84,4 +84,4 @@ def test_conditions_see_every_slip(name, changes) -> None:
     aug = Augmentation(example_1().system)
     good = {"P": np.eye(6), "alpha_1": [0, 0], "M": aug.C_bar.T, "epsilon": 0.9}
     assert check_conditions(aug, **good)[name].holds
-    assert name in [each.name for each in check_conditions(aug, **(good | changes)).failing]
+    assert name in check_conditions(aug, **(good | changes)).failing

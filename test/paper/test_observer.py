@@ -18,14 +18,20 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.paper.augmentation import Augmentation, blend
-from tsobs_ros.paper.examples import PaperExample, example_1, example_2
+from tsobs_ros.paper.examples import (
+    EXAMPLE_3_H,
+    EXAMPLE_3_P,
+    PaperExample,
+    example_1,
+    example_2,
+    example_3,
+    torque,
+)
 from tsobs_ros.paper.observer import (
+    AugmentedEstimates,
     AugmentedObserver,
-    AugmentedState,
-    clip,
     paper_observer,
     paper_system_observer,
-    printed_observer,
     project,
 )
 from tsobs_ros.resources import config_path
@@ -40,7 +46,7 @@ M = np.linalg.solve(P, AUG.C_bar.T)
 H1 = np.stack([3.0 * AUG.E_L_inverse[:, 3:], 4.0 * AUG.E_L_inverse[:, 3:]])
 GAMMA = np.stack([np.diag([5.0, 1.0, 2.0]), np.array([[2.0, 0.5, 0], [0.5, 1, 0], [0, 0, 1]])])
 START = np.array([0.1, -0.2, 0.3, 0.05, 0.0, -0.1])
-BOUNDED = AugmentedObserver(AUG, H1, M, GAMMA, xi=[0.05, 0.05])
+BOUNDED = AugmentedObserver(AUG, H1, M, GAMMA, xi=0.05)
 STARTS, INPUTS = RANDOM.normal(size=(2, 4, 6)), RANDOM.normal(size=(6, 1))
 # Fits the first sample, [0, 0.3, 0], so that the innovation is zero.
 FITTING = np.concatenate([START[:3], np.array([0.0, 0.3, 0.0]) - AUG.C @ START[:3]])
@@ -65,14 +71,14 @@ def run(
     start: Array = START,
     samples: Array | None = None,
     premises: Array | None = None,
-) -> AugmentedState:
-    """Return the state at the end."""
+) -> AugmentedEstimates:
+    """Return the estimates at the end."""
     times = np.arange(round(end / step) + 1) * step
     y = np.stack([y_of(t) for t in times])
     z = y[:, :1] if premises is None else premises
     u = np.sin(times)[:, np.newaxis]
     states = observer.follow(y if samples is None else samples, u, step, z, start)
-    return AugmentedState(*(each[-1] for each in states))
+    return AugmentedEstimates(*(each[-1] for each in states))
 
 
 def test_realisation_equals_the_observer_with_the_derivative_of_y() -> None:
@@ -99,7 +105,7 @@ def test_realisation_equals_the_observer_with_the_derivative_of_y() -> None:
     errors = []
     for step in (0.04, 0.02, 0.01):
         state = run(observer, 2.0, step)
-        errors.append(np.abs(observer.augmented_estimate(state) - exact[:6]).max())
+        errors.append(np.abs(state.x_bar - exact[:6]).max())
     # Signals are taken as linear between samples, so the whole is of second order.
     np.testing.assert_allclose(np.log2(np.array(errors[:-1]) / errors[1:]), 2.0, atol=0.15)
     assert errors[-1] < 2e-4
@@ -114,7 +120,7 @@ def test_estimate_is_the_same_from_noise() -> None:
     honest = run(observer, 2.0, 0.02)
     fooled = run(observer, 2.0, 0.02, samples=noise)
     np.testing.assert_allclose(fooled.x, honest.x, atol=1e-13)
-    np.testing.assert_allclose(observer.innovation(fooled), observer.innovation(honest), atol=1e-13)
+    np.testing.assert_allclose(fooled.innovation, honest.innovation, atol=1e-13)
     # It does depend on the premise.
     other = run(observer, 2.0, 0.02, premises=np.full((101, 1), 0.9))
     assert np.abs(other.x - honest.x).max() > 0.05
@@ -129,7 +135,7 @@ def test_innovation_decays_by_its_own_equation() -> None:
     state = run(observer, 0.5, 0.005)
     start = y_of(0.0) - aug.C_bar @ START
     expected = expm(-0.5 * (np.linalg.inv(aug.L[3:]) + aug.C_bar @ H1[0])) @ start
-    np.testing.assert_allclose(observer.innovation(state), expected, atol=1e-8)
+    np.testing.assert_allclose(state.innovation, expected, atol=1e-8)
     assert np.abs(expected).max() > 1e-3
 
 
@@ -137,23 +143,23 @@ def test_adaptation_never_starts_from_a_fitting_estimate() -> None:
     observer = AugmentedObserver(AUG, H1, M, GAMMA)
     silent = run(observer, 3.0, 0.02, start=FITTING)
     assert np.abs(silent.Xi).max() < 1e-13
-    x, omega = observer.estimate(silent)
     system = EXAMPLE.system
-    output = blend(system.rule_outputs, system.rule_base.weights(silent.z), x)
-    np.testing.assert_allclose(omega, y_of(3.0) - output, atol=1e-12)
+    output = blend(system.rule_outputs, system.rule_base.weights(y_of(3.0)[:1]), silent.x)
+    np.testing.assert_allclose(silent.disturbance, y_of(3.0) - output, atol=1e-12)
     assert np.abs(run(observer, 3.0, 0.02).Xi).max() > 0.05
 
 
 def test_the_record_with_the_printed_gains_is_the_observer_with_the_sample_held() -> None:
-    record, observer = paper_observer(ElasticJointArm(), 0.005, 0.028), printed_observer()
+    aug, record = Augmentation(example_3().system), paper_observer(ElasticJointArm(), 0.005, 0.028)
+    M = np.linalg.solve(EXAMPLE_3_P, aug.C_bar.T)
+    observer = AugmentedObserver(aug, aug.E_L_inverse @ EXAMPLE_3_H, M)
     y, u = np.full((201, 1), 0.4), np.full((201, 1), 0.3)
     # The record starts at ξ = 0, which is x̂̄ = E_L⁻¹L y.
-    states = observer.follow(y, u, 0.005, estimate=observer.augmentation.L1 @ y[0])
+    states = observer.follow(y, u, 0.005, estimate=aug.L1 @ y[0])
     estimates = record.observe(y[np.newaxis], u[np.newaxis])
-    x, omega = observer.estimate(states)
-    expected = ElasticJointArm().to_physical(x)
+    expected = ElasticJointArm().to_physical(states.x)
     np.testing.assert_allclose(estimates.state[0], expected, atol=1e-12)
-    np.testing.assert_allclose(estimates.disturbance[0], omega, atol=1e-12)
+    np.testing.assert_allclose(estimates.disturbance[0], states.disturbance, atol=1e-12)
     assert np.ptp(expected[:, 0]) > 0.01
 
 
@@ -166,13 +172,13 @@ def test_run_on_a_design_file_it_is_the_adaptive_observer_of_the_example(
     assert isinstance(request, TSRequest)
     T, system = 1e-3, example.system
     times = np.arange(0.0, 6.0, T)
-    u, y = example.torque(times), np.sin(times)[:, np.newaxis] * np.array([0.9, 0.5, -0.7])
+    u, y = torque(times), np.sin(times)[:, np.newaxis] * np.array([0.9, 0.5, -0.7])
     aug = Augmentation(system)
     adaptive = AugmentedObserver(
         aug, np.repeat(aug.L1[np.newaxis], 2, axis=0), aug.C_bar.T, example.Gamma
     )
     states = adaptive.follow(y, u, T, estimate=aug.L1 @ y[0])
-    x, omega = adaptive.estimate(states)
+    x, omega = states.x, states.disturbance
 
     estimator = paper_system_observer(replace(request, rate=1.0 / T))
     held = np.hstack([u, y[:, :1]])
@@ -206,48 +212,28 @@ def test_premises_that_the_method_does_not_measure_are_refused(
     assert paper_system_observer(replace(request, model=of_the_state)).shape.m == 2
 
 
-def batch_of() -> AugmentedState:
-    """Return the states of a batch that is kept on its bounds."""
-    y = np.random.default_rng(8).normal(size=(6, 2, 4, 3))
-    return BOUNDED.follow(y, INPUTS, 0.05, None, STARTS)
-
-
 def test_a_batch_moves_as_its_single_runs_to_the_bit() -> None:
-    batch = batch_of()
+    y = np.random.default_rng(8).normal(size=(6, 2, 4, 3))
+    batch = BOUNDED.follow(y, INPUTS, 0.05, None, STARTS)
     for index in np.ndindex(2, 4):
         place = (slice(None), *index)
-        single = BOUNDED.follow(batch.y[place], INPUTS, 0.05, None, STARTS[index])
-        assert single.xi.tobytes() == batch.xi[place].tobytes()
+        single = BOUNDED.follow(y[place], INPUTS, 0.05, None, STARTS[index])
         assert single.Xi.tobytes() == batch.Xi[place].tobytes()
+        np.testing.assert_allclose(single.x_bar, batch.x_bar[place], rtol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(batch.Xi[-1], 2, axis=(-2, -1)), 0.05, rtol=1e-8)
-    assert BOUNDED.estimate(batch)[1].shape == (6, 2, 4, 3)
+    assert batch.disturbance.shape == y.shape
 
 
 def test_projection_holds_its_bounds_and_only_when_asked() -> None:
     free = run(AugmentedObserver(AUG, H1, M, GAMMA), 3.0, 0.02)
-    norms = np.linalg.norm(free.Xi, 2, axis=(1, 2))
-    limits = 0.3 * norms
+    limits = 0.3 * np.linalg.norm(free.Xi, 2, axis=(1, 2))
     kept = run(AugmentedObserver(AUG, H1, M, GAMMA, xi=limits), 3.0, 0.02)
     assert (np.linalg.norm(kept.Xi, 2, axis=(1, 2)) <= limits * (1 + 1e-12)).all()
-    loose = run(AugmentedObserver(AUG, H1, M, GAMMA, xi=[9.0, 9.0]), 3.0, 0.02)
+    loose = run(AugmentedObserver(AUG, H1, M, GAMMA, xi=9.0), 3.0, 0.02)
     np.testing.assert_allclose(loose.Xi, free.Xi, atol=1e-12)
 
 
-def test_clipped_singular_values_are_those_of_numpy() -> None:
-    random = np.random.default_rng(4)
-    limits = np.array([0.0, 0.4, 1.0, np.inf])
-    value = random.normal(size=(5, 4, 3, 6))
-    value[1, 2] = np.nan
-    whole = clip(value, limits)
-    assert np.isnan(whole[1, 2]).all()
-    for run, rule in set(np.ndindex(5, 4)) - {(1, 2)}:
-        clipped = whole[run, rule]
-        left, singular, right = np.linalg.svd(value[run, rule], full_matrices=False)
-        expected = left * np.minimum(singular, limits[rule]) @ right
-        np.testing.assert_allclose(clipped, expected, atol=1e-13)
-
-
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_projection_never_raises_the_lyapunov_function(seed: int) -> None:
     random = np.random.default_rng(seed)
     root = random.normal(size=(3, 3))

@@ -1,12 +1,8 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of the adaptive observer's structure for any T–S system; proofs in docs/method.md.
+"""Propositions 1 to 3 on the adaptive observer's limits, checked on any T–S system.
 
-Proposition 1: the innovation is autonomous, e_y' = −L₂⁻¹(I + Σ hᵢH₂ᵢ) e_y without adaptation, and
-the modes of every Aᵢ are unobservable in (A₁ᵢ, C̄). Proposition 2: (18)/(37) are feasible exactly
-if the Aᵢ share a Lyapunov matrix with decay rates above α₁ᵢ, because on {C̄x̄ = 0} the error moves
-by Aᵢ whatever the gains. Proposition 3: in the metric of P the effect of ΔA is orthogonal to
-everything M Ξ can be, so the matching assumption holds for ΔA = 0 only.
+docs/method.md has them with their proofs.
 """
 
 from dataclasses import dataclass
@@ -70,13 +66,11 @@ def check_autonomous_innovation(augmentation: Augmentation) -> Proposition:
     The number is the largest entry of C̄ E_L⁻¹ [I; 0], relative to ‖C̄‖‖E_L⁻¹‖: how strongly the
     plant, its input and its uncertainty drive the innovation.
     """
-    n, C_bar = augmentation.state_count, augmentation.C_bar
-    gain = np.linalg.norm(C_bar, 2) * np.linalg.norm(augmentation.E_L_inverse, 2)
-    drive = C_bar @ augmentation.E_L_inverse[:, :n]
-    number = float(np.abs(drive).max() / gain)
-    basis = augmentation.blind_basis
-    invariance = augmentation.A1 @ basis - basis @ augmentation.system.A
-    slip = float(np.abs(invariance).max() / np.linalg.norm(augmentation.A1, 2, axis=(1, 2)).max())
+    aug, n = augmentation, augmentation.state_count
+    gain = np.linalg.norm(aug.C_bar, 2) * np.linalg.norm(aug.E_L_inverse, 2)
+    number = float(np.abs(aug.C_bar @ aug.E_L_inverse[:, :n]).max() / gain)
+    invariance = aug.A1 @ aug.blind_basis - aug.blind_basis @ aug.system.A
+    slip = float(np.abs(invariance).max() / np.linalg.norm(aug.A1, 2, axis=(1, 2)).max())
     return Proposition(
         "Proposition 1",
         f"the plant drives the innovation with relative gain {number:.1g}; {{C̄x̄ = 0}} is "
@@ -148,21 +142,17 @@ def check_matching(augmentation: Augmentation, P: ArrayLike, delta_A: ArrayLike)
     Raises:
         ModelError: P is not positive definite, or every ΔAᵢ is zero.
     """
-    size = augmentation.size
-    matrix = as_matrix("P", P, (size, size))
-    root = _root(matrix)
-    M = np.linalg.solve(matrix, augmentation.C_bar.T)
-    changes = [each for each in augmentation.augmented_uncertainty(delta_A) if each.any()]
+    matrix = as_matrix("P", P, (augmentation.size, augmentation.size))
+    root, M = _root(matrix), np.linalg.solve(matrix, augmentation.C_bar.T)
+    changes = [root @ each for each in augmentation.augmented_uncertainty(delta_A) if each.any()]
     if not changes:
         raise ModelError("ΔA: expected at least one rule with an uncertainty, got zeros")
-    left_over = []
-    for change in changes:
-        Xi = np.linalg.lstsq(root @ M, root @ change, rcond=None)[0]
-        left_over.append(
-            float(np.linalg.norm(root @ (change - M @ Xi)) / np.linalg.norm(root @ change))
-        )
+    number = min(
+        float(np.linalg.norm(each - root @ M @ np.linalg.lstsq(root @ M, each, rcond=None)[0]))
+        / float(np.linalg.norm(each))
+        for each in changes
+    )
     smallest = float(np.linalg.eigvalsh(augmentation.C_bar @ M)[0])
-    number = min(left_over)
     return Proposition(
         "Proposition 3",
         f"the best Ξ reproduces {1.0 - number:.1g} of E_L⁻¹ΔĀ (C̄ P⁻¹C̄ᵀ has smallest eigenvalue "

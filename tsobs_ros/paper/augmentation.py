@@ -201,16 +201,14 @@ class Condition(NamedTuple):
     """One condition with the number that decides it.
 
     Attributes:
-        name: Equation number and rule, e.g. "(37) rule 2".
         number: The computed number.
         limit: The number it is compared with.
-        upper: True if the number must be below the limit, else it must be at least the limit.
+        upper: Whether the number must be below the limit; else it must be at least the limit.
     """
 
-    name: str
     number: float
     limit: float
-    upper: bool
+    upper: bool = True
 
     @property
     def holds(self) -> bool:
@@ -220,28 +218,16 @@ class Condition(NamedTuple):
     def __str__(self) -> str:
         relation = "<" if self.upper else ">="
         verdict = "holds" if self.holds else "DOES NOT HOLD"
-        return f"{self.name}: {verdict}, {self.number:.6g} (needs {relation} {self.limit:.6g})"
+        return f"{verdict}, {self.number:.6g} (needs {relation} {self.limit:.6g})"
 
 
-@dataclass(frozen=True)
-class ConditionReport:
-    """All conditions of a solution, in the order of their checks."""
-
-    conditions: tuple[Condition, ...]
+class Conditions(dict[str, Condition]):
+    """The conditions of a solution by equation number and rule, e.g. "(37) rule 2"."""
 
     @property
-    def holds(self) -> bool:
-        """Whether every condition holds."""
-        return not self.failing
-
-    @property
-    def failing(self) -> tuple[Condition, ...]:
-        """The conditions that do not hold."""
-        return tuple(condition for condition in self.conditions if not condition.holds)
-
-    def __getitem__(self, name: str) -> Condition:
-        """Return a condition by its name, else raise `KeyError`."""
-        return {condition.name: condition for condition in self.conditions}[name]
+    def failing(self) -> dict[str, Condition]:
+        """Those that do not hold; empty for a solution."""
+        return {name: each for name, each in self.items() if not each.holds}
 
 
 def check_conditions(
@@ -253,7 +239,7 @@ def check_conditions(
     M: ArrayLike | None = None,
     epsilon: float = 0.0,
     rounding: float = 1e-9,
-) -> ConditionReport:
+) -> Conditions:
     """Check a solution by eigenvalues; a condition that fails raises nothing.
 
     Args:
@@ -271,31 +257,26 @@ def check_conditions(
     size, r, p = augmentation.size, augmentation.rule_count, augmentation.output_count
     matrix = as_matrix("P", P, (size, size))
     rates = as_matrix("alpha_1", alpha_1, (r,))
-    asymmetry = float(np.abs(matrix - matrix.T).max())
     symmetric = 0.5 * (matrix + matrix.T)
     scale = float(np.linalg.norm(symmetric, 2))
     smallest = float(np.linalg.eigvalsh(symmetric)[0])
-    conditions = [
-        Condition("P symmetric", asymmetry, max(1e-12 * scale, 1e-300), True),
-        Condition("P positive definite", smallest, _STRICT * scale, False),
-    ]
-    gains = None if H1 is None else as_matrix("H₁", H1, (r, size, p))
-    blind = np.linalg.qr(augmentation.blind_basis)[0]
+    asymmetry = float(np.abs(matrix - matrix.T).max())
+    conditions = Conditions()
+    conditions["P symmetric"] = Condition(asymmetry, max(1e-12 * scale, 1e-300))
+    conditions["P positive definite"] = Condition(smallest, _STRICT * scale, upper=False)
+    A, basis = augmentation.A1, np.linalg.qr(augmentation.blind_basis)[0]
+    if H1 is not None:
+        A, basis = A - as_matrix("H₁", H1, (r, size, p)) @ augmentation.C_bar, np.eye(size)
     for rule in range(r):
-        A = augmentation.A1[rule]
-        if gains is not None:
-            A = A - gains[rule] @ augmentation.C_bar
-        product = symmetric @ (A + rates[rule] * np.eye(size))
-        decrease = product + product.T
-        if gains is None:
-            decrease = blind.T @ decrease @ blind
-        margin = -_STRICT * max(scale, float(np.linalg.norm(decrease, 2)))
+        product = symmetric @ (A[rule] + rates[rule] * np.eye(size))
+        decrease = basis.T @ (product + product.T) @ basis
+        margin = _STRICT * max(scale, float(np.linalg.norm(decrease, 2)))
         largest = float(np.linalg.eigvalsh(decrease)[-1])
-        conditions.append(Condition(f"(37) rule {rule + 1}", largest, margin, True))
+        conditions[f"(37) rule {rule + 1}"] = Condition(largest, -margin)
     if M is not None:
         residual = symmetric @ as_matrix("M", M, (size, p)) - augmentation.C_bar.T
-        conditions.append(Condition("(19)", float(np.linalg.norm(residual, 2)), rounding, True))
+        conditions["(19)"] = Condition(float(np.linalg.norm(residual, 2)), rounding)
     if epsilon > 0.0:
         norm = 1.0 / smallest if smallest > 0.0 else float("nan")
-        conditions.append(Condition("(38)", norm, epsilon, False))
-    return ConditionReport(tuple(conditions))
+        conditions["(38)"] = Condition(norm, epsilon, upper=False)
+    return conditions

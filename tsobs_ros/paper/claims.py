@@ -7,7 +7,7 @@ the code that reversed one would reverse the table, and fail the test that is na
 """
 
 import enum
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ from tsobs_ros.paper.analysis import (
     check_matching,
     uncertainty_factor,
 )
-from tsobs_ros.paper.augmentation import Augmentation, ConditionReport, check_conditions
+from tsobs_ros.paper.augmentation import Augmentation, Conditions, check_conditions
 from tsobs_ros.paper.examples import PaperExample
 from tsobs_ros.paper.runs import SETTLED, ArmComparison, ExampleRun
 
@@ -72,81 +72,57 @@ class Claim:
         """Return the claim as plain data."""
         return {**vars(self), "verdict": self.verdict.value}
 
-
-def claims_text(claims: Iterable[Claim]) -> str:
-    """Return the claims for a terminal, each with its verdict in front."""
-    lines = []
-    for each in claims:
-        detail = f"{each.condition}; {each.number}" if each.condition else each.number
-        lines += [f"{each.verdict.value.upper():<15}{each.claim}", f"{'':<17}{detail}"]
-    return "\n".join(lines)
-
-
-@dataclass(frozen=True)
-class PrintedChecks:
-    """The printed solutions against their conditions.
-
-    Attributes:
-        example_1: (18) on {C̄x̄ = 0}, (19) and (38) with the printed P and M.
-        example_3: (37) with the printed P and H, one report for each reading: every change of
-            sign of P's coordinates, every one of H's, and H as Hᵢ or as E_L⁻¹Hᵢ.
-        epsilon: ε of Example 1 as recomputed.
-    """
-
-    example_1: ConditionReport
-    example_3: tuple[ConditionReport, ...]
-    epsilon: float
-
-
-def check_printed(example_1: PaperExample, example_3: PaperExample) -> PrintedChecks:
-    """Check every printed solution that is available."""
-    first, third = Augmentation(example_1.system), Augmentation(example_3.system)
-    epsilon = first.min_epsilon(example_1.alpha, example_1.xi)
-    report = check_conditions(
-        first,
-        examples.EXAMPLE_1_P,
-        alpha_1=first.alpha_1(example_1.alpha),
-        M=examples.EXAMPLE_1_M,
-        epsilon=epsilon,
-        rounding=ROUNDING,
-    )
-    signs = examples.sign_changes(4)
-    gains = [change[:, np.newaxis] * examples.EXAMPLE_3_H for change in signs]
-    reports = tuple(
-        check_conditions(
-            third, change[:, np.newaxis] * examples.EXAMPLE_3_P * change, alpha_1=np.zeros(2), H1=H1
-        )
-        for change in signs
-        for H1 in (*gains, *(third.E_L_inverse @ each for each in gains))
-    )
-    return PrintedChecks(report, reports, epsilon)
+    def __str__(self) -> str:
+        detail = f"{self.condition}; {self.number}" if self.condition else self.number
+        return f"{self.verdict.value.upper():<15}{self.claim}\n{'':<17}{detail}"
 
 
 def judge(
-    runs: Mapping[str, ExampleRun],
-    verdict_3: StabilityVerdict,
-    checks: PrintedChecks,
-    comparison: ArmComparison,
+    runs: Mapping[str, ExampleRun], verdict_3: StabilityVerdict, comparison: ArmComparison
 ) -> list[Claim]:
     """Return the table of claims.
 
     Args:
         runs: Of Examples 1 and 2, by name.
         verdict_3: Example 3's common Lyapunov matrix, or the proof that there is none.
-        checks: The printed solutions against their conditions.
         comparison: Example 3 by every observer.
     """
     return [
-        *_printed_claims(checks),
+        *_printed_claims(),
         *_design_claims(runs, verdict_3),
         *_convergence_claims(runs),
         *_structure_claims(runs),
-        *_arm_claims(comparison, checks),
+        *_arm_claims(comparison),
     ]
 
 
-def _printed_claims(checks: PrintedChecks) -> list[Claim]:
-    first = checks.example_1
+def check_printed_p(example: PaperExample) -> Conditions:
+    """Return (18) on {C̄x̄ = 0}, (19) and (38) with the printed P and M of Example 1."""
+    aug = Augmentation(example.system)
+    return check_conditions(
+        aug,
+        examples.EXAMPLE_1_P,
+        alpha_1=aug.alpha_1(example.alpha),
+        M=examples.EXAMPLE_1_M,
+        epsilon=aug.min_epsilon(example.alpha, example.xi),
+        rounding=ROUNDING,
+    )
+
+
+def check_printed_gains(example: PaperExample) -> list[Conditions]:
+    """Return (37) with the printed P and H of Example 3, for each reading of them.
+
+    There is one for each change of sign of P's coordinates, each of H's, and H as Hᵢ or E_L⁻¹Hᵢ.
+    """
+    aug, signs = Augmentation(example.system), examples.sign_changes(4)
+    gains = [change[:, np.newaxis] * examples.EXAMPLE_3_H for change in signs]
+    gains += [aug.E_L_inverse @ each for each in gains]
+    matrices = [change[:, np.newaxis] * examples.EXAMPLE_3_P * change for change in signs]
+    return [check_conditions(aug, P, alpha_1=np.zeros(2), H1=H1) for P in matrices for H1 in gains]
+
+
+def _printed_claims() -> list[Claim]:
+    first = check_printed_p(examples.example_1())
     matching, norm = first["(19)"], first["(38)"]
     rules = [first["(37) rule 1"], first["(37) rule 2"]]
     return [
@@ -169,7 +145,7 @@ def _printed_claims(checks: PrintedChecks) -> list[Claim]:
             _verdict(norm.holds),
             "as recomputed; by its own digits it just misses, but P may be scaled at will",
             f"‖P⁻¹‖ = {norm.number:.4f} (printed {examples.EXAMPLE_1_INVERSE_NORM}), "
-            f"ε = {checks.epsilon:.4f} (printed {examples.EXAMPLE_1_EPSILON})",
+            f"ε = {norm.limit:.4f} (printed {examples.EXAMPLE_1_EPSILON})",
             _DESIGN + "test_scaling_meets_any_epsilon",
         ),
     ]
@@ -177,12 +153,12 @@ def _printed_claims(checks: PrintedChecks) -> list[Claim]:
 
 def _design_claims(runs: Mapping[str, ExampleRun], verdict_3: StabilityVerdict) -> list[Claim]:
     designs = [run.design for run in runs.values()]
-    seconds = max(design.solver.seconds for design in designs)
+    seconds = max(design.seconds for design in designs)
     factors = [uncertainty_factor(design.P) for design in designs]
     return [
         Claim(
             "Examples 1 and 2: the LMIs (37) have a solution.",
-            _verdict(all(design.conditions.holds for design in designs)),
+            _verdict(not any(design.conditions.failing for design in designs)),
             "re-checked by eigenvalues",
             f"solved in {seconds:.2f} s or less; ε accepted at step "
             + ", ".join(str(design.steps) for design in designs),
@@ -242,10 +218,10 @@ def _convergence_claims(runs: Mapping[str, ExampleRun]) -> list[Claim]:
 
 
 def _structure_claims(runs: Mapping[str, ExampleRun]) -> list[Claim]:
-    final = runs["example_1"].estimates["adaptive"].adaptation[-1]
+    final = runs["example_1"].adaptation("adaptive")[-1]
     moved = max(run.difference("noise_fed") for run in runs.values())
     late = max(run.difference("model_only", SETTLED) for run in runs.values())
-    silent = max(float(run.estimates["consistent"].adaptation.max()) for run in runs.values())
+    silent = max(float(run.adaptation("consistent").max()) for run in runs.values())
     drive = max(
         check_autonomous_innovation(run.design.augmentation).number for run in runs.values()
     )
@@ -287,17 +263,15 @@ def _structure_claims(runs: Mapping[str, ExampleRun]) -> list[Claim]:
     ]
 
 
-def _arm_claims(comparison: ArmComparison, checks: PrintedChecks) -> list[Claim]:
-    x3 = {each.name: float(each.motor_angle.mean()) for each in comparison.observers}
-    high_gain = min(x3["PO"], x3["PIO"])
-    least = min(
-        max(report[f"(37) rule {rule}"].number for rule in (1, 2)) for report in checks.example_3
-    )
+def _arm_claims(comparison: ArmComparison) -> list[Claim]:
+    x3, readings = comparison.motor_angle, check_printed_gains(examples.example_3())
+    high_gain, seeds = min(x3["PO"], x3["PIO"]), len(comparison.observers["PO"].rmse)
+    least = min(max(one[f"(37) rule {rule}"].number for rule in (1, 2)) for one in readings)
     return [
         Claim(
             "Example 3: the printed P and H satisfy (37).",
-            _verdict(any(report.holds for report in checks.example_3)),
-            f"in none of {len(checks.example_3)} readings: signs of P, of H; H as Hᵢ or E_L⁻¹Hᵢ",
+            _verdict(not all(one.failing for one in readings)),
+            f"in none of {len(readings)} readings: signs of P, of H; H as Hᵢ or E_L⁻¹Hᵢ",
             f"largest eigenvalue at least {least:+.1f}, must be negative",
             _EXAMPLES + "test_printed_solution_of_example_3_fails_for_every_sign",
         ),
@@ -305,7 +279,7 @@ def _arm_claims(comparison: ArmComparison, checks: PrintedChecks) -> list[Claim]
             "Example 3: the method's x₃ is better than that of PO and PIO.",
             _verdict(x3["paper"] < high_gain),
             "",
-            f"mean RMSE of x₃ over {len(comparison['PO'].rmse)} runs: "
+            f"mean RMSE of x₃ over {seeds} runs: "
             + ", ".join(f"{name} {value:.3g}" for name, value in x3.items()),
             _PAGE + "test_printed_gains_lose_to_every_other_observer",
         ),

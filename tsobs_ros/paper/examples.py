@@ -4,23 +4,7 @@
 
 T. V. Dang, W.-J. Wang, L. Luoh, C.-H. Sun, "Adaptive observer design for the uncertain
 Takagi–Sugeno fuzzy system with output disturbance", IET Control Theory & Applications (2011).
-
-The available text has lost its minus signs and every π. The signs are decided so:
-
-* Example 1's printed P and M satisfy P M = C̄ᵀ to rounding for exactly four patterns of signs,
-  and these go into one another when coordinates change sign. One of the four is taken.
-* A₂ has a stable reading only if the product of its three off-diagonal entries is negative, and
-  A₁ needs opposite signs off its diagonal, to turn as the paper's figures do.
-* Example 2's matrices are those of the fault-estimation paper it takes them from (Z. Gao, X. Shi,
-  S. X. Ding, IEEE Trans. Systems, Man, and Cybernetics B 38, 2008).
-* Example 3 is mechanics, so its signs are known; its printed P and H are not determined beyond a
-  change of sign of coordinates, and the conclusions drawn here hold for every such choice.
-
-Available are P and M of Example 1, with ε and ‖P⁻¹‖, and P and Hᵢ of Example 3. Without Q and H of
-Example 1 and any solution of Example 2, their conditions can be checked only as far as they do
-not depend on them; see `tsobs_ros.paper.augmentation.check_conditions`.
-
-ω₃ may have been .4 (sin² 2πt + cos 3πt); the reading without π is taken.
+docs/method.md has the reasons for the signs, and what is not printed.
 """
 
 import math
@@ -58,7 +42,6 @@ class PaperExample:
         xi: Bounds ξᵢ on ‖Ξᵢ‖, shape (r,).
         Gamma: Adaptation gains Γᵢ, shape (r, p, p).
         initial_state: x(0), shape (n,).
-        torque: The input u(t).
         disturbance: ω(t) of the outputs; zero for Example 3, whose disturbance is noise.
     """
 
@@ -69,7 +52,6 @@ class PaperExample:
     xi: Array
     Gamma: Array
     initial_state: Array
-    torque: Signal
     disturbance: Signal
 
 
@@ -101,7 +83,8 @@ def arm_system(arm: ElasticJointArm, x_max: float = math.pi / 2) -> TSModel:
     return TSModel(A, arm.input_matrix, arm.output_matrix, rules, np.eye(4)[:1])
 
 
-def _sine(t: Array) -> Array:
+def torque(t: Array) -> Array:
+    """Return the input u(t) of all examples, shape (..., 1)."""
     return np.sin(np.asarray(t))[..., np.newaxis]
 
 
@@ -110,14 +93,9 @@ def _after_2_and_3(first: Signal, second: Signal, third: Signal) -> Signal:
 
     def channels(t: Array) -> Array:
         time = np.asarray(t)
-        return np.stack(
-            [
-                np.where(time >= 2.0, first(time - 2.0), 0.0),
-                np.where(time >= 3.0, second(time - 3.0), 0.0),
-                third(time),
-            ],
-            axis=-1,
-        )
+        of_first = np.where(time >= 2.0, first(time - 2.0), 0.0)
+        of_second = np.where(time >= 3.0, second(time - 3.0), 0.0)
+        return np.stack([of_first, of_second, third(time)], axis=-1)
 
     return channels
 
@@ -135,7 +113,6 @@ def example_1() -> PaperExample:
         xi=np.array([0.01, 0.02]),
         Gamma=np.stack([np.diag([5.0, 1.0, 1.0])] * 2),
         initial_state=np.array([0.5, 0.7, 0.5]),
-        torque=_sine,
         disturbance=_after_2_and_3(
             lambda t: 0.2 * np.sin(3.0 * t) ** 2,
             lambda t: 0.3 * np.cos(4.0 * t) ** 2,
@@ -157,7 +134,6 @@ def example_2() -> PaperExample:
         xi=np.array([0.01, 0.02]),
         Gamma=np.stack([2.0 * np.diag([10.0, 1.0, 1.0])] * 2),
         initial_state=np.array([0.2, 0.3, 0.5]),
-        torque=_sine,
         disturbance=_after_2_and_3(
             lambda t: 0.2 * np.sin(3.0 * t),
             lambda t: 0.2 * np.sin(4.0 * t),
@@ -177,16 +153,13 @@ def example_3() -> PaperExample:
         xi=np.zeros(2),
         Gamma=np.ones((2, 1, 1)),
         initial_state=np.array([0.3, 0.0, 2.0, 0.0]),
-        torque=_sine,
         disturbance=lambda t: np.zeros((*np.shape(t), 1)),
     )
 
 
 def _symmetric(upper: list[list[float]]) -> Array:
-    n = len(upper)
-    matrix = np.zeros((n, n))
-    for row, values in enumerate(upper):
-        matrix[row, row:] = values
+    matrix = np.zeros((len(upper), len(upper)))
+    matrix[np.triu_indices(len(upper))] = np.concatenate(upper)
     return np.asarray(matrix + np.triu(matrix, 1).T)
 
 

@@ -3,8 +3,9 @@
 """The figures of the method's three examples, laid out as in the paper."""
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import matplotlib
 import numpy as np
@@ -12,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.model.fuzzy import RuleBase
 from tsobs_ros.paper.examples import example_3
 from tsobs_ros.paper.runs import SETTLED, ArmComparison, ExampleRun
@@ -30,24 +31,11 @@ LABELS = {
 
 _TRUTH, _ESTIMATE, _SECOND, _THIRD, _FOURTH = "#1F2933", "#D1495B", "#00798C", "#EDAE49", "#7A5195"
 _COLOURS = dict(zip(LABELS, (_THIRD, _FOURTH, _ESTIMATE, _SECOND, MUTED, "#9AA5B1"), strict=True))
-_COMPARED = ("PO", "PIO", "paper", "ours")
 _CASES = ("λ = 0: no uncertainty", "λ = 1: with the printed ΔA")
 _HAT = "\N{COMBINING CIRCUMFLEX ACCENT}"
 _LOW = "₁₂₃₄"
 _ARM_SHOWN = 20.0
 _UNITS = ("x₁ [rad]", "x₂ [rad/s]", "x₃ [rad/s²]", "x₄ [rad/s³]")
-
-
-class Drawn(NamedTuple):
-    """A figure.
-
-    Attributes:
-        path: PNG.
-        caption: What there is to see.
-    """
-
-    path: Path
-    caption: str
 
 
 class _Line(NamedTuple):
@@ -64,117 +52,101 @@ class _Panel(NamedTuple):
     ylabel: str = ""
     title: str = ""
     xlabel: str = "time [s]"
-    limits: dict[str, Any] = {}  # noqa: RUF012
+    ylim: tuple[float, float] | None = None
 
 
-class _Figure(NamedTuple):
-    key: str
-    heading: str
-    caption: str
-    panels: Sequence[Sequence[_Panel]]
-
-
-def draw_example(run: ExampleRun, folder: Path) -> list[Drawn]:
-    """Draw all figures of Example 1 or 2 into a folder and return them.
+def draw_example(run: ExampleRun, folder: Path) -> Iterator[tuple[str, str]]:
+    """Draw all figures of Example 1 or 2 into a folder; yield each file's name and its caption.
 
     Raises:
         OSError: A file cannot be written.
     """
-    faults = run.example.name == "example_2"
-    letter, key = ("f", "faults") if faults else ("ω", "disturbances")
-    what = "sensor faults" if faults else "disturbances"
-    plant, adaptive = run.plant, run.estimates["adaptive"]
+    name, plant, adaptive = run.example.name, run.plant, run.estimates["adaptive"]
+    letter, key, what = "ω", "disturbances", "disturbances"
+    if name == "example_2":
+        letter, key, what = "f", "faults", "sensor faults"
     true_disturbance = np.repeat(plant.disturbance[:, np.newaxis], 2, axis=1)
-    history = (plant.times, plant.weights[:, 0], "the run, λ = 0")
-    figures = [
-        _Figure(
-            "states",
-            "states and their estimates",
-            "Without uncertainty (λ = 0) the estimates run into the states; with it (λ = 1) a "
-            "small error stays.",
-            _pairs(run, "x", plant.states, adaptive.states),
-        ),
-        _Figure(
-            key,
-            f"{what} and their estimates",
-            f"What the sensors add to the outputs, and its estimate: {letter}{_HAT} is what is "
-            "left of the measurement after the estimated output.",
-            _pairs(run, letter, true_disturbance, adaptive.disturbance),
-        ),
-        _Figure(
-            "errors",
-            "estimation errors",
-            "Without uncertainty all errors vanish, with it they stay at about a hundredth.",
-            _errors(run, letter),
-        ),
-        _Figure(
-            "memberships",
-            "membership functions",
-            "The weights of the two rules, over the measured output that they depend on and "
-            "along the run.",
-            _memberships(run.example.system.rule_base, (1.0, "y₁"), history),
-        ),
-    ]
-    return [_draw(run.example.name, folder, one) for one in figures]
+    history = (plant.times, plant.premises[:, 0], "the run, λ = 0")
+    yield _draw(
+        folder / f"{name}_states.png",
+        "states and their estimates",
+        "Without uncertainty (λ = 0) the estimates run into the states; with it (λ = 1) a small "
+        "error stays.",
+        _pairs(run, "x", plant.states, adaptive.x),
+    )
+    yield _draw(
+        folder / f"{name}_{key}.png",
+        f"{what} and their estimates",
+        f"What the sensors add to the outputs, and its estimate: {letter}{_HAT} is what is left of "
+        "the measurement after the estimated output.",
+        _pairs(run, letter, true_disturbance, adaptive.disturbance),
+    )
+    yield _draw(
+        folder / f"{name}_errors.png",
+        "estimation errors",
+        "Without uncertainty all errors vanish, with it they stay at about a hundredth.",
+        _errors(run, letter),
+    )
+    yield _draw(
+        folder / f"{name}_memberships.png",
+        "membership functions",
+        "The weights of the two rules, over the measured output that they depend on and along the "
+        "run.",
+        _memberships(run.example.system.rule_base, (1.0, "y₁"), history),
+    )
 
 
-def draw_arm(comparison: ArmComparison, folder: Path) -> list[Drawn]:
-    """Draw all figures of Example 3 into a folder and return them.
+def draw_arm(comparison: ArmComparison, folder: Path) -> Iterator[tuple[str, str]]:
+    """Draw all figures of Example 3 into a folder; yield each file's name and its caption.
 
     Raises:
         OSError: A file cannot be written.
     """
-    rule_base, runs = example_3().system.rule_base, comparison.trajectories
+    runs = comparison.trajectories
     shown = runs.times <= _ARM_SHOWN
-    weights = rule_base.weights(runs.states[0][shown, :1])
-    history = (runs.times[shown], weights, "the first run")
-    figures = [
-        _Figure(
-            "states",
-            "states and the method's observer with the printed gains",
-            "The estimates oscillate beside the states: nothing draws them to the arm's motion.",
-            _arm_states(comparison, shown),
-        ),
-        _Figure(
-            "disturbance",
-            "disturbance and its estimates",
-            "The disturbance of this example is the sensor's noise. Above the method's estimate "
-            "of it, below that of the certified observer of this package.",
-            _arm_disturbance(comparison, shown),
-        ),
-        _Figure(
-            "memberships",
-            "membership functions",
-            "The weights of the two rules, over the link's angle and along the first run.",
-            _memberships(rule_base, (np.pi / 2, "x₁ [rad]"), history),
-        ),
-        _Figure(
-            "x3",
-            "x₃ by PO, PIO, the method's observer and ours",
-            "x₃ is the motor's angle, times k/J₁. Each observer has a panel of its own: its "
-            "estimate beside the truth, and the error. PO and PIO have the speed θ that is best "
-            "for them.",
-            list(_third_state(comparison, shown)),
-        ),
-    ]
-    return [_draw("example_3", folder, one) for one in figures]
+    history = (runs.times[shown], runs.states[0][shown, :1], "the first run")
+    yield _draw(
+        folder / "example_3_states.png",
+        "states and the method's observer with the printed gains",
+        "The estimates oscillate beside the states: nothing draws them to the arm's motion.",
+        _arm_states(comparison, shown),
+    )
+    yield _draw(
+        folder / "example_3_disturbance.png",
+        "disturbance and its estimates",
+        "The disturbance of this example is the sensor's noise. Above the method's estimate of it, "
+        "below that of the certified observer of this package.",
+        _arm_disturbance(comparison, shown),
+    )
+    yield _draw(
+        folder / "example_3_memberships.png",
+        "membership functions",
+        "The weights of the two rules, over the link's angle and along the first run.",
+        _memberships(example_3().system.rule_base, (np.pi / 2, "x₁ [rad]"), history),
+    )
+    yield _draw(
+        folder / "example_3_x3.png",
+        "x₃ by PO, PIO, the method's observer and ours",
+        "x₃ is the motor's angle, times k/J₁. Each observer has a panel of its own: its estimate "
+        "beside the truth, and the error. PO and PIO have the speed θ that is best for them.",
+        _third_state(comparison, shown),
+    )
 
 
-def _draw(name: str, folder: Path, one: _Figure) -> Drawn:
-    example = f"Example {name[-1]}"
-    path = folder / f"{name}_{one.key}.png"
-    rows, columns = len(one.panels), len(one.panels[0])
+def _draw(
+    path: Path, heading: str, caption: str, panels: Sequence[Sequence[_Panel]]
+) -> tuple[str, str]:
+    heading = f"Example {path.name.removeprefix('example_')[0]}: {heading}"
+    rows, columns = len(panels), len(panels[0])
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 0.9 + 1.9 * rows), layout="constrained")
         FigureCanvasAgg(figure)
-        heading = f"{example}: {one.heading}"
         figure.suptitle(heading, fontsize=11.0, fontweight="bold", x=0.01, ha="left")
         axes = figure.subplots(rows, columns, squeeze=False)
-        for row, panels in zip(axes, one.panels, strict=True):
-            for place, panel in zip(row, panels, strict=True):
-                _fill(place, panel)
+        for place, panel in zip(axes.flat, chain(*panels), strict=True):
+            _fill(place, panel)
         figure.savefig(path, dpi=130, metadata={"Software": None})
-    return Drawn(path, f"{heading}. {one.caption}")
+    return path.name, f"{heading}. {caption}"
 
 
 def _fill(axes: Axes, panel: _Panel) -> None:
@@ -182,8 +154,8 @@ def _fill(axes: Axes, panel: _Panel) -> None:
         x, y, label, colour, style, width = line
         axes.plot(x, y, style, color=colour, label=label, linewidth=width)
     axes.set_title(panel.title, loc="left")
-    axes.set(ylabel=panel.ylabel, xlabel=panel.xlabel, **panel.limits)
-    low, high = axes.get_ylim()  # head room, so that the legend covers no line
+    axes.set(ylabel=panel.ylabel, xlabel=panel.xlabel)
+    low, high = panel.ylim or axes.get_ylim()  # head room, so that the legend covers no line
     axes.set_ylim(low, high + 0.25 * (high - low))
     axes.legend(ncols=3, loc="upper right", borderaxespad=0.2)
 
@@ -230,24 +202,24 @@ def _errors(run: ExampleRun, disturbance: str) -> list[list[_Panel]]:
 def _memberships(
     rule_base: RuleBase, premise: tuple[float, str], history: tuple[Array, Array, str]
 ) -> list[list[_Panel]]:
-    (limit, label), (times, weights, along) = premise, history
+    """Return the weights over a premise up to a limit, and along a run of it."""
+    (limit, label), (times, measured, along) = premise, history
     z = np.linspace(-limit, limit, 201)
+    looks = (("h₁", _TRUTH, "-"), ("h₂", _ESTIMATE, "--"))
     panels = []
-    for x, values, title, xlabel in (
-        (z, rule_base.weights(z[:, np.newaxis]), f"over {label}", label),
-        (times, weights, f"along {along}", "time [s]"),
+    for x, premises, title, xlabel in (
+        (z, z[:, np.newaxis], f"over {label}", label),
+        (times, measured, f"along {along}", "time [s]"),
     ):
-        lines = [
-            _Line(x, values[:, rule], f"h{_LOW[rule]}", colour, style)
-            for rule, (colour, style) in enumerate(((_TRUTH, "-"), (_ESTIMATE, "--")))
-        ]
+        weights = zip(rule_base.weights(premises).T, looks, strict=True)
+        lines = [_Line(x, values, *look) for values, look in weights]
         panels.append(_Panel(lines, "weight", title, xlabel))
     return [panels]
 
 
-def _arm_states(comparison: ArmComparison, shown: Any) -> list[list[_Panel]]:
+def _arm_states(comparison: ArmComparison, shown: Flags) -> list[list[_Panel]]:
     times, truth = comparison.trajectories.times[shown], comparison.trajectories.states[0]
-    estimate = comparison["paper"].example
+    estimate = comparison.observers["paper"].example
     panels = [
         _Panel(
             [
@@ -261,26 +233,26 @@ def _arm_states(comparison: ArmComparison, shown: Any) -> list[list[_Panel]]:
     return [panels[:2], panels[2:]]
 
 
-def _arm_disturbance(comparison: ArmComparison, shown: Any) -> list[list[_Panel]]:
+def _arm_disturbance(comparison: ArmComparison, shown: Flags) -> list[list[_Panel]]:
     runs = comparison.trajectories
     times, measured = runs.times[shown], runs.measurements[0, shown, 0]
     # The disturbance of this example is all of y − x₁, so each observer's is y − x̂₁.
     noise = _Line(times, measured - runs.states[0, shown, 0], "d = y − x₁", width=0.7)
     rows = []
     for name in ("paper", "ours"):
-        estimate = measured - comparison[name].example[shown, 0]
+        estimate = measured - comparison.observers[name].example[shown, 0]
         label = f"y − x{_HAT}₁, {LABELS[name]}"
         line = _Line(times, estimate, label, _COLOURS[name], "-", 0.7)
         rows.append([_Panel([noise, line], "d [rad]")])
     return rows
 
 
-def _third_state(comparison: ArmComparison, shown: Any) -> Iterator[list[_Panel]]:
-    runs = comparison.trajectories
+def _third_state(comparison: ArmComparison, shown: Flags) -> list[list[_Panel]]:
+    runs, rows = comparison.trajectories, []
     times, truth = runs.times[shown], runs.states[0, shown, 2]
-    limits = {"ylim": (1.6 * float(truth.min()), 1.6 * float(truth.max()))}
-    for name in _COMPARED:
-        observer, colour = comparison[name], _COLOURS[name]
+    ylim = 1.6 * float(truth.min()), 1.6 * float(truth.max())
+    for name in ("PO", "PIO", "paper", "ours"):
+        observer, colour = comparison.observers[name], _COLOURS[name]
         estimate = observer.example[shown, 2]
         theta = "" if np.isnan(observer.theta) else f", θ = {observer.theta:.3g}/s"
         lines = [
@@ -288,8 +260,7 @@ def _third_state(comparison: ArmComparison, shown: Any) -> Iterator[list[_Panel]
             _Line(times, estimate, "estimate", colour, "--"),
         ]
         error = [_Line(times, estimate - truth, "error", colour)]
-        title = f"{LABELS[name]}: RMSE {float(observer.motor_angle.mean()):.3g}"
-        yield [
-            _Panel(lines, _UNITS[2], f"{LABELS[name]}{theta}", limits=limits),
-            _Panel(error, "error of x₃", title, limits={"ylim": (-3.0, 3.0)}),
-        ]
+        title = f"{LABELS[name]}: RMSE {comparison.motor_angle[name]:.3g}"
+        values = _Panel(lines, _UNITS[2], f"{LABELS[name]}{theta}", ylim=ylim)
+        rows.append([values, _Panel(error, "error of x₃", title, ylim=(-3.0, 3.0))])
+    return rows

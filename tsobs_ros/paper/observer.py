@@ -15,12 +15,14 @@ The observer's limits are the subject of docs/method.md; it is here to be compar
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, Flags, as_matrix, positive
+from tsobs_ros.checks import Array, positive
 from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import integrated_estimator
@@ -29,7 +31,7 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.matrices import product
 from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.paper.augmentation import Augmentation
-from tsobs_ros.paper.examples import EXAMPLE_3_H, EXAMPLE_3_P, example_3
+from tsobs_ros.paper.examples import EXAMPLE_3_H, example_3
 
 PAPER_WARNING = (
     "method paper: on this undamped arm the method's conditions are infeasible (modes ±4.776j and "
@@ -52,32 +54,32 @@ integrates what is left of the observer's own start, and the further Ξ̂ wander
 _MAX_STEP = 1e-2  # s
 _EDGE = 1e-9
 
-
 Rates = Callable[[int, Array], Array]
 """The derivative of a state at a node; nodes are the ends and middles of steps."""
 
 
-class AugmentedState(NamedTuple):
-    """The observer's whole state.
+class AugmentedEstimates(NamedTuple):
+    """The observer's estimates at each sample.
 
     Attributes:
-        xi: ξ = x̂̄ − E_L⁻¹L y, shape (..., n + p).
-        Xi: Uncertainty estimates Ξ̂ᵢ, shape (..., r, p, n + p).
-        y: Last sample, shape (..., p).
-        z: Premise variables at the last sample, shape (..., q).
+        x_bar: x̂̄ = [x̂; ω̂₀], shape (samples, ..., n + p).
+        disturbance: ω̂ by (29), shape (samples, ..., p).
+        innovation: e_y = y − C̄x̂̄, shape (samples, ..., p).
+        Xi: Uncertainty estimates Ξ̂ᵢ, shape (samples, ..., r, p, n + p).
     """
 
-    xi: Array
+    x_bar: Array
+    disturbance: Array
+    innovation: Array
     Xi: Array
-    y: Array
-    z: Array
 
     @property
     def x(self) -> Array:
-        """State estimate x̂, shape (..., n): E_L⁻¹L = [0; I], so ξ has it in its first rows."""
-        return np.asarray(self.xi[..., : self.xi.shape[-1] - self.y.shape[-1]])
+        """State estimate x̂, shape (samples, ..., n)."""
+        return np.asarray(self.x_bar[..., : -self.disturbance.shape[-1]])
 
 
+@dataclass(frozen=True)
 class AugmentedObserver:
     """The adaptive T–S observer for one system or a batch of runs of it.
 
@@ -86,94 +88,70 @@ class AugmentedObserver:
         H1: Gains H₁ᵢ = E_L⁻¹Hᵢ, shape (r, n + p, p).
         M: P⁻¹C̄ᵀ, shape (n + p, p).
         Gamma: Adaptation gains Γᵢ ≻ 0, shape (r, p, p); None for no adaptation.
-        xi: Bounds ξᵢ to project Ξ̂ᵢ on, shape (r,); None for no projection.
-
-    Raises:
-        ModelError: A matrix has the wrong shape, or a bound is negative.
+        xi: Bounds ξᵢ to project Ξ̂ᵢ on, shape (r,); infinite for no projection.
     """
 
-    def __init__(
-        self,
-        augmentation: Augmentation,
-        H1: ArrayLike,
-        M: ArrayLike,
-        Gamma: ArrayLike | None = None,
-        xi: ArrayLike | None = None,
-    ) -> None:
-        r, p = augmentation.rule_count, augmentation.output_count
-        self.augmentation = augmentation
-        self.H1 = as_matrix("H₁", H1, (r, augmentation.size, p))
-        self.M = as_matrix("M", M, (augmentation.size, p))
-        self.Gamma = None if Gamma is None else as_matrix("Γ", Gamma, (r, p, p))
-        self.xi = None if xi is None else as_matrix("xi", xi, (r,))
-        if self.xi is not None and (self.xi < 0.0).any():
-            raise ModelError(f"xi: expected bounds of at least 0, got {self.xi.tolist()}")
+    augmentation: Augmentation
+    H1: Array
+    M: Array
+    Gamma: Array | None = None
+    xi: Array | float = math.inf
 
     def follow(
         self,
-        y: ArrayLike,
-        u: ArrayLike,
+        y: Array,
+        u: Array,
         period: float,
-        z: ArrayLike | None = None,
-        estimate: ArrayLike | None = None,
-    ) -> AugmentedState:
-        """Return the states at every sample; between two, y, z and u are linear in time.
+        z: Array | None = None,
+        estimate: ArrayLike = 0.0,
+    ) -> AugmentedEstimates:
+        """Return the estimates at every sample; between two, y, z and u are linear in time.
 
         Args:
             y: Samples, shape (samples, ..., p); the axes between are the batch.
             u: Inputs at the samples, shape (samples, m), the same for all of the batch.
             period: Time between two samples [s].
-            z: Premise variables at the samples, shape (samples, ..., q); the first q outputs by
-                default.
-            estimate: x̂̄(0), shape (..., n + p); zero if not given.
-
-        Raises:
-            ModelError: A shape is wrong, the period is not above zero, or no rule fires at some z.
+            z: Premise variables at the samples, shape (samples, ..., q); the first q outputs if
+                None.
+            estimate: x̂̄(0), shape (..., n + p) or one number for all.
         """
         aug = self.augmentation
-        r, p, size, m = aug.rule_count, aug.output_count, aug.size, aug.B1.shape[-1]
-        samples = self._checked("y", y, p)
-        count, *batch = samples.shape[:-1]
-        q = aug.system.rule_base.premise_count
-        premises = self._checked("z", samples[..., :q] if z is None else z, q)
-        inputs = as_matrix("u", u, (count, m))
-        steps = max(1, math.ceil(positive("period", period) / _MAX_STEP - 1e-9))
-        weights = aug.system.rule_base.weights(_at_nodes(premises, steps))
-        guess = np.zeros(size) if estimate is None else np.asarray(estimate, dtype=np.float64)
-        runs = math.prod(batch)
-        rows = 1 if self.Gamma is None else 1 + r * p
+        r, p, size = aug.rule_count, aug.output_count, aug.size
+        count, *batch = y.shape[:-1]
+        rule_base = aug.system.rule_base
+        premises = y[..., : rule_base.premise_count] if z is None else z
+        steps = max(1, math.ceil(period / _MAX_STEP - 1e-9))
         rates, offset = self._rates(
-            _at_nodes(inputs, steps),
-            _at_nodes(samples, steps).reshape(-1, runs, p, 1),
-            weights.reshape(-1, runs, r, 1, 1),
+            _at_nodes(u, steps),
+            _at_nodes(y, steps).reshape(-1, math.prod(batch), p, 1),
+            rule_base.weights(_at_nodes(premises, steps)).reshape(-1, math.prod(batch), r, 1, 1),
         )
-        states = np.zeros((count, runs, rows, size))
-        states[0, :, 0] = (
-            np.broadcast_to(guess, (*batch, size)).reshape(-1, size) - offset[0, ..., 0]
-        )
+        # One matrix a run, whose rows are ξ and, with adaptation, those of all Ξ̂ᵢ.
+        states = np.zeros((count, math.prod(batch), 1 if self.Gamma is None else 1 + r * p, size))
+        guess = np.broadcast_to(estimate, (*batch, size)).reshape(-1, size)
+        states[0, :, 0] = guess - offset[0, ..., 0]
         h = period / steps
         for k in range(1, count):
             now = states[k - 1]
             for node in range(2 * (k - 1) * steps, 2 * k * steps, 2):
                 now = runge_kutta(rates, node, now, h)
-                if self.Gamma is not None and self.xi is not None:
+                if self.Gamma is not None:
                     Xi = self._uncertainties(now)
-                    Xi[...] = clip(Xi, self.xi)
+                    Xi[...] = clip(Xi, self._bounds)
             states[k] = now
-        whole = states.reshape(count, *batch, rows, size)
+        states = states.reshape(count, *batch, -1, size)
+        x_bar = states[..., 0, :] + y @ aug.L1.T
         Xi = np.zeros((count, *batch, r, p, size))
         if self.Gamma is not None:
-            Xi = whole[..., 1:, :].reshape(Xi.shape)
-        return AugmentedState(whole[..., 0, :], Xi, samples, premises)
+            Xi = states[..., 1:, :].reshape(Xi.shape)
+        x, omega_0 = np.split(x_bar, [aug.state_count], axis=-1)
+        disturbance = aug.recover_disturbance(x, omega_0, rule_base.weights(premises))
+        return AugmentedEstimates(x_bar, disturbance, y - x_bar @ aug.C_bar.T, Xi)
 
-    def _rates(
-        self, u: Array, y: Array, weights: Array
-    ) -> tuple[Callable[[int, Array], Array], Array]:
+    def _rates(self, u: Array, y: Array, weights: Array) -> tuple[Rates, Array]:
         """Return the derivative of a state at a node, and E_L⁻¹L y, for signals at the nodes.
 
-            x̂̄ = ξ + E_L⁻¹L y ,  e_y = y − C̄x̂̄ ,  ξ' = A x̂̄ + H e_y + d + M Σ hᵢ Ξ̂ᵢ x̂̄
-
-        A state is one matrix a run, whose rows are ξ and, with adaptation, those of all Ξ̂ᵢ.
+        x̂̄ = ξ + E_L⁻¹L y ,  e_y = y − C̄x̂̄ ,  ξ' = A x̂̄ + H e_y + d + M Σ hᵢ Ξ̂ᵢ x̂̄
         """
         # Columns, as a product with all samples at once has other last bits for another batch.
         aug, h = self.augmentation, weights[..., 0, 0]
@@ -192,41 +170,22 @@ class AugmentedObserver:
             own, Xi = weights[node], self._uncertainties(state)
             xi_rate += self.M @ (own * (Xi @ x_bar[:, np.newaxis])).sum(axis=1)
             outer = self.Gamma @ innovation[:, np.newaxis] * x_bar.swapaxes(1, 2)[:, np.newaxis]
-            Xi_rate = own * outer
-            if self.xi is not None:
-                Xi_rate = project(Xi, Xi_rate, self.Gamma, self.xi)
             derivative = np.empty_like(state)
-            derivative[:, 0], self._uncertainties(derivative)[...] = xi_rate[..., 0], Xi_rate
+            derivative[:, 0] = xi_rate[..., 0]
+            Xi_rate = project(Xi, own * outer, self.Gamma, self._bounds)
+            self._uncertainties(derivative)[...] = Xi_rate
             return derivative
 
         return rates, offset
+
+    @cached_property
+    def _bounds(self) -> Array:
+        return np.broadcast_to(self.xi, self.augmentation.rule_count)
 
     def _uncertainties(self, state: Array) -> Array:
         """Return a view of Ξ̂ᵢ, shape (runs, r, p, n + p)."""
         p = self.augmentation.output_count
         return state[:, 1:].reshape(len(state), -1, p, state.shape[-1])
-
-    def augmented_estimate(self, state: AugmentedState) -> Array:
-        """Return x̂̄ = [x̂; ω̂₀] = ξ + E_L⁻¹L y, shape (..., n + p)."""
-        return np.asarray(state.xi + state.y @ self.augmentation.L1.T)
-
-    def estimate(self, state: AugmentedState) -> tuple[Array, Array]:
-        """Return x̂, shape (..., n), and ω̂ by (29), shape (..., p)."""
-        aug, x_bar = self.augmentation, self.augmented_estimate(state)
-        x, omega_0 = x_bar[..., : aug.state_count], x_bar[..., aug.state_count :]
-        weights = aug.system.rule_base.weights(state.z)
-        return x, aug.recover_disturbance(x, omega_0, weights)
-
-    def innovation(self, state: AugmentedState) -> Array:
-        """Return e_y = y − C̄x̂̄, shape (..., p)."""
-        return np.asarray(state.y - self.augmented_estimate(state) @ self.augmentation.C_bar.T)
-
-    @staticmethod
-    def _checked(name: str, value: ArrayLike, length: int) -> Array:
-        array = np.asarray(value, dtype=np.float64)
-        if array.ndim == 0 or array.shape[-1] != length:
-            raise ModelError(f"{name}: expected shape (..., {length}), got {array.shape}")
-        return array
 
 
 def _at_nodes(signal: Array, steps: int) -> Array:
@@ -249,62 +208,38 @@ def project(value: Array, rate: Array, Gamma: Array, limit: Array) -> Array:
         limit: ξ ≥ 0, one a matrix; infinite for no bound. Its shape fits the axes before p and q.
     """
     edge = limit * (1.0 - _EDGE)
-    near = _beyond(value, edge)
-    if not near.any():
+    if not _reaches(value, edge):
         return rate
-    left, singular, right = np.linalg.svd(value[near], full_matrices=False)
-    u, v, rates = left[..., :1], right[..., :1, :], rate[near]
-    turned = np.broadcast_to(Gamma, (*near.shape, *Gamma.shape[-2:]))[near] @ u
-    u_row = u.swapaxes(-2, -1)
-    outward, steepness = u_row @ rates @ v.swapaxes(-2, -1), u_row @ turned
-    leaving = singular[:, :1] >= np.broadcast_to(edge, near.shape)[near][:, np.newaxis]
-    share = np.where(leaving[..., np.newaxis] & (outward > 0.0), outward / steepness, 0.0)
-    rates -= share * turned * v
-    rates[np.broadcast_to(limit, near.shape)[near] == 0.0] = 0.0
-    projected = rate.copy()
-    projected[near] = rates
-    return projected
+    left, singular, right = np.linalg.svd(value, full_matrices=False)
+    u, v = left[..., :1], right[..., :1, :]
+    u_row, turned = u.swapaxes(-2, -1), Gamma @ u
+    outward, steepness = u_row @ rate @ v.swapaxes(-2, -1), u_row @ turned
+    leaves = (singular[..., 0] >= edge)[..., np.newaxis, np.newaxis] & (outward > 0.0)
+    projected = rate - np.where(leaves, outward / steepness, 0.0) * turned * v
+    return np.where(limit[..., np.newaxis, np.newaxis] == 0.0, 0.0, projected)
 
 
 def clip(value: Array, limit: Array) -> Array:
     """Return the nearest matrices with ‖Ξ‖ ≤ ξ, without what a step overshoots; see `project`."""
-    over = _beyond(value, limit)
-    if not over.any():
+    if not _reaches(value, limit):
         return value
-    left, singular, right = np.linalg.svd(value[over], full_matrices=False)
-    excess = np.maximum(singular - np.broadcast_to(limit, over.shape)[over][:, np.newaxis], 0.0)
-    clipped = value.copy()
-    clipped[over] -= left * excess[:, np.newaxis] @ right
-    return clipped
+    left, singular, right = np.linalg.svd(value, full_matrices=False)
+    excess = np.maximum(singular - limit[..., np.newaxis], 0.0)
+    return np.asarray(value - left * excess[..., np.newaxis, :] @ right)
 
 
-def _beyond(value: Array, limit: Array) -> Flags:
-    """Return where Σ Ξᵢⱼ² ≥ ‖Ξ‖² reaches ξ², as few matrices do; false if a number is NaN."""
-    squares = np.einsum("...ab,...ab->...", value, value)
-    return np.asarray((squares >= limit * limit) & np.isfinite(value).all(axis=(-2, -1)))
+def _reaches(value: Array, limit: Array) -> bool:
+    """Return whether Σ Ξᵢⱼ² ≥ ‖Ξ‖² of any matrix reaches ξ², as it rarely does."""
+    return bool((np.einsum("...ab,...ab->...", value, value) >= limit * limit).any())
 
 
 def runge_kutta(rates: Rates, node: int, state: Array, h: float) -> Array:
-    """Return a state a classical Runge–Kutta step later.
-
-    Args:
-        rates: The derivative.
-        node: Where the step begins.
-        state: There, any shape.
-        h: Length of the step [s].
-    """
+    """Return a state of any shape a classical Runge–Kutta step of `h` [s] from a node later."""
     first = rates(node, state)
     second = rates(node + 1, state + 0.5 * h * first)
     third = rates(node + 1, state + 0.5 * h * second)
     fourth = rates(node + 2, state + h * third)
     return state + (h / 6.0) * (first + 2.0 * (second + third) + fourth)
-
-
-def printed_observer() -> AugmentedObserver:
-    """Return the method's observer with the gains that it prints for Example 3."""
-    augmentation = Augmentation(example_3().system)
-    M = np.linalg.solve(EXAMPLE_3_P, augmentation.C_bar.T)
-    return AugmentedObserver(augmentation, augmentation.E_L_inverse @ EXAMPLE_3_H, M)
 
 
 def paper_observer(
@@ -329,12 +264,12 @@ def paper_observer(
             "method paper: expected the arm of the method's Example 3, for which it prints gains, "
             f"got {arm}"
         )
-    observer = printed_observer()
+    aug = Augmentation(example_3().system)
     return _estimator(
-        observer.augmentation,
-        observer.H1,
+        aug,
+        aug.E_L_inverse @ EXAMPLE_3_H,
         period,
-        scale=arm.to_physical(np.ones(observer.augmentation.state_count)),
+        scale=arm.to_physical(np.ones(aug.state_count)),
         measurement_covariance=np.array([[positive("measurement_std", measurement_std) ** 2]]),
         torque=torque,
     )
@@ -353,19 +288,15 @@ def paper_system_observer(request: TSRequest) -> Estimator:
     Raises:
         ModelError: The premise is not what the method measures, the first outputs.
     """
-    model = request.model
     _require_measured_premise(request)
-    aug = Augmentation(model)
-    r, p, n = aug.rule_count, aug.output_count, aug.state_count
-    H1 = np.zeros((r, aug.size, p))
-    H1[:, n:] = (INNOVATION_RATE - 1.0) * np.eye(p)
+    aug = Augmentation(request.model)
     return _estimator(
         aug,
-        H1,
+        np.array([(INNOVATION_RATE - 1.0) * aug.L] * aug.rule_count),
         request.period,
-        scale=np.ones(n),
+        scale=np.ones(aug.state_count),
         measurement_covariance=request.measurement_covariance,
-        scheduled=model.schedule.shape[1],
+        scheduled=request.model.schedule.shape[1],
     )
 
 

@@ -12,6 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -22,31 +23,23 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.files import require_new, written_whole
-from tsobs_ros.paper.analysis import (
-    check_autonomous_innovation,
-    check_matching,
-    check_stability,
-)
+from tsobs_ros.paper.analysis import check_autonomous_innovation, check_matching, check_stability
 from tsobs_ros.paper.augmentation import Augmentation
-from tsobs_ros.paper.claims import Claim, Verdict, check_printed, claims_text, judge
+from tsobs_ros.paper.claims import Claim, Verdict, judge
 from tsobs_ros.paper.examples import PaperExample, example_1, example_2, example_3
-from tsobs_ros.paper.figures import Drawn, draw_arm, draw_example
-from tsobs_ros.paper.runs import (
-    ArmComparison,
-    ExampleRun,
-    compare_on_arm,
-    run_example,
-)
+from tsobs_ros.paper.figures import draw_arm, draw_example
+from tsobs_ros.paper.runs import ArmComparison, ExampleRun, compare_on_arm, run_example
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.style import GRID, INK, MUTED
 
+PAGE, _DATA = "paper.html", "paper.json"
 _TITLE = "The adaptive T–S observer: what its paper claims and what holds"
 _INTRODUCTION = (
     "The three examples of T. V. Dang, W.-J. Wang, L. Luoh, C.-H. Sun, “Adaptive observer design "
     "for the uncertain Takagi–Sugeno fuzzy system with output disturbance” (IET Control Theory & "
     "Applications, 2011), run again, with each claim judged by a number that this run computed. "
-    "The text that was available has lost its minus signs and every π; tsobs_ros/paper/examples.py "
-    "explains how they were put back, and docs/method.md has the proofs of the propositions."
+    "The text that was available has lost its minus signs and every π; docs/method.md explains "
+    "how they were put back, and has the proofs of the propositions."
 )
 _STYLE = f"""
 body {{ font: 16px/1.55 system-ui, sans-serif; color: {INK}; max-width: 68rem;
@@ -77,33 +70,28 @@ class PaperReport:
         output: The folder.
         claims: The table of claims.
         numbers: What was measured, by example, as plain data.
-        figures: The figures.
+        captions: Those of the figures, by the files' names.
         seconds: Computing time [s].
     """
 
     output: Path
     claims: tuple[Claim, ...]
     numbers: dict[str, Any]
-    figures: tuple[Drawn, ...]
+    captions: dict[str, str]
     seconds: float
-
-    @property
-    def page(self) -> Path:
-        """The HTML page."""
-        return self.output / "paper.html"
 
     def as_mapping(self) -> dict[str, Any]:
         """Return claims, every measured number and the files as plain data, for JSON."""
         return {
             "claims": [claim.as_mapping() for claim in self.claims],
             "numbers": self.numbers,
-            "page": str(self.page),
-            "figures": [str(figure.path) for figure in self.figures],
+            "page": str(self.output / PAGE),
+            "figures": [str(self.output / name) for name in self.captions],
         }
 
     def __str__(self) -> str:
-        done = f"{len(self.figures)} figures in {self.output}, page {self.page}"
-        return f"{claims_text(self.claims)}\n\n{done} ({self.seconds:.0f} s)"
+        done = f"{len(self.captions)} figures in {self.output}, page {self.output / PAGE}"
+        return "\n".join([*map(str, self.claims), "", f"{done} ({self.seconds:.0f} s)"])
 
 
 def make_paper_report(
@@ -123,7 +111,7 @@ def make_paper_report(
     """
     if seeds < 1:
         raise ModelError(f"seeds: expected at least 1, got {seeds!r}")
-    names = [f"paper.{kind}" for kind in ("html", "json")]
+    names = [PAGE, _DATA]
     require_new([*map(output.joinpath, names), *output.glob("example_*.png")], force=force)
     started = time.perf_counter()
     examples = first, second, arm = example_1(), example_2(), example_3()
@@ -135,38 +123,38 @@ def make_paper_report(
         comparison = compare_on_arm(load_design(config_path(SHIPPED_DESIGN)), seeds)
         bar.update()
         verdict = check_stability(arm.system.A, arm.alpha)
-        claims = tuple(judge(runs, verdict, check_printed(first, arm), comparison))
+        claims = tuple(judge(runs, verdict, comparison))
     with written_whole(output, force=force) as folder:
-        drawn = [one for run in runs.values() for one in draw_example(run, folder)]
-        drawn += draw_arm(comparison, folder)
-        kept = tuple(one._replace(path=output / one.path.name) for one in drawn)
+        of_examples = chain(*(draw_example(run, folder) for run in runs.values()))
+        captions = dict([*of_examples, *draw_arm(comparison, folder)])
         seconds = time.perf_counter() - started
-        report = PaperReport(output, claims, _numbers(runs, comparison), kept, seconds)
-        analysis = "\n\n".join(map(analysis_of, examples))
+        report = PaperReport(output, claims, _numbers(runs, comparison), captions, seconds)
         parts = [
             f"<h1>{_TITLE}</h1>",
             *_elements("p", [conclusion(claims, comparison), _INTRODUCTION]),
             "<h2>Symbols</h2>",
             *_elements("p", _SYMBOLS),
-            *map(_figure, drawn),
+            *(_figure(folder / name, caption) for name, caption in captions.items()),
             "<h2>Claims</h2>",
             _claims_table(claims),
             "<h2>Analysis</h2>",
-            *_elements("pre", [analysis]),
+            *_elements("pre", ["\n\n".join(map(analysis_of, examples))]),
             "<h2>Errors from 10 s on; in Example 3 from 20 s on</h2>",
-            *_elements("pre", [json.dumps(report.numbers, indent=2, ensure_ascii=False)]),
+            *_elements("pre", [_json(report.numbers)]),
         ]
-        page, data = (folder / name for name in names)
-        page.write_text(_html(parts), encoding="utf-8")
-        text = json.dumps(report.as_mapping(), indent=2, ensure_ascii=False)
-        data.write_text(text + "\n", encoding="utf-8")
+        (folder / PAGE).write_text(_html(parts), encoding="utf-8")
+        (folder / _DATA).write_text(_json(report.as_mapping()) + "\n", encoding="utf-8")
     return report
+
+
+def _json(data: dict[str, Any]) -> str:
+    return json.dumps(data, indent=2, ensure_ascii=False)
 
 
 def conclusion(claims: Sequence[Claim], comparison: ArmComparison) -> str:
     """Return what the claims' verdicts and the errors on the arm come to, in a few words."""
     counts = Counter(claim.verdict for claim in claims)
-    error = {each.name: float(each.motor_angle.mean()) for each in comparison.observers}
+    error = comparison.motor_angle
     return (
         f"Of the {len(claims)} claims below, {counts[Verdict.HOLDS]} hold, "
         f"{counts[Verdict.HOLDS_ONLY_IF]} hold under a condition that is named, and "
@@ -191,11 +179,11 @@ def _elements(tag: str, texts: Iterable[str]) -> list[str]:
     return [f"<{tag}>{html.escape(text)}</{tag}>" for text in texts]
 
 
-def _figure(drawn: Drawn) -> str:
-    image = base64.b64encode(drawn.path.read_bytes()).decode("ascii")
+def _figure(path: Path, caption: str) -> str:
+    image = base64.b64encode(path.read_bytes()).decode("ascii")
     return (
-        f'<figure>\n<img alt="{drawn.path.stem}" src="data:image/png;base64,{image}">\n'
-        f"<figcaption>{html.escape(drawn.caption)}</figcaption>\n</figure>"
+        f'<figure>\n<img alt="{path.stem}" src="data:image/png;base64,{image}">\n'
+        f"<figcaption>{html.escape(caption)}</figcaption>\n</figure>"
     )
 
 
@@ -231,9 +219,9 @@ def _numbers(runs: Mapping[str, ExampleRun], comparison: ArmComparison) -> dict[
     numbers: dict[str, Any] = {}
     for name, run in runs.items():
         numbers[name] = {
-            "lmi_seconds": run.design.solver.seconds,
+            "lmi_seconds": run.design.seconds,
             "epsilon": run.design.epsilon,
-            "conditions": {each.name: each.number for each in run.design.conditions.conditions},
+            "conditions": {key: one.number for key, one in run.design.conditions.items()},
             "settled": {
                 variant: {
                     f"lambda_{case}": {
@@ -246,14 +234,14 @@ def _numbers(runs: Mapping[str, ExampleRun], comparison: ArmComparison) -> dict[
             },
         }
     numbers["example_3"] = {
-        each.name: {
+        name: {
             "theta": None if np.isnan(each.theta) else each.theta,
             "x3_rmse_mean": float(each.motor_angle.mean()),
             "x3_rmse_std": _deviation(each.motor_angle),
             "normalised_rmse_mean": float(each.normalised.mean()),
             "normalised_rmse_std": _deviation(each.normalised),
         }
-        for each in comparison.observers
+        for name, each in comparison.observers.items()
     }
     return numbers
 

@@ -8,7 +8,8 @@ largest angle, in one run a seed; PO and PIO have the best θ of a grid, the pap
 printed gains.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,13 +18,17 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
-from tsobs_ros.estimation.baselines import high_gain, proportional_integral
-from tsobs_ros.estimation.estimator import Estimator, State, certified_estimator
-from tsobs_ros.estimation.options import CertifiedGain, GainMode
+from tsobs_ros.estimation.baselines import extended_kalman, high_gain, proportional_integral
+from tsobs_ros.estimation.estimator import Estimator, State
 from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
 from tsobs_ros.paper.augmentation import blend
-from tsobs_ros.paper.examples import PaperExample
-from tsobs_ros.paper.observer import AugmentedObserver, paper_observer, runge_kutta
+from tsobs_ros.paper.examples import PaperExample, torque
+from tsobs_ros.paper.observer import (
+    AugmentedEstimates,
+    AugmentedObserver,
+    paper_observer,
+    runge_kutta,
+)
 from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -51,8 +56,7 @@ _SCALE = (0.226, 0.60, 3.55, 4.64)  # RMS of the states themselves, in design co
 _FIRST_SEED = 9000
 
 
-@dataclass(frozen=True)
-class PlantRecord:
+class PlantRecord(NamedTuple):
     """Signals of the plants.
 
     Attributes:
@@ -73,25 +77,6 @@ class PlantRecord:
 
 
 @dataclass(frozen=True)
-class EstimateRecord:
-    """Estimates of one observer.
-
-    Attributes:
-        states: x̂, shape (samples, 2, n).
-        disturbance: ω̂, shape (samples, 2, p).
-        innovation: e_y, shape (samples, 2, p).
-        adaptation: Largest ‖Ξ̂ᵢ‖ over the rules, shape (samples, 2).
-        adaptation_energy: Σ tr(Ξ̂ᵢᵀΓᵢ⁻¹Ξ̂ᵢ), shape (samples, 2); zero without adaptation.
-    """
-
-    states: Array
-    disturbance: Array
-    innovation: Array
-    adaptation: Array
-    adaptation_energy: Array
-
-
-@dataclass(frozen=True)
 class ExampleRun:
     """An example with its plants and their observers.
 
@@ -99,34 +84,40 @@ class ExampleRun:
         example: The example.
         design: The gains in use, from (37), re-checked.
         plant: The plants' signals.
-        estimates: By variant, see `run_example`.
+        estimates: By variant, see `run_example`; the axes of each array begin (samples, 2).
     """
 
     example: PaperExample
     design: AdaptiveDesign
     plant: PlantRecord
-    estimates: dict[str, EstimateRecord]
+    estimates: dict[str, AugmentedEstimates]
 
     def state_error(self, variant: str) -> Array:
         """Return x − x̂, shape (samples, 2, n)."""
-        return np.asarray(self.plant.states - self.estimates[variant].states)
+        return np.asarray(self.plant.states - self.estimates[variant].x)
 
     def disturbance_error(self, variant: str) -> Array:
         """Return ω − ω̂, shape (samples, 2, p)."""
         truth = self.plant.disturbance[:, np.newaxis]
         return np.asarray(truth - self.estimates[variant].disturbance)
 
+    def adaptation(self, variant: str) -> Array:
+        """Return the largest ‖Ξ̂ᵢ‖ over the rules, shape (samples, 2)."""
+        Xi = self.estimates[variant].Xi
+        return np.asarray(np.linalg.norm(Xi, 2, axis=(-2, -1)).max(axis=-1))
+
     def lyapunov(self, variant: str) -> Array:
         """Return V = ēᵀPē + Σ tr(Ξ̂ᵢᵀΓᵢ⁻¹Ξ̂ᵢ), shape (samples, 2).
 
         It is the method's V if Ξᵢ = 0, which is so at λ = 0.
         """
-        aug, record = self.design.augmentation, self.estimates[variant]
+        aug, estimates = self.design.augmentation, self.estimates[variant]
         # ē = x̄ − x̂̄ is T e_x on {C̄x̄ = 0} and e_y across it.
         error = self.state_error(variant) @ aug.blind_basis.T
-        error[..., aug.state_count :] += record.innovation
-        energy = np.sum(error @ self.design.P * error, axis=-1)
-        return np.asarray(energy + record.adaptation_energy)
+        error[..., aug.state_count :] += estimates.innovation
+        scaled = np.linalg.solve(self.design.Gamma, estimates.Xi)
+        energy = np.sum(scaled * estimates.Xi, axis=(-3, -2, -1))
+        return np.asarray(np.sum(error @ self.design.P * error, axis=-1) + energy)
 
     def settled_error(self, variant: str, uncertainty: int) -> Array:
         """Return the largest |x − x̂|, |ω − ω̂| from 10 s on, shape (n + p,).
@@ -145,7 +136,7 @@ class ExampleRun:
 
     def difference(self, variant: str, since: float = 0.0) -> float:
         """Return the largest |x̂ − x̂'| of `fixed` and another variant from `since` [s] on."""
-        difference = self.estimates["fixed"].states - self.estimates[variant].states
+        difference = self.estimates["fixed"].x - self.estimates[variant].x
         return float(np.abs(difference[self.plant.times >= since]).max())
 
 
@@ -170,14 +161,14 @@ def run_example(
         example.system, example.alpha, example.xi, Gamma=example.Gamma
     )
     plant = _simulate(example, period, duration)
-    fixed = design.observer(adapt=False)
-    aug = design.augmentation
+    aug, fixed = design.augmentation, design.observer(adapt=False)
     model_only = AugmentedObserver(aug, np.zeros_like(fixed.H1), np.zeros_like(fixed.M))
     noise = np.random.default_rng(_NOISE_SEED).standard_normal(plant.outputs.shape)
+    # ξ(0) = x̂̄(0) − E_L⁻¹L y(0): with a first sample of noise the observer would start elsewhere.
+    noise[0] = plant.outputs[0]
     zero = np.zeros((len(UNCERTAINTIES), aug.size))
-    fitting = zero.copy()
-    fitting[:, aug.state_count :] = plant.outputs[0]
-    estimates: dict[str, EstimateRecord] = {}
+    fitting = np.hstack([zero[:, : aug.state_count], plant.outputs[0]])
+    estimates: dict[str, AugmentedEstimates] = {}
     for observer, variants in (
         (
             design.observer(),
@@ -186,10 +177,12 @@ def run_example(
         (fixed, {"fixed": (plant.outputs, zero), "noise_fed": (noise, zero)}),
         (model_only, {"model_only": (plant.outputs, zero)}),
     ):
-        outputs = np.stack([fed for fed, _ in variants.values()], axis=1)
-        starts = np.stack([start for _, start in variants.values()])
-        records = _observe(example, observer, plant, outputs, starts)
-        estimates.update(zip(variants, records, strict=True))
+        fed, starts = zip(*variants.values(), strict=True)
+        premises = np.stack([plant.premises] * len(variants), axis=1)
+        y, start = np.stack(fed, axis=1), np.stack(starts)
+        whole = observer.follow(y, torque(plant.times), period, premises, start)
+        for place, name in enumerate(variants):
+            estimates[name] = AugmentedEstimates(*(each[:, place] for each in whole))
     return ExampleRun(example, design, plant, estimates)
 
 
@@ -198,11 +191,10 @@ def _simulate(example: PaperExample, period: float, duration: float) -> PlantRec
     # The ends and the middle of each step, so that the signals are exact within it.
     times = np.asarray(np.arange(2 * samples - 1) * (0.5 * period), dtype=np.float64)
     disturbance = np.asarray(example.disturbance(times))
-    scaled = np.array(UNCERTAINTIES)[:, np.newaxis, np.newaxis, np.newaxis] * example.delta_A
     states = np.empty((samples, len(UNCERTAINTIES), system.state_count))
     states[0] = example.initial_state
-    driven = np.einsum("rab,nb->nra", system.B, example.torque(times))[..., np.newaxis]
-    A = system.A + scaled
+    driven = np.einsum("rab,nb->nra", system.B, torque(times))[..., np.newaxis]
+    A = system.A + np.multiply.outer(UNCERTAINTIES, example.delta_A)
 
     def rates(node: int, x: Array) -> Array:
         """Return x' of the plants, shape (plants, n), by the rules of Examples 1 and 2."""
@@ -213,49 +205,22 @@ def _simulate(example: PaperExample, period: float, duration: float) -> PlantRec
 
     for k in range(1, samples):
         states[k] = runge_kutta(rates, 2 * (k - 1), states[k - 1], period)
-    premises: Array = states[..., :1] + disturbance[::2, np.newaxis, :1]
+    times, disturbance = times[::2], disturbance[::2]
+    premises: Array = states[..., :1] + disturbance[:, np.newaxis, :1]
     weights = system.rule_base.weights(premises)
-    outputs = blend(system.rule_outputs, weights, states) + disturbance[::2, np.newaxis]
-    return PlantRecord(times[::2], states, disturbance[::2], outputs, premises, weights)
-
-
-def _observe(
-    example: PaperExample,
-    observer: AugmentedObserver,
-    plant: PlantRecord,
-    outputs: Array,
-    starts: Array,
-) -> list[EstimateRecord]:
-    """Run an observer over records at once, by outputs (samples, records, 2, p) and starts."""
-    fed: Array = outputs.copy()
-    # ξ(0) = x̂̄(0) − E_L⁻¹L y(0): with a first sample of noise the observer would start elsewhere.
-    fed[0] = plant.outputs[0]
-    premises: Array = np.broadcast_to(plant.premises[:, np.newaxis], (*fed.shape[:-1], 1))
-    period = float(plant.times[1] - plant.times[0])
-    whole = observer.follow(fed, example.torque(plant.times), period, premises, starts)
-    estimate, innovation = observer.estimate(whole), observer.innovation(whole)
-    norms = np.linalg.norm(whole.Xi, 2, axis=(-2, -1)).max(axis=-1)
-    energy = np.zeros_like(norms)
-    if observer.Gamma is not None:
-        scaled = np.linalg.solve(observer.Gamma, whole.Xi)
-        energy = np.sum(scaled * whole.Xi, axis=(-3, -2, -1))
-    return [
-        EstimateRecord(*(each[:, one] for each in (*estimate, innovation, norms, energy)))
-        for one in range(fed.shape[1])
-    ]
+    outputs = blend(system.rule_outputs, weights, states) + disturbance[:, np.newaxis]
+    return PlantRecord(times, states, disturbance, outputs, premises, weights)
 
 
 class ObserverErrors(NamedTuple):
     """Errors of one observer, one row a run.
 
     Attributes:
-        name: For tables and legends.
         rmse: Of the four states in design coordinates, shape (runs, 4).
         theta: Its θ [1/s]; NaN if it has none.
         example: x̂ of the first run, shape (samples, 4).
     """
 
-    name: str
     rmse: Array
     theta: float
     example: Array
@@ -271,8 +236,7 @@ class ObserverErrors(NamedTuple):
         return np.asarray(np.sqrt(np.mean((self.rmse / np.array(_SCALE)) ** 2, axis=1)))
 
 
-@dataclass(frozen=True)
-class ArmComparison:
+class ArmComparison(NamedTuple):
     """All observers on the same runs of Example 3.
 
     Attributes:
@@ -282,11 +246,12 @@ class ArmComparison:
     """
 
     trajectories: Trajectories
-    observers: tuple[ObserverErrors, ...]
+    observers: dict[str, ObserverErrors]
 
-    def __getitem__(self, name: str) -> ObserverErrors:
-        """Return an observer by its name."""
-        return next(each for each in self.observers if each.name == name)
+    @property
+    def motor_angle(self) -> dict[str, float]:
+        """Mean RMSE of x₃ by observer."""
+        return {name: float(one.motor_angle.mean()) for name, one in self.observers.items()}
 
 
 def compare_on_arm(design: Design, seeds: int = 20, *, duration: float = 60.0) -> ArmComparison:
@@ -301,57 +266,32 @@ def compare_on_arm(design: Design, seeds: int = 20, *, duration: float = 60.0) -
     arm, asked = ElasticJointArm(), design.arm_request
     period = float(runs.times[1] - runs.times[0])
     known = (period, asked.measurement_std)
-    without = replace(asked, disturbance=(DisturbanceTerm("clean"),))
+
+    def errors(
+        observer: Estimator, theta: float = math.nan, start: State | None = None
+    ) -> ObserverErrors:
+        physical = observer.observe(runs.measurements, runs.torques, period, start).state
+        estimates, settled = arm.from_physical(physical), runs.times >= WINDOW_START
+        error = estimates[..., settled, :] - runs.states[:, settled]
+        return ObserverErrors(np.sqrt(np.mean(error**2, axis=-2)), theta, estimates[0])
+
+    def best(make: Callable[..., Estimator]) -> ObserverErrors:
+        found = [errors(make(arm, theta, *known), theta) for theta in THETAS]
+        return min(found, key=lambda one: float(one.motor_angle.mean()))
+
+    def kalman(request: ArmRequest) -> ObserverErrors:
+        covariances = request.measurement_covariance, request.initial_covariance
+        return errors(extended_kalman(request.flow, *covariances, gate=math.inf))
+
     paper = paper_observer(arm, *known)
     # x̂̄(0) = 0 is ξ(0) = −E_L⁻¹L y(0), which is zero in all states but the disturbance's.
     xi = np.hstack([np.zeros((seeds, arm.output_matrix.shape[1])), -runs.measurements[:, 0]])
-    blind = paper.initial((seeds,)).changed(x=xi)
-    return ArmComparison(
-        runs,
-        (
-            _best("PO", runs, [high_gain(arm, theta, *known) for theta in THETAS]),
-            _best("PIO", runs, [proportional_integral(arm, theta, *known) for theta in THETAS]),
-            _errors("paper", runs, _run(paper, runs, blind)),
-            _errors("ours", runs, _run(design.observer(), runs)),
-            _errors("EKF", runs, _run(_ekf(asked), runs)),
-            _errors("EKF clean", runs, _run(_ekf(without), runs)),
-        ),
-    )
-
-
-def _ekf(request: ArmRequest) -> Estimator:
-    n, p = request.flow.state_count, 1
-    # No gain ever takes over; the bound only has to be there.
-    unused = CertifiedGain(np.zeros((n, p)), np.eye(n))
-    return certified_estimator(
-        request.flow,
-        request.measurement_covariance,
-        request.initial_covariance,
-        unused,
-        gain_mode=GainMode.RICCATI,
-    )
-
-
-def _run(observer: Estimator, runs: Trajectories, start: State | None = None) -> Array:
-    """Return x̂ after each sample in design coordinates, shape (runs, samples, 4)."""
-    period = float(runs.times[1] - runs.times[0])
-    physical = observer.observe(runs.measurements, runs.torques, period, start).state
-    return ElasticJointArm().from_physical(physical)
-
-
-def _errors(
-    name: str, runs: Trajectories, estimates: Array, theta: float = float("nan")
-) -> ObserverErrors:
-    settled = runs.times >= WINDOW_START
-    error = estimates[..., settled, :] - runs.states[:, settled]
-    rmse = np.asarray(np.sqrt(np.mean(error**2, axis=-2)))
-    return ObserverErrors(name, rmse, theta, estimates[0])
-
-
-def _best(name: str, runs: Trajectories, observers: Sequence[Estimator]) -> ObserverErrors:
-    """Return the errors at the θ with the smallest mean RMSE of x₃."""
-    found = [
-        _errors(name, runs, _run(observer, runs), theta)
-        for observer, theta in zip(observers, THETAS, strict=True)
-    ]
-    return min(found, key=lambda errors: float(errors.motor_angle.mean()))
+    observers = {
+        "PO": best(high_gain),
+        "PIO": best(proportional_integral),
+        "paper": errors(paper, start=paper.initial((seeds,)).changed(x=xi)),
+        "ours": errors(design.observer()),
+        "EKF": kalman(asked),
+        "EKF clean": kalman(replace(asked, disturbance=(DisturbanceTerm("clean"),))),
+    }
+    return ArmComparison(runs, observers)
