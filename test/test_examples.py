@@ -4,11 +4,16 @@
 
 import os
 import re
+import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from std_msgs.msg import Float64MultiArray
 
 pytestmark = pytest.mark.slow
 
@@ -60,7 +65,72 @@ def test_a_log_becomes_a_bag_that_is_replayed(tmp_path: Path, domain_id: int) ->
     assert "100.0% of the live estimates reproduced to the last bit" in again
 
 
+class Controller:
+    """The commands that an effort controller would get from play_motion.py, and that process."""
+
+    def __init__(self, ros: Any, ros_process: Callable[..., Any], tmp_path: Path) -> None:
+        self.ros, self._start, self._motion = ros, ros_process, tmp_path / "motion.csv"
+        self.commands = list[float]()
+        ros.node("controller").create_subscription(
+            Float64MultiArray, "commands", lambda each: self.commands.extend(each.data), 1000
+        )
+
+    def play(self, seconds: float, *arguments: str) -> Any:
+        """Start a motion whose torque rises from 0.01 to 0.02 N m, at 100 Hz."""
+        time = np.arange(round(100 * seconds)) / 100
+        lines = [f"{t:.2f},{0.01 + 0.01 * t / seconds:.9f}" for t in time]
+        self._motion.write_text("\n".join(["time [s],torque [N m]", *lines, ""]))
+        script = [sys.executable, str(ROOT / "examples" / "play_motion.py"), str(self._motion)]
+        return self._start([*script, "--topic", "/commands", *arguments])
+
+
+@pytest.fixture
+def controller(ros: Any, ros_process: Callable[..., Any], tmp_path: Path) -> Controller:
+    return Controller(ros, ros_process, tmp_path)
+
+
+def test_a_motion_is_played_in_order_and_ends_with_no_torque(controller: Controller) -> None:
+    process = controller.play(0.5, "--max-torque", "0.002", "--scale", "0.1")
+    controller.ros.spin_until(lambda: 0.0 in controller.commands, 30.0)
+
+    assert process.finish().stdout == "played 0.5 s, up to 0.00198 N m\n"
+    *played, last = controller.commands
+    assert last == 0.0
+    assert played == sorted(played)
+    assert played[0] >= 0.001
+    assert len(set(played)) > 5
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_motion_that_is_interrupted_ends_with_no_torque(
+    controller: Controller, number: int
+) -> None:
+    process = controller.play(60.0, "--max-torque", "1")
+    controller.ros.spin_until(lambda: len(controller.commands) > 5, 30.0)
+    process.signal(number)
+    controller.ros.spin_until(lambda: controller.commands[-1] == 0.0, 30.0)
+
+    done = process.finish()
+    assert (done.exit_code, done.stderr) == (1, "stopped: the torque is 0\n")
+    controller.ros.hear_out(controller.commands)
+    assert controller.commands.count(0.0) == 1
+
+
+def test_a_motion_beyond_the_limit_or_beside_another_one_is_not_played(
+    controller: Controller,
+) -> None:
+    process = controller.play(0.5, "--max-torque", "0.015")
+    assert process.finish().stderr == "error: 0.0198 N m is above --max-torque 0.015\n"
+
+    controller.ros.node("other").create_publisher(Float64MultiArray, "commands", 1)
+    process = controller.play(0.5, "--max-torque", "1")
+    controller.ros.spin_for(1.0)
+    assert process.finish().stderr == "error: /commands has another publisher\n"
+    assert controller.commands == []
+
+
 def test_every_example_is_run() -> None:
     names = {path.stem for path in (ROOT / "examples").glob("*.py")}
 
-    assert names == {*PRINTED, "replay_a_bag", "hidden_robot"}  # test_readme.py runs the last
+    # test_readme.py runs the last.
+    assert names == {*PRINTED, "play_motion", "replay_a_bag", "hidden_robot"}

@@ -64,6 +64,7 @@ NOT_RUN = {
     "mkdir -p ~/my_arm ": "the user's folder",
     "mkdir -p ~/my_robot ": "likewise",
     "ros2 bag record ": "a robot",
+    "python play_motion.py ": "a robot; test_examples.py has one",
     "rosdep install ": "Ubuntu's ROS",
     "python3 -m venv ": "the workspace; test_packaging.py compares what it installs",
     ".venv/bin/python -m pip ": "the network",
@@ -437,12 +438,14 @@ class RobotShell(Shell):
 
 
 QUICK = {
-    "tsobs excite sheet.request.yaml --output motion.csv": "--duration 10 --candidates 4",
+    "tsobs excite sheet.request.yaml --output motion.csv": (
+        "tsobs excite sheet.request.yaml --output motion.csv --duration 6 --candidates 1"
+    ),
     "tsobs excite fitted.request.yaml --output motion2.csv --duration 20 --candidates 20": (
-        "--duration 6 --candidates 2"
+        "cp motion.csv motion2.csv"
     ),
 }
-"""Further options of the page's commands in `make test`."""
+"""What runs in place of the page's commands in `make test`."""
 
 
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=SLOW)])
@@ -454,8 +457,8 @@ def test_the_numbers_of_a_robot_are_found(
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    for command, options in QUICK.items() if quick else ():
-        monkeypatch.setitem(SHORTER, command, f"{command} {options}")
+    for command, shorter in QUICK.items() if quick else ():
+        monkeypatch.setitem(SHORTER, command, shorter)
     shutil.copy(ROOT / "examples" / "hidden_robot.py", folder)
     shell = RobotShell(ros, benchmark, monkeypatch, capfd)
 
@@ -472,7 +475,7 @@ def test_the_numbers_of_a_robot_are_found(
     assert Path("fit.html").exists()
     ours, _ = shell.row("compare robot.design.yaml", "held-out sensor")
     before, _ = shell.row("compare unfitted.design.yaml", "held-out sensor")
-    assert ours < 0.6 * before
+    assert ours < (0.8 if quick else 0.6) * before
     assert "do not fit the design" not in shell.output("compare robot.design.yaml")
     assert "do not fit the design" in shell.output("compare unfitted.design.yaml")
     if quick:
