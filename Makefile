@@ -46,7 +46,7 @@ if [ -z "$${python:-}" ]; then \
 fi
 endef
 
-help: ## Say what can be made
+help: ## List the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 16
 
 demo: $(VENV)/.demo ## Simulate the arm, observe it, record, and report (DEMO_ARGS=…)

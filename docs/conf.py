@@ -10,7 +10,7 @@ from typing import Any
 
 _HERE = Path(__file__).resolve().parent
 _USED = ("CHANGELOG.rst", "CONTRIBUTING.md", "config", "examples", "tsobs_ros")
-"""What pages show or link to besides what is in docs/."""
+"""Sources outside docs/ that pages show or link to."""
 
 # rosdoc2 copies docs/ elsewhere and runs this text from a file that names the original.
 _wrapper = re.search(r'open\("(.+)conf\.py"\)', Path(__file__).read_text(encoding="utf-8"))
@@ -36,7 +36,7 @@ extensions = [
     "mathml",
 ]
 exclude_patterns = [
-    # What rosdoc2 makes besides; this site has its own.
+    # rosdoc2 generates these; this site has its own.
     "index.rst", "modules.rst", "tsobs_ros*.rst", "standards.rst", "standard_docs", "__*",
 ]  # fmt: skip
 myst_heading_anchors = 4

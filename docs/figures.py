@@ -26,7 +26,7 @@ import tsobs_ros as ts
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "images"
 BLUE, ORANGE = "#0072b2", "#e69f00"
-"""Of the estimate and of the truth, as in reports; two that everybody can tell apart."""
+"""Of the estimate and of the truth, as in reports; distinguishable by the colour-blind."""
 
 
 def bands(axis: Any, time: Any, estimate: Any, bound: Any, truth: Any) -> None:

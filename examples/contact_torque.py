@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A contact that pushes the link while the link's encoder slips: both estimated, told apart.
+"""A contact that pushes the link while the link's encoder slips: both estimated and distinguished.
 
 The arm is the flexible joint of docs/encoders_and_contacts.md. Needs cvxpy, clarabel, matplotlib:
 pip install 'tsobs_ros[design,report]'.

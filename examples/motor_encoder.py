@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The link of an arm whose only encoder is on the motor, with friction that nobody modelled.
+"""The link of an arm whose only encoder is on the motor, with unmodelled friction.
 
 The arm is the flexible joint of docs/encoders_and_contacts.md. Needs cvxpy and clarabel:
 pip install 'tsobs_ros[design]'.
