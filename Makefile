@@ -147,4 +147,4 @@ $(BIN)/python:
 	  echo "Made $(VENV) with $$version; ROS will come from PyPI"; \
 	  printf 'ros,' > $(VENV)/.ros; \
 	fi; \
-	$(PIP) --quiet --upgrade pip  # Python 3.11 brings one that takes twice the time
+	$(PIP) --quiet --upgrade pip || true  # Python 3.11 brings one that takes twice the time
