@@ -30,8 +30,9 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.baselines import THETA_STD, THETA_WANDER
-from tsobs_ros.estimation.estimator import Estimator, State
+from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.records import Hypothesis, Measurement
+from tsobs_ros.estimation.state import State
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import make_tracker
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY

@@ -16,8 +16,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator, Rows
-from tsobs_ros.estimation.history import CORRECTING, REASONS, USED
-from tsobs_ros.estimation.records import Basis
+from tsobs_ros.estimation.records import CORRECTING, REASONS, USED, Basis
 from tsobs_ros.methods import CONTENDERS, ObserverSettings, make_tracker
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of

@@ -17,7 +17,7 @@ from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.faults import new_watches
-from tsobs_ros.estimation.history import REASONS
+from tsobs_ros.estimation.records import REASONS
 from tsobs_ros.estimation.state import Shape, new_model
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import ObserverSettings, make_estimator
@@ -197,17 +197,18 @@ def is_refused(model: Any) -> bool:
 @pytest.mark.parametrize(
     ("name", "values"),
     [
-        *((each, (-1, 0, 1, 2**40)) for each in ("n", "width", "hypothesis_count", "flow_size")),
-        *((each, (-1, 0, 7, 2**40)) for each in ("p", "k", "scratch")),
+        *((each, (-1, 0, 1, 2**40)) for each in (0, 1, 7, 9)),  # n, width, hypotheses, flow_size
+        *((each, (-1, 0, 7, 2**40)) for each in (3, 5, 10)),  # p, k, scratch
         ("period", (0.0, -1.0, np.nan, np.inf, 1e-300)),
     ],
 )
 def test_a_model_of_other_sizes_or_without_a_period_is_refused(
-    name: str, values: tuple[float, ...]
+    name: Any, values: tuple[float, ...]
 ) -> None:
     model = ESTIMATOR.model.copy()
-    for value in set(values) - {model[name][0]}:
-        model[name] = value
+    number = model["period"] if name == "period" else model["sizes"][:, name]
+    for value in set(values) - {number.item()}:
+        number[:] = value
         assert is_refused(model), value
 
 
@@ -267,8 +268,8 @@ def test_a_place_outside_of_the_ring_is_refused(field: str, values: tuple[int, .
 
 
 def test_outcomes_have_the_codes_of_the_reasons() -> None:
-    text = Path(core.__file__).with_name("outcomes.h").read_text(encoding="utf-8")
-    names = re.findall(r"^    ([A-Z_]+)", text, re.MULTILINE)
+    text = Path(core.__file__).with_name("estimator.h").read_text(encoding="utf-8")
+    names = re.findall(r"^    ([A-Z_]+)", text[text.index("    USED,") :].partition("}")[0], re.M)
     assert names == ["USED", *(reason.name for reason in REASONS if reason), "OUTCOMES"]
 
 

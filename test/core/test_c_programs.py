@@ -124,8 +124,8 @@ def of_python(
         stamp = round(at * 1e9)
         now = max(now, stamp)
         tracker.offer(Measurement(stamp, y, np.array([u])), now)
-        if not tracker.history.estimate_at(stamp, row):
-            row[:] = np.nan
+        if (estimate := tracker.estimate(stamp)) is not None:
+            row[:] = np.hstack([np.asarray(each, np.float64) for each in estimate[1:]])
     return rows
 
 

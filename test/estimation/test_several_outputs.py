@@ -11,8 +11,7 @@ import pytest
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Rows
-from tsobs_ros.estimation.history import NON_FINITE, USED
-from tsobs_ros.estimation.records import Basis, RejectReason
+from tsobs_ros.estimation.records import NON_FINITE, USED, Basis, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_tracker
 from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, TorqueDisturbance, Trajectories

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
-from tsobs_ros.estimation.history import REASONS
 from tsobs_ros.estimation.options import CertifiedGain, SupervisionOptions, TorqueLimits
-from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason
+from tsobs_ros.estimation.records import REASONS, Estimate, Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Outcomes, Tracker, TrackerOptions
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate

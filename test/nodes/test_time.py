@@ -11,7 +11,7 @@ from staging import values
 from staging.arm import Arm
 from staging.stage import BEGIN, MS, OUTPUTS, PERIOD, SIGMAS, Event, Stage, good, replayed
 
-from tsobs_ros.estimation.history import GATED
+from tsobs_ros.estimation.records import GATED
 from tsobs_ros.nodes.observer import Observer
 from tsobs_ros.nodes.observer.joints import NAMES, OF_INPUT
 from tsobs_ros.series import NANOSECONDS

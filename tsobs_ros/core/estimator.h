@@ -8,16 +8,17 @@
  * All hypotheses are stepped by the same code and differ in numbers only. The weights follow Bayes'
  * rule; what is published is the mixture. docs/estimator.md explains it.
  *
- * A model record begins with its sizes, see `estimator_sizes`, so that `model_view` needs no other
- * arguments. Fields of n states have rows of `width` numbers: the design's states, and behind them
+ * Fields of n states have rows of `width` numbers: the design's states, and behind them
  * the auxiliary ones, first the unknown torque, then parts of the sensors' disturbance. Flags are 0
  * or 1.
  */
 #ifndef TSOBS_ESTIMATOR_H
 #define TSOBS_ESTIMATOR_H
 
+#include <string.h>
+
 #include "flow.h"
-#include "layout.h"
+#include "repeats.h"
 
 /* Gains: none, as the observer is integrated, that of Riccati, or the certified one. */
 enum { GAIN_OPEN, GAIN_RICCATI, GAIN_CERTIFIED };
@@ -54,6 +55,22 @@ enum {
 
 /* What a fork supposes to have happened at its first sample. */
 enum { NO_FORK, JUMPED, HIT, MOVED };
+
+/* Outcomes of measurements, in the order of `estimation.records.RejectReason`. */
+enum {
+    USED,
+    NON_FINITE,
+    WRONG_JOINT,
+    DUPLICATE,
+    TOO_OLD,
+    FROM_FUTURE,
+    GATED,
+    ZERO_STAMP,
+    IMPLAUSIBLE_TORQUE, /* of which the outputs were used */
+    MISSING_INPUT,      /* of a message that lacks one */
+    UNKNOWN_INPUT,      /* one is NaN; the outputs were used */
+    OUTCOMES
+};
 
 /* The constants of the bank: name, value, and what it is. All others are the design's, or options.
  * docs/estimator.md gives the reason for each, and what half and twice of it do. */
@@ -93,8 +110,7 @@ enum { BANK_CONSTANTS(BANK_CONSTANT_NAME) CONSTANTS };
 
 enum { TONES = 13 }; /* frequencies at which innovations are listened to */
 
-/* Sizes of an estimator, the first numbers of its model record, as 64-bit integers. */
-#define ESTIMATOR_SIZES 11
+/* Sizes of an estimator, the first numbers of its model record. */
 typedef struct {
     int64_t n;          /* augmented states of the design */
     int64_t width;      /* these and the auxiliary ones: length of rows */
@@ -108,137 +124,93 @@ typedef struct {
     int64_t flow_size;  /* numbers of the flow, */
     int64_t scratch;    /* and of the scratch that it needs */
 } estimator_sizes;
+enum { ESTIMATOR_SIZES = sizeof(estimator_sizes) / sizeof(int64_t) };
 
-/* Return the sizes that a model record's first numbers are, and whether they belong together. */
-static inline estimator_sizes sizes_of(const int64_t *numbers)
+/* Return the sizes that some numbers are, and whether they belong together. */
+static inline estimator_sizes sizes_of(const void *numbers)
 {
-    const estimator_sizes s = {numbers[0], numbers[1], numbers[2], numbers[3], numbers[4],
-                               numbers[5], numbers[6], numbers[7], numbers[8], numbers[9],
-                               numbers[10]};
+    estimator_sizes s;
+    memcpy(&s, numbers, sizeof s);
     return s;
 }
 int sizes_are_sound(const int64_t *numbers);
 
-/* What is remembered of one output.
- *
- * noise_scale: size of the white noise relative to the design's; scale_age: time it has been learnt
- * for [s]; previous, paired: the innovation before and its kind; since: time since the last sample
- * [s]. tones: what the design's innovations have of each frequency, cosine and sine. pull: sum of
- * the innovations since the value repeats.
- *
- * Of repeats: value: the latest one, NaN before the first. step, rough: of the sensor, and of the
- * differences of its innovations, 0 before the first difference. before: innovation of the sample
- * before. nearest: least |y - C x| of the value. repeats: repetitions that count. Then counts. */
-#define SENSOR_FIELDS(F, s)           \
-    F(NUMBER, noise_scale, 1, 1)      \
-    F(NUMBER, scale_age, 1, 1)        \
-    F(NUMBER, previous, 1, 1)         \
-    F(COUNT, paired, 1, 1)            \
-    F(NUMBER, since, 1, 1)            \
-    F(MATRIX, tones, TONES, 2)        \
-    F(NUMBER, pull, 1, 1)             \
-    F(NUMBER, value, 1, 1)            \
-    F(NUMBER, step, 1, 1)             \
-    F(NUMBER, rough, 1, 1)            \
-    F(NUMBER, before, 1, 1)           \
-    F(NUMBER, nearest, 1, 1)          \
-    F(COUNT, repeats, 1, 1)           \
-    F(COUNT, gated, 1, 1)             \
-    F(COUNT, missing, 1, 1)
+/* What is remembered of one output. */
+#define SENSOR_FIELDS(F, s)                                                               \
+    F(NUMBER, noise_scale, 1, 1) /* size of the white noise, by the design's */           \
+    F(NUMBER, scale_age, 1, 1)   /* time it has been learnt for [s] */                    \
+    F(NUMBER, previous, 1, 1)    /* the innovation before, */                             \
+    F(COUNT, paired, 1, 1)       /* and its kind */                                       \
+    F(NUMBER, since, 1, 1)       /* time since the last sample [s] */                     \
+    F(MATRIX, tones, TONES, 2)   /* the innovations' cosine and sine of each frequency */ \
+    F(NUMBER, pull, 1, 1)        /* sum of the innovations since the value repeats */     \
+    REPETITION_FIELDS(F, s)                                                               \
+    F(COUNT, gated, 1, 1)        /* counts of samples that were not used, */              \
+    F(COUNT, missing, 1, 1)      /* and of samples without this output */
 LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
 
-/* A hypothesis: a filter and a weight.
- *
- * live: whether it is considered. kind, fork: what it supposes. score: logarithm of its weight
- * relative to the best. age: time since it began [s]; settling: least time with Riccati gains left
- * [s]. certified: whether the certified gain serves, and the covariance is the certificate's bound;
- * cause: basis of the bounds while it is not. corrected: whether a sample was used since the last
- * prediction. x, covariance: estimate in design coordinates, and of its error.
- *
- * inlier: average of whether samples are used. previous, nis, colour, slow, slow_power: of the
- * innovations in sigmas, the one before, averages of their squares and of the products of
- * neighbours over a second, low-passed, and the power of that relative to white noise's.
- *
- * theta, gamma, upsilon (by rows), gram, learning: of the parameters, and the time they have been
- * learnt for [s]. pending: change of theta that is used once it is significant. anchor, pass_age
- * [s], passes: where the present pass of learning began, how long it takes.
- *
- * frequency [rad/s], size, output: of a tone. */
-#define HYPOTHESIS_FIELDS(F, s)               \
-    F(COUNT, live, 1, 1)                      \
-    F(COUNT, kind, 1, 1)                      \
-    F(COUNT, fork, 1, 1)                      \
-    F(NUMBER, score, 1, 1)                    \
-    F(NUMBER, age, 1, 1)                      \
-    F(NUMBER, settling, 1, 1)                 \
-    F(COUNT, certified, 1, 1)                 \
-    F(COUNT, cause, 1, 1)                     \
-    F(COUNT, corrected, 1, 1)                 \
-    F(VECTOR, x, s->width, 1)                 \
-    F(MATRIX, covariance, s->width, s->width) \
-    F(NUMBER, inlier, 1, 1)                   \
-    F(VECTOR, previous, s->p, 1)              \
-    F(NUMBER, nis, 1, 1)                      \
-    F(NUMBER, colour, 1, 1)                   \
-    F(VECTOR, slow, s->p, 1)                  \
-    F(NUMBER, slow_power, 1, 1)               \
-    F(VECTOR, theta, s->k, 1)                 \
-    F(MATRIX, gamma, s->k, s->k)              \
-    F(MATRIX, upsilon, s->k, s->width)        \
-    F(MATRIX, gram, s->k, s->k)               \
-    F(NUMBER, learning, 1, 1)                 \
-    F(VECTOR, pending, s->k, 1)               \
-    F(COUNT, significant, 1, 1)               \
-    F(VECTOR, anchor, s->k, 1)                \
-    F(NUMBER, pass_age, 1, 1)                 \
-    F(NUMBER, frequency, 1, 1)                \
-    F(NUMBER, size, 1, 1)                     \
-    F(COUNT, output, 1, 1)
+/* A hypothesis: a filter and a weight. Of innovations, squares are in sigmas. */
+#define HYPOTHESIS_FIELDS(F, s)                                                       \
+    F(COUNT, live, 1, 1)         /* whether it is considered */                       \
+    F(COUNT, kind, 1, 1)         /* what it takes arm and sensors for, */             \
+    F(COUNT, fork, 1, 1)         /* and what it supposes to have happened */          \
+    F(NUMBER, score, 1, 1)       /* logarithm of its weight, by the best one's */     \
+    F(NUMBER, age, 1, 1)         /* time since it began [s] */                        \
+    F(NUMBER, settling, 1, 1)    /* least time with Riccati gains left [s] */         \
+    F(COUNT, certified, 1, 1)    /* whether the certificate's gain and bound serve */ \
+    F(COUNT, cause, 1, 1)        /* basis of the bounds while they do not */          \
+    F(COUNT, corrected, 1, 1)    /* whether a sample was used since a prediction */   \
+    F(VECTOR, x, s->width, 1)    /* estimate in design coordinates */                 \
+    F(MATRIX, covariance, s->width, s->width) /* of its error */                      \
+    F(NUMBER, inlier, 1, 1)      /* average of whether samples are used */            \
+    F(VECTOR, previous, s->p, 1) /* the innovations before */                         \
+    F(NUMBER, nis, 1, 1)         /* average of innovations' squares */                \
+    F(NUMBER, colour, 1, 1)      /* average of products of neighbouring ones */       \
+    F(VECTOR, slow, s->p, 1)     /* innovations, low-passed, */                       \
+    F(NUMBER, slow_power, 1, 1)  /* and their power, by white noise's */              \
+    F(VECTOR, theta, s->k, 1)    /* parameters */                                     \
+    F(MATRIX, gamma, s->k, s->k) /* covariance of their errors */                     \
+    F(MATRIX, upsilon, s->k, s->width) /* dx/dtheta, by rows */                       \
+    F(MATRIX, gram, s->k, s->k)  /* measure of excitation */                          \
+    F(NUMBER, learning, 1, 1)    /* time they have been learnt for [s] */             \
+    F(VECTOR, pending, s->k, 1)  /* change of theta that is not used yet */           \
+    F(COUNT, significant, 1, 1)  /* whether it ever was significant */                \
+    F(VECTOR, anchor, s->k, 1)   /* theta when the present pass began, */             \
+    F(NUMBER, pass_age, 1, 1)    /* and time since then [s] */                        \
+    F(NUMBER, frequency, 1, 1)   /* of a tone [rad/s], with its */                    \
+    F(NUMBER, size, 1, 1)        /* 1 sigma, and the */                               \
+    F(COUNT, output, 1, 1)       /* output that has it */
 LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
 
-/* All that an estimator remembers.
- *
- * stamp, y, u: of the newest sample [ns], a missing output is NaN. sample: the newest of each
- * output. held: inputs in use, those of the newest sample with plausible ones, of an arm the torque
- * at the motor over the coming period. past: torques on their way there, the newest first, each with
- * the time since it was commanded [s], which is infinite before the first. torque_age: time since the
- * newest plausible torque [s]; torque_unknown: whether that is not the newest sample's. late: whether
- * it is read after the stamp at which the next sample was due.
- *
- * hypotheses: the filters, zeros where there is none. best: place of the likeliest. awake: time for which all are considered
- * [s]. sensors: of the outputs. noise_scale: the largest of theirs. since: time since the last
- * sample [s]. centre, spread: mean and variance of the plant's states over some seconds. The others
- * are counts. */
-#define STATE_FIELDS(F, s)                                \
-    F(COUNT, stamp, 1, 1)                                 \
-    F(VECTOR, y, s->p, 1)                                 \
-    F(VECTOR, sample, s->p, 1)                            \
-    F(VECTOR, u, s->m, 1)                                 \
-    F(VECTOR, held, s->m, 1)                              \
-    F(MATRIX, past, s->past, 2)                           \
-    F(NUMBER, torque_age, 1, 1)                           \
-    F(COUNT, torque_unknown, 1, 1)                        \
-    F(COUNT, late, 1, 1)                                  \
-    F(COUNT, in_gap, 1, 1)                                \
-    F(COUNT, best, 1, 1)                                  \
-    F(NUMBER, awake, 1, 1)                                \
-    F(MATRIX, sensors, s->p, sensor_size(s))              \
-    F(NUMBER, noise_scale, 1, 1)                          \
-    F(NUMBER, since, 1, 1)                                \
-    F(NUMBER, age, 1, 1)                                  \
-    F(VECTOR, centre, s->plant, 1)                        \
-    F(VECTOR, spread, s->plant, 1)                        \
-    F(COUNT, moving, 1, 1)                                \
-    F(COUNT, outliers, 1, 1)                              \
-    F(COUNT, jumps, 1, 1)                                 \
-    F(COUNT, hits, 1, 1)                                  \
-    F(COUNT, losses, 1, 1)                                \
-    F(COUNT, gated, 1, 1)                                 \
-    F(COUNT, implausible, 1, 1)                           \
-    F(COUNT, unknown_inputs, 1, 1)                        \
-    F(COUNT, restarts, 1, 1)                              \
-    F(COUNT, failures, 1, 1)                              \
-    F(MATRIX, hypotheses, s->hypotheses, hypothesis_size(s))
+/* All that an estimator remembers. A torque that is late at an arm's motor is held only then. */
+#define STATE_FIELDS(F, s)                                                                     \
+    F(COUNT, stamp, 1, 1)          /* of the newest sample [ns] */                             \
+    F(VECTOR, y, s->p, 1)          /* outputs in it, NaN if missing */                         \
+    F(VECTOR, sample, s->p, 1)     /* newest sample of each output */                          \
+    F(VECTOR, u, s->m, 1)          /* inputs in it */                                          \
+    F(VECTOR, held, s->m, 1)       /* inputs in use, plausible ones */                         \
+    F(MATRIX, past, s->past, 2)    /* torques on their way and their ages [s], newest first */ \
+    F(NUMBER, torque_age, 1, 1)    /* since the newest plausible torque [s] */                 \
+    F(COUNT, torque_unknown, 1, 1) /* whether that is not the newest sample's */               \
+    F(COUNT, late, 1, 1)           /* whether the next sample was due when this is read */     \
+    F(COUNT, in_gap, 1, 1)         /* whether the torque is an auxiliary state */              \
+    F(COUNT, best, 1, 1)           /* place of the likeliest hypothesis */                     \
+    F(NUMBER, awake, 1, 1)         /* time for which all are considered [s] */                 \
+    F(MATRIX, sensors, s->p, sensor_size(s)) /* of the outputs */                              \
+    F(NUMBER, noise_scale, 1, 1)   /* largest of theirs */                                     \
+    F(NUMBER, since, 1, 1)         /* time since the last sample [s] */                        \
+    F(NUMBER, age, 1, 1)           /* time since the start [s] */                              \
+    F(VECTOR, centre, s->plant, 1) /* mean of the plant's states over some seconds */          \
+    F(VECTOR, spread, s->plant, 1) /* and their variance */                                    \
+    F(COUNT, moving, 1, 1)         /* whether these move enough to learn from */               \
+    F(COUNT, outliers, 1, 1)       /* counts of what was found */                              \
+    F(COUNT, jumps, 1, 1)                                                                      \
+    F(COUNT, hits, 1, 1)                                                                       \
+    F(COUNT, losses, 1, 1)                                                                     \
+    F(COUNTS, judged, OUTCOMES, 1) /* counts of samples by outcome, of those judged here */    \
+    F(COUNT, restarts, 1, 1)       /* counts of new starts after gaps and failures */          \
+    F(COUNT, failures, 1, 1)       /* counts of numbers that were not finite */                \
+    F(MATRIX, hypotheses, s->hypotheses, hypothesis_size(s)) /* zeros where there is none */
 LAYOUT_DECLARE(state, STATE_FIELDS, estimator_sizes)
 
 /* A sample's effect on the likeliest hypothesis, and behind `weight` scratch of the same step. The
@@ -259,31 +231,26 @@ LAYOUT_DECLARE(state, STATE_FIELDS, estimator_sizes)
     F(MATRIX, root, s->k, s->k)
 LAYOUT_DECLARE(correction, CORRECTION_FIELDS, estimator_sizes)
 
-/* An estimate in physical units, a row of doubles. Bounds are 1 sigma.
- *
- * basis: BASIS_...; claimed: whether the bounds are claimed to hold; learning: LEARNING_...;
- * hypothesis: what the arm and its sensors are taken for, AS_DESIGNED, FORCE and so on; in_domain:
- * whether the state is in the certificate's domain, 1 where no domain is known; age: time since the
- * newest sample before it [s]. */
-#define ESTIMATE_FIELDS(F, s)                    \
-    F(VECTOR, state, s->plant, 1)                \
-    F(VECTOR, state_bound, s->plant, 1)          \
-    F(VECTOR, disturbance, s->p, 1)              \
-    F(VECTOR, disturbance_rate, s->p, 1)         \
-    F(VECTOR, disturbance_bound, s->p, 1)        \
-    F(VECTOR, parameters, s->k, 1)               \
-    F(VECTOR, parameter_bound, s->k, 1)          \
-    F(VECTOR, torque_disturbance, s->t, 1)       \
-    F(VECTOR, torque_disturbance_bound, s->t, 1) \
-    F(NUMBER, basis, 1, 1)                       \
-    F(NUMBER, claimed, 1, 1)                     \
-    F(NUMBER, parameters_valid, 1, 1)            \
-    F(NUMBER, noise_scale, 1, 1)                 \
-    F(NUMBER, coloured_power, 1, 1)              \
-    F(NUMBER, learning, 1, 1)                    \
-    F(NUMBER, hypothesis, 1, 1)                  \
-    F(NUMBER, in_domain, 1, 1)                   \
-    F(NUMBER, age, 1, 1)
+/* An estimate in physical units, a row of doubles. Bounds are 1 sigma. */
+#define ESTIMATE_FIELDS(F, s)                                                           \
+    F(VECTOR, state, s->plant, 1)                                                       \
+    F(VECTOR, state_bound, s->plant, 1)                                                 \
+    F(VECTOR, disturbance, s->p, 1) /* of each output */                                \
+    F(VECTOR, disturbance_rate, s->p, 1)                                                \
+    F(VECTOR, disturbance_bound, s->p, 1)                                               \
+    F(VECTOR, parameters, s->k, 1)                                                      \
+    F(VECTOR, parameter_bound, s->k, 1)                                                 \
+    F(VECTOR, torque_disturbance, s->t, 1)                                              \
+    F(VECTOR, torque_disturbance_bound, s->t, 1)                                        \
+    F(NUMBER, basis, 1, 1)          /* BASIS_... */                                     \
+    F(NUMBER, claimed, 1, 1)        /* whether the bounds are claimed to hold */        \
+    F(NUMBER, parameters_valid, 1, 1) /* whether the motion was rich enough for them */ \
+    F(NUMBER, noise_scale, 1, 1)    /* of the sensors, by the design's */               \
+    F(NUMBER, coloured_power, 1, 1) /* of neighbouring innovations */                   \
+    F(NUMBER, learning, 1, 1)       /* LEARNING_... */                                  \
+    F(NUMBER, hypothesis, 1, 1)     /* AS_DESIGNED, FORCE and so on */                  \
+    F(NUMBER, in_domain, 1, 1)      /* of the certificate; 1 if none is known */        \
+    F(NUMBER, age, 1, 1)            /* time since the newest sample before it [s] */
 LAYOUT_DECLARE(estimate, ESTIMATE_FIELDS, estimator_sizes)
 
 /* Scratch of a prediction or a readout. */
@@ -299,75 +266,56 @@ LAYOUT_DECLARE(estimate, ESTIMATE_FIELDS, estimator_sizes)
     F(VECTOR, weights, s->hypotheses, 1)
 LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
 
-/* A model: sizes, flow, the initial state, output, gains, bounds and options.
- *
- * period to longest: of samples [s]. late_factor: of the certificate's bound for a period after the
- * next sample was due. torque_rate: 1 sigma of the rate of a torque that is unknown [N m/s], 0 if
- * it is held. torque_limit, torque_rate_limit: of plausible torques; torque_spread: 1 sigma of a
- * torque of which nothing is known. torque_gain to torque_delay: of the torque at an arm's motor,
- * gain u(t - delay) + offset [-], [N m], [s]. force: 1 sigma of an unknown
- * force, 0 without a hypothesis of one. C to innovation_covariance: outputs and gains, in physical
- * units from `scale` on. domain: 1 sigma of the plant's states where nothing is known of them.
- * limits, theta_deviation: of the parameters. stuck_samples: repetitions of a stuck sensor. */
-#define MODEL_FIELDS(F, s)                         \
-    F(COUNT, n, 1, 1)                              \
-    F(COUNT, width, 1, 1)                          \
-    F(COUNT, plant, 1, 1)                          \
-    F(COUNT, p, 1, 1)                              \
-    F(COUNT, m, 1, 1)                              \
-    F(COUNT, k, 1, 1)                              \
-    F(COUNT, t, 1, 1)                              \
-    F(COUNT, hypothesis_count, 1, 1)               \
-    F(COUNT, past_count, 1, 1)                     \
-    F(COUNT, flow_size, 1, 1)                      \
-    F(COUNT, scratch, 1, 1)                        \
-    F(VECTOR, flow, s->flow_size, 1)               \
-    F(VECTOR, initial, state_size(s), 1)           \
-    F(VECTOR, constants, CONSTANTS, 1)             \
-    F(NUMBER, period, 1, 1)                        \
-    F(NUMBER, shortest, 1, 1)                      \
-    F(NUMBER, longest, 1, 1)                       \
-    F(NUMBER, late_factor, 1, 1)                   \
-    F(NUMBER, torque_rate, 1, 1)                   \
-    F(NUMBER, torque_limit, 1, 1)                  \
-    F(NUMBER, torque_rate_limit, 1, 1)             \
-    F(NUMBER, torque_spread, 1, 1)                 \
-    F(NUMBER, torque_gain, 1, 1)                   \
-    F(NUMBER, torque_offset, 1, 1)                 \
-    F(NUMBER, torque_delay, 1, 1)                  \
-    F(NUMBER, force, 1, 1)                         \
-    F(COUNT, gain_mode, 1, 1)                      \
-    F(MATRIX, C, s->p, s->width)                   \
-    F(MATRIX, D, s->p, s->p)                       \
-    F(MATRIX, R, s->p, s->p)                       \
-    F(MATRIX, K, s->width, s->p)                   \
-    F(MATRIX, X, s->width, s->width)               \
-    F(MATRIX, P, s->width, s->width)               \
-    F(MATRIX, posterior, s->width, s->width)       \
-    F(MATRIX, innovation_covariance, s->p, s->p)   \
-    F(VECTOR, scale, s->plant, 1)                  \
-    F(MATRIX, disturbance_map, s->p, s->width)     \
-    F(MATRIX, disturbance_direct, s->p, s->p)      \
-    F(MATRIX, rate_map, s->p, s->width)            \
-    F(MATRIX, torque_map, s->t, s->width)          \
-    F(COUNTS, disturbed, s->p, 1)                  \
-    F(VECTOR, state_std, s->width, 1)              \
-    F(VECTOR, disturbance_std, s->p, 1)            \
-    F(VECTOR, torque_std, s->t, 1)                 \
-    F(VECTOR, domain, s->plant, 1)                 \
-    F(VECTOR, limits, s->k, 1)                     \
-    F(VECTOR, theta_deviation, s->k, 1)            \
-    F(NUMBER, random_walk, 1, 1)                   \
-    F(NUMBER, significance, 1, 1)                  \
-    F(NUMBER, pass_time, 1, 1)                     \
-    F(NUMBER, adaptation_start, 1, 1)              \
-    F(NUMBER, memory, 1, 1)                        \
-    F(NUMBER, excitation, 1, 1)                    \
-    F(COUNT, covered, 1, 1)                        \
-    F(COUNT, supervised, 1, 1)                     \
-    F(NUMBER, gate, 1, 1)                          \
-    F(COUNT, stuck_samples, 1, 1)                  \
-    F(VECTOR, disturbance_limit, s->p, 1)
+/* A model; from `scale` on in physical units. */
+#define MODEL_FIELDS(F, s)                                                                        \
+    F(COUNTS, sizes, ESTIMATOR_SIZES, 1) /* estimator_sizes */                                    \
+    F(VECTOR, flow, s->flow_size, 1) /* prediction model */                                       \
+    F(VECTOR, initial, state_size(s), 1) /* state before any sample */                            \
+    F(VECTOR, constants, CONSTANTS, 1) /* of the bank */                                          \
+    F(NUMBER, period, 1, 1)          /* nominal time between samples [s], */                      \
+    F(NUMBER, shortest, 1, 1)        /* and of a regular step, least */                           \
+    F(NUMBER, longest, 1, 1)         /* and most */                                               \
+    F(NUMBER, late_factor, 1, 1)     /* of the certified bound for a period more */               \
+    F(NUMBER, torque_rate, 1, 1)     /* 1 sigma of an unknown torque's [N m/s], 0: it is held */  \
+    F(NUMBER, torque_limit, 1, 1)    /* of plausible torques [N m] */                             \
+    F(NUMBER, torque_rate_limit, 1, 1) /* of theirs [N m/s] */                                    \
+    F(NUMBER, torque_spread, 1, 1)   /* 1 sigma of a torque of which nothing is known */          \
+    F(NUMBER, torque_gain, 1, 1)     /* of the torque at an arm's motor, */                       \
+    F(NUMBER, torque_offset, 1, 1)   /* gain u(t - delay) + offset [N m], */                      \
+    F(NUMBER, torque_delay, 1, 1)    /* [s] */                                                    \
+    F(NUMBER, force, 1, 1)           /* 1 sigma of an unknown one [N m], 0: none is considered */ \
+    F(COUNT, gain_mode, 1, 1)        /* GAIN_... */                                               \
+    F(MATRIX, C, s->p, s->width)     /* states to outputs */                                      \
+    F(MATRIX, D, s->p, s->p)         /* samples to expected outputs */                            \
+    F(MATRIX, R, s->p, s->p)         /* covariance of a sample */                                 \
+    F(MATRIX, K, s->width, s->p)     /* certified gain */                                         \
+    F(MATRIX, X, s->width, s->width) /* its bound before a sample, */                             \
+    F(MATRIX, P, s->width, s->width) /* the inverse of that, */                                   \
+    F(MATRIX, posterior, s->width, s->width) /* and the bound after a sample */                   \
+    F(MATRIX, innovation_covariance, s->p, s->p)                                                  \
+    F(VECTOR, scale, s->plant, 1)    /* physical units of the plant's states */                   \
+    F(MATRIX, disturbance_map, s->p, s->width) /* states to disturbances, */                      \
+    F(MATRIX, disturbance_direct, s->p, s->p) /* and samples to these */                          \
+    F(MATRIX, rate_map, s->p, s->width) /* states to rates of disturbances */                     \
+    F(MATRIX, torque_map, s->t, s->width) /* states to unknown torques */                         \
+    F(COUNTS, disturbed, s->p, 1)    /* whether outputs have a disturbance */                     \
+    F(VECTOR, state_std, s->width, 1) /* certified 1 sigma */                                     \
+    F(VECTOR, disturbance_std, s->p, 1)                                                           \
+    F(VECTOR, torque_std, s->t, 1)                                                                \
+    F(VECTOR, domain, s->plant, 1)   /* 1 sigma where nothing is known */                         \
+    F(VECTOR, limits, s->k, 1)       /* of the parameters */                                      \
+    F(VECTOR, theta_deviation, s->k, 1) /* 1 sigma of them beforehand */                          \
+    F(NUMBER, random_walk, 1, 1)     /* growth of their variance [1/s] */                         \
+    F(NUMBER, significance, 1, 1)    /* square from which on a change is used */                  \
+    F(NUMBER, pass_time, 1, 1)       /* after which a pass is over [s] */                         \
+    F(NUMBER, adaptation_start, 1, 1) /* when learning begins [s] */                              \
+    F(NUMBER, memory, 1, 1)          /* time constant of excitation [s] */                        \
+    F(NUMBER, excitation, 1, 1)      /* from which on parameters count */                         \
+    F(COUNT, covered, 1, 1)          /* whether the certificate covers them */                    \
+    F(COUNT, supervised, 1, 1)       /* whether there are other hypotheses */                     \
+    F(NUMBER, gate, 1, 1)            /* sigmas of an outlier */                                   \
+    F(COUNT, stuck_samples, 1, 1)    /* repetitions of a stuck sensor */                          \
+    F(VECTOR, disturbance_limit, s->p, 1) /* largest disturbances */
 LAYOUT_DECLARE(model_numbers, MODEL_FIELDS, estimator_sizes)
 
 /* View of a model record: its sizes, its numbers, and its flow. */
@@ -418,5 +366,36 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
 
 /* Write the estimate and its bounds; return whether all are finite. */
 int read_out(const model *m, const state *at, const estimate *said, work *scratch);
+
+/* --- innovations of a log: what a plain Kalman filter of a model does not expect of each sample ---
+ *
+ * Their likelihood is that of the model, which identification maximises. The filter is that of one
+ * hypothesis without supervision, and has Coulomb friction, which the design's flow has not. */
+
+/* A log of n samples.
+ *
+ * durations: time from each sample to the next [s], negative where the next one begins anew, (n,).
+ * y: outputs, NaN if missing, (n, p). u: inputs held until the next sample, (n, m). */
+typedef struct {
+    int64_t count;
+    const double *durations, *y, *u;
+} sample_log;
+
+/* What the filter knows beside the model: Coulomb friction as the deceleration of link and motor, in
+ * design coordinates [1/s^2], and the sigmas beyond which an output is left out. */
+typedef struct {
+    double link_friction, motor_friction, gate;
+} filter_options;
+
+/* Number of the scratch's numbers. */
+size_t innovations_scratch_size(const model *m);
+
+/* Filter a log from the model's initial state on. Write y - C x of each output given those before it,
+ * and its variance, NaN of an output that is missing, (n, p) each; and the states before each sample,
+ * (n, n), unless NULL. Without a `corrected_until` below n the filter runs free from that sample on:
+ * innovations are those of a simulation. */
+void write_innovations(
+    const model *m, const sample_log *log, const filter_options *options, int64_t corrected_until,
+    double *innovations, double *variances, double *states, double *scratch);
 
 #endif

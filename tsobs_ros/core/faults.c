@@ -6,8 +6,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "outcomes.h"
-#include "repeats.h"
+#include "estimator.h"
 
 /* Values that differ by so many sigmas are the same. A sensor is stuck after so long [ns] with so
  * many repetitions that count, and missing after so long [ns]. */

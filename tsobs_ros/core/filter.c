@@ -234,7 +234,7 @@ static void use_pending(const model *m, hypothesis *h, correction *effect)
 {
     const long k = (long)m->s.k, width = (long)m->s.width, used = states_in_use(m, h);
     if (*h->significant == 0) {
-        solve(h->gamma, h->pending, effect->root, effect->scaled, k, 1);
+        solve(h->gamma, h->pending, effect->root, effect->scaled, k);
         *h->significant = dot(h->pending, effect->scaled, k) > *m->significance;
     }
     if (*h->significant != 0) {

@@ -40,10 +40,6 @@ void rule_weights(
     const int64_t *shapes, const double *parameters, const double *z, double *weights,
     double *slopes, long r, long q);
 
-/* Divide the grades of r rules by their sum, in place, and return the sum. Both are NaN if no grade
- * is above 0, or one is negative or not finite; the sum of huge grades is infinite. */
-double normalise(double *grades, long r);
-
 /* --- the exact flow of x' = A x + B u + noise, over a step of any length --- */
 
 #define SERIES_TERMS 60 /* most rows of a series of Taylor coefficients */
@@ -90,44 +86,40 @@ typedef struct {
     long n, m, inputs, p, k, plant, rules, premises;
 } flow_sizes;
 
-/* kind: KIND_... . period to noise: the linear flow with its nominal step (half a step of a T-S
- * system); turned: phi transposed. gravity_gain and effects: of an arm; has_unknown, motor_torque,
- * link_torque: whether it has unknown torques, and the states that make them up. deviations and
- * directions: [A B] of each rule less the mean, and their change by each parameter, of a T-S
- * system, whose premise variables are premise x + schedule (scheduled signals). shapes, parameters: its
- * memberships. max_step to U: of an integrated observer, whose premises are its first outputs. */
-#define FLOW_FIELDS(FIELD, s)                                                      \
-    FIELD(COUNT, kind, 1, 1)                                                       \
-    FIELD(COUNT, n, 1, 1)                                                          \
-    FIELD(COUNT, m, 1, 1)                                                          \
-    FIELD(COUNT, inputs, 1, 1)                                                     \
-    FIELD(COUNT, p, 1, 1)                                                          \
-    FIELD(COUNT, k, 1, 1)                                                          \
-    FIELD(COUNT, plant, 1, 1)                                                      \
-    FIELD(COUNT, rules, 1, 1)                                                      \
-    FIELD(COUNT, premises, 1, 1)                                                   \
-    FIELD(NUMBER, period, 1, 1)                                                    \
-    FIELD(COUNT, terms, 1, 1)                                                      \
-    FIELD(NUMBER, reach, 1, 1)                                                     \
-    FIELD(MATRIX, series, SERIES_TERMS, s->n * (2 * s->n + s->inputs))             \
-    FIELD(MATRIX, phi, s->n, s->n)                                                 \
-    FIELD(MATRIX, turned, s->n, s->n)                                              \
-    FIELD(MATRIX, gamma, s->n, s->inputs)                                          \
-    FIELD(MATRIX, noise, s->n, s->n)                                               \
-    FIELD(NUMBER, gravity_gain, 1, 1)                                              \
-    FIELD(MATRIX, effects, s->k, EFFECTS)                                          \
-    FIELD(COUNT, has_unknown, 1, 1)                                                \
-    FIELD(VECTOR, motor_torque, s->n, 1)                                           \
-    FIELD(VECTOR, link_torque, s->n, 1)                                            \
-    FIELD(MATRIX, deviations, s->rules * s->plant, s->plant + s->inputs)           \
-    FIELD(MATRIX, directions, s->k * s->rules * s->plant, s->plant + s->inputs)    \
-    FIELD(MATRIX, premise, s->premises, s->plant)                                  \
-    FIELD(MATRIX, schedule, s->premises, s->m - s->inputs)                         \
-    FIELD(COUNTS, shapes, s->rules * s->premises, 1)                               \
-    FIELD(MATRIX, parameters, s->rules * s->premises, 4)                           \
-    FIELD(NUMBER, max_step, 1, 1)                                                  \
-    FIELD(MATRIX, F, s->rules * s->n, s->n)                                        \
-    FIELD(MATRIX, Y, s->rules * s->n, s->p)                                        \
+/* Numbers of a model. deviations: [A B] of each rule of a T-S system less the mean; directions: their
+ * change by each parameter; schedule: scheduled signals to premise variables. The linear flow of a T-S system is that of half a step. */
+#define FLOW_FIELDS(FIELD, s)                                                        \
+    FIELD(COUNT, kind, 1, 1)         /* KIND_... */                                  \
+    FIELD(COUNT, n, 1, 1)            /* flow_sizes */                                \
+    FIELD(COUNT, m, 1, 1)                                                            \
+    FIELD(COUNT, inputs, 1, 1)                                                       \
+    FIELD(COUNT, p, 1, 1)                                                            \
+    FIELD(COUNT, k, 1, 1)                                                            \
+    FIELD(COUNT, plant, 1, 1)                                                        \
+    FIELD(COUNT, rules, 1, 1)                                                        \
+    FIELD(COUNT, premises, 1, 1)                                                     \
+    FIELD(NUMBER, period, 1, 1)      /* nominal step [s] */                          \
+    FIELD(COUNT, terms, 1, 1)        /* of the series of the linear flow, */         \
+    FIELD(NUMBER, reach, 1, 1)       /* up to which it serves [s] */                 \
+    FIELD(MATRIX, series, SERIES_TERMS, s->n * (2 * s->n + s->inputs))               \
+    FIELD(MATRIX, phi, s->n, s->n)   /* nominal linear flow, */                      \
+    FIELD(MATRIX, turned, s->n, s->n) /* phi transposed, */                          \
+    FIELD(MATRIX, gamma, s->n, s->inputs)                                            \
+    FIELD(MATRIX, noise, s->n, s->n)                                                 \
+    FIELD(NUMBER, gravity_gain, 1, 1) /* of an arm or integrated observer */         \
+    FIELD(MATRIX, effects, s->k, EFFECTS) /* of an arm's parameters */               \
+    FIELD(COUNT, has_unknown, 1, 1)  /* whether an arm has unknown torques, */       \
+    FIELD(VECTOR, motor_torque, s->n, 1) /* and states that make up the motor's */   \
+    FIELD(VECTOR, link_torque, s->n, 1) /* and the link's */                         \
+    FIELD(MATRIX, deviations, s->rules * s->plant, s->plant + s->inputs)             \
+    FIELD(MATRIX, directions, s->k * s->rules * s->plant, s->plant + s->inputs)      \
+    FIELD(MATRIX, premise, s->premises, s->plant) /* states to premise variables, */ \
+    FIELD(MATRIX, schedule, s->premises, s->m - s->inputs)                           \
+    FIELD(COUNTS, shapes, s->rules * s->premises, 1) /* memberships, */              \
+    FIELD(MATRIX, parameters, s->rules * s->premises, 4) /* and theirs */            \
+    FIELD(NUMBER, max_step, 1, 1)    /* of an integrated observer [s], */            \
+    FIELD(MATRIX, F, s->rules * s->n, s->n) /* matrices of each rule */              \
+    FIELD(MATRIX, Y, s->rules * s->n, s->p)                                          \
     FIELD(MATRIX, U, s->rules * s->n, s->m)
 LAYOUT_DECLARE(flow, FLOW_FIELDS, flow_sizes)
 

@@ -142,37 +142,43 @@ static int64_t refusal(
     return place < *t->h.length && stamp_at(t, place) == stamp ? DUPLICATE : USED;
 }
 
-/* Correct a state by a measurement, from the initial one if it starts; start over, and count that,
- * if the state is not finite. */
-static void correct_or_start(
-    tracker *t, double *numbers, state *at, const double *y, const double *u, int starts,
-    int64_t *restarts, int64_t *failures)
+/* Start over from the initial state, but go on counting. */
+static void restart(tracker *t, double *numbers, state *at, int failed)
+{
+    const int64_t restarts = *at->restarts + 1, failures = *at->failures + failed;
+    int64_t judged[OUTCOMES];
+    memcpy(judged, at->judged, sizeof judged);
+    copy_state(&t->m, t->m.initial, numbers);
+    memcpy(at->judged, judged, sizeof judged);
+    *at->restarts = restarts;
+    *at->failures = failures;
+}
+
+/* Correct a state by a measurement; return whether what it expected of that is finite. */
+static int correct_by_sample(tracker *t, state *at, const double *y, const double *u)
 {
     const int64_t p = t->m.s.p;
-    int attempt;
-    for (attempt = 0; attempt < 2; attempt++) {
-        double total = 0.0;
-        int64_t i, j;
-        if (starts) {
-            copy_state(&t->m, t->m.initial, numbers);
+    double total = 0.0;
+    take_torque(&t->m, at, u);
+    correct(&t->m, at, y, &t->effect);
+    for (int64_t i = 0; i < p; i++) {
+        total += isfinite(y[i]) ? t->effect.innovation[i] : 0.0;
+        for (int64_t j = 0; j < p; j++) {
+            total += t->effect.innovation_covariance[i * p + j];
         }
-        take_torque(&t->m, at, u);
-        correct(&t->m, at, y, &t->effect);
-        for (i = 0; i < p; i++) {
-            if (isfinite(y[i])) {
-                total += t->effect.innovation[i];
-            }
-            for (j = 0; j < p; j++) {
-                total += t->effect.innovation_covariance[i * p + j];
-            }
-        }
-        if (attempt > 0 || isfinite(total)) {
-            return;
-        }
-        starts = 1;
-        *restarts += 1;
-        *failures += 1;
     }
+    return isfinite(total) != 0;
+}
+
+/* Return whether an output of the latest measurement was used. */
+static int any_used(const tracker *t)
+{
+    for (int64_t i = 0; i < t->m.s.p; i++) {
+        if (t->effect.weight[i] > 0.0) {
+            return 1;
+        }
+    }
+    return 0;
 }
 
 /* Forget what is out of reach of a late measurement, and what is too much. */
@@ -199,43 +205,33 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
 {
     history *h = &t->h;
     double *numbers = numbers_at(t, *h->length);
-    int64_t gated = 0, implausible = 0, unknown = 0, restarts = 0, failures = 0, code, i;
-    int starts = *h->length == 0, is_used = 0;
     state at = state_at(t, *h->length);
-    if (!starts) {
-        const state last = state_at(t, *h->length - 1);
-        gated = *last.gated;
-        implausible = *last.implausible;
-        unknown = *last.unknown_inputs;
-        restarts = *last.restarts;
-        failures = *last.failures;
-        if (stamp - *last.stamp > *h->restart_after) {
-            starts = 1;
-            restarts += 1;
+    int64_t code;
+    if (*h->length == 0) {
+        copy_state(&t->m, t->m.initial, numbers);
+    } else {
+        const int64_t elapsed = stamp - stamp_at(t, *h->length - 1);
+        copy_state(&t->m, numbers_at(t, *h->length - 1), numbers);
+        if (elapsed > *h->restart_after) {
+            restart(t, numbers, &at, 0);
         } else {
-            const double duration = (double)(stamp - *last.stamp) / NANOSECONDS;
-            copy_state(&t->m, numbers_at(t, *h->length - 1), numbers);
-            predict(&t->m, &at, duration, 0, &t->scratch);
+            predict(&t->m, &at, (double)elapsed / NANOSECONDS, 0, &t->scratch);
         }
     }
-    correct_or_start(t, numbers, &at, y, u, starts, &restarts, &failures);
+    if (!correct_by_sample(t, &at, y, u)) {
+        restart(t, numbers, &at, 1);
+        correct_by_sample(t, &at, y, u);
+    }
     code = *at.torque_unknown != 0 ? IMPLAUSIBLE_TORQUE : USED;
-    for (i = 0; i < t->m.s.m; i++) {
+    for (int64_t i = 0; i < t->m.s.m; i++) {
         code = isnan(u[i]) ? UNKNOWN_INPUT : code;
     }
-    for (i = 0; i < t->m.s.p; i++) {
-        is_used |= t->effect.weight[i] > 0.0;
-    }
-    if (!is_used) {
+    if (!any_used(t)) {
         code = GATED;
     }
     *at.stamp = stamp;
     memcpy(at.u, u, (size_t)t->m.s.m * sizeof *u);
-    *at.gated = gated + (code == GATED);
-    *at.implausible = implausible + (code == IMPLAUSIBLE_TORQUE);
-    *at.unknown_inputs = unknown + (code == UNKNOWN_INPUT);
-    *at.restarts = restarts;
-    *at.failures = failures;
+    at.judged[code] += code != USED;
     *h->length += 1;
     *h->generation += 1;
     forget_oldest(t, stamp);

@@ -11,35 +11,27 @@
 #define TSOBS_HISTORY_H
 
 #include "estimator.h"
-#include "outcomes.h"
 
 enum { SPARE = 2 }; /* states at the end of a ring: one in a gap, and one that is read */
 
-/* What a history needs besides its ring.
- *
- * first, length: of the states in the ring. has_base: whether the first of them is only kept to
- * rewind to. generation: count of changes. coasted_periods: whole periods of a gap, after the
- * newest measurement at `coasted_generation`, for which there is a state. accepted to refused:
- * counts, the last by outcome. span: how far back a late measurement may reach [ns]. future: how
- * far ahead of the clock a stamp may lie [ns]. restart_after: the longest gap [ns]. max_steps: the
- * largest number of measurements. x_max: half width of the certificate's domain. */
-#define HISTORY_FIELDS(F, s)          \
-    F(COUNT, first, 1, 1)             \
-    F(COUNT, length, 1, 1)            \
-    F(COUNT, has_base, 1, 1)          \
-    F(COUNT, generation, 1, 1)        \
-    F(COUNT, coasted_generation, 1, 1) \
-    F(COUNT, coasted_periods, 1, 1)   \
-    F(COUNT, accepted, 1, 1)          \
-    F(COUNT, rewinds, 1, 1)           \
-    F(COUNT, forgotten, 1, 1)         \
-    F(COUNT, bad_outputs, 1, 1)       \
-    F(COUNTS, refused, OUTCOMES, 1)   \
-    F(COUNT, span, 1, 1)              \
-    F(COUNT, future, 1, 1)            \
-    F(COUNT, restart_after, 1, 1)     \
-    F(COUNT, max_steps, 1, 1)         \
-    F(NUMBER, x_max, 1, 1)
+/* What a history needs beside its ring. */
+#define HISTORY_FIELDS(F, s)                                                               \
+    F(COUNT, first, 1, 1)           /* place of the oldest state in the ring, */           \
+    F(COUNT, length, 1, 1)          /* and number of states */                             \
+    F(COUNT, has_base, 1, 1)        /* whether the oldest is only there to rewind to */    \
+    F(COUNT, generation, 1, 1)      /* count of changes */                                 \
+    F(COUNT, coasted_generation, 1, 1) /* that of the state in a gap, */                   \
+    F(COUNT, coasted_periods, 1, 1) /* which is so many periods after the newest sample */ \
+    F(COUNT, accepted, 1, 1)        /* counts of measurements, */                          \
+    F(COUNT, rewinds, 1, 1)         /* late ones, put in their place, */                   \
+    F(COUNT, forgotten, 1, 1)       /* ones that left a full ring early, */                \
+    F(COUNT, bad_outputs, 1, 1)     /* estimates that were not finite, */                  \
+    F(COUNTS, refused, OUTCOMES, 1) /* and measurements refused, by outcome */             \
+    F(COUNT, span, 1, 1)            /* how far back a late measurement may reach [ns] */   \
+    F(COUNT, future, 1, 1)          /* how far ahead of the clock a stamp may be [ns] */   \
+    F(COUNT, restart_after, 1, 1)   /* longest gap [ns] */                                 \
+    F(COUNT, max_steps, 1, 1)       /* largest number of measurements */                   \
+    F(NUMBER, x_max, 1, 1)          /* half width of the certificate's domain */
 LAYOUT_DECLARE(history, HISTORY_FIELDS, void)
 
 /* Scratch of a history: records of a step, and in a rewind the measurements after the late one, to

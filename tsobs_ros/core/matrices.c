@@ -109,26 +109,21 @@ static void factorise(const double *s, double *factor, long n)
     }
 }
 
-void solve(const double *s, const double *b, double *factor, double *result, long n, long columns)
+void solve(const double *s, const double *b, double *factor, double *result, long n)
 {
     factorise(s, factor, n);
-    for (long column = 0; column < columns; column++) {
-        for (long i = 0; i < n; i++) {
-            double total = b[i * columns + column];
-            for (long k = 0; k < i; k++) {
-                total -= factor[i * n + k] * result[k * columns + column];
-            }
-            result[i * columns + column] = total;
+    for (long i = 0; i < n; i++) {
+        result[i] = b[i];
+        for (long k = 0; k < i; k++) {
+            result[i] -= factor[i * n + k] * result[k];
         }
-        for (long i = 0; i < n; i++) {
-            result[i * columns + column] /= factor[i * n + i];
-        }
-        for (long i = n - 1; i >= 0; i--) {
-            double total = result[i * columns + column];
-            for (long k = i + 1; k < n; k++) {
-                total -= factor[k * n + i] * result[k * columns + column];
-            }
-            result[i * columns + column] = total;
+    }
+    for (long i = 0; i < n; i++) {
+        result[i] /= factor[i * n + i];
+    }
+    for (long i = n - 1; i >= 0; i--) {
+        for (long k = i + 1; k < n; k++) {
+            result[i] -= factor[k * n + i] * result[k];
         }
     }
 }

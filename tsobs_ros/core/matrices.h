@@ -78,12 +78,11 @@ int is_below(
 /* Return whether a symmetric matrix (n, n) is positive semidefinite; overwrites its upper part. */
 int is_nonnegative(double *s, long n);
 
-/* Write s^-1 b into `result`, which may be b (n, columns), for a symmetric positive definite s.
+/* Write s^-1 b into `result` (n), for a symmetric positive definite s.
  *
  * By s = L D L', so that a 1 x 1 system is one division. `factor` (n, n) is scratch. What comes of
  * a singular s is not finite. */
-void solve(
-    const double *s, const double *b, double *factor, double *result, long n, long columns);
+void solve(const double *s, const double *b, double *factor, double *result, long n);
 
 /* Write a matrix (rows, columns) into `result`. */
 void copy_matrix(

@@ -112,6 +112,36 @@ double grade_and_slope(int64_t shape, double z, const double *parameters, double
     return 1.0 - grade;
 }
 
+/* Divide the grades of r rules by their sum, in place, and return the sum. Both are NaN if no grade
+ * is above 0, or one is negative or not finite; the sum of huge grades is infinite. */
+static double normalise(double *grades, long r)
+{
+    double largest = 0.0, total = 0.0, scale;
+    for (long i = 0; i < r; i++) {
+        if (!(0.0 <= grades[i] && grades[i] < HUGE_VAL)) {
+            largest = (double)NAN;
+            break;
+        }
+        largest = grades[i] > largest ? grades[i] : largest;
+    }
+    if (!(largest > 0.0)) {
+        for (long i = 0; i < r; i++) {
+            grades[i] = (double)NAN;
+        }
+        return (double)NAN;
+    }
+    /* A sum of huge grades overflows; multiplying them by 2^-100 loses no digit. */
+    scale = largest > 1e300 ? 7.888609052210118e-31 : 1.0;
+    for (long i = 0; i < r; i++) {
+        grades[i] *= scale;
+        total += grades[i];
+    }
+    for (long i = 0; i < r; i++) {
+        grades[i] /= total;
+    }
+    return total / scale;
+}
+
 void rule_weights(
     const int64_t *shapes, const double *parameters, const double *z, double *weights,
     double *slopes, long r, long q)
@@ -143,32 +173,4 @@ void rule_weights(
             slopes[i * q + j] -= weights[i] * sum_of_slopes;
         }
     }
-}
-
-double normalise(double *grades, long r)
-{
-    double largest = 0.0, total = 0.0, scale;
-    for (long i = 0; i < r; i++) {
-        if (!(0.0 <= grades[i] && grades[i] < HUGE_VAL)) {
-            largest = (double)NAN;
-            break;
-        }
-        largest = grades[i] > largest ? grades[i] : largest;
-    }
-    if (!(largest > 0.0)) {
-        for (long i = 0; i < r; i++) {
-            grades[i] = (double)NAN;
-        }
-        return (double)NAN;
-    }
-    /* A sum of huge grades overflows; multiplying them by 2^-100 loses no digit. */
-    scale = largest > 1e300 ? 7.888609052210118e-31 : 1.0;
-    for (long i = 0; i < r; i++) {
-        grades[i] *= scale;
-        total += grades[i];
-    }
-    for (long i = 0; i < r; i++) {
-        grades[i] /= total;
-    }
-    return total / scale;
 }

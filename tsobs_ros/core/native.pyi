@@ -1,6 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Types of the extension module; module.c and the python_*.c files have the functions."""
+"""Types of the extension module.
+
+module.c and the python_*.c files have the functions, and `BIND` the names of their arguments.
+"""
 
 from typing import Any
 
@@ -33,75 +36,22 @@ def grades_and_slopes(
 ) -> None:
     """Write the grade of one membership function at every z, and its derivative."""
 
-def weights_and_slopes_of_each(
-    shapes: Numbers,
-    parameters: Numbers,
-    z: Numbers,
-    weights: Numbers,
-    slopes: Numbers,
-    r: int,
-    q: int,
-    /,
-) -> None:
+def weights_and_slopes_of_each(*arguments: Any) -> None:
     """Write the rules' weights at z (samples, q), and their slopes (samples, r, q)."""
 
-def normalise_each(grades: Numbers, r: int, /) -> None:
-    """Divide the grades of r rules by their sum, for each sample, in place."""
-
-def flow_over(
-    series: Numbers,
-    terms: int,
-    reach: float,
-    duration: float,
-    phi: Numbers,
-    gamma: Numbers,
-    noise: Numbers,
-    scratch: Numbers,
-    n: int,
-    m: int,
-    /,
-) -> None:
+def flow_over(*arguments: Any) -> None:
     """Write Φ, Γ and Q over a duration [s]; scratch has n (4 n + 2 m) numbers."""
 
-def advance_all(
-    flow: Numbers,
-    x: Numbers,
-    upsilon: Numbers,
-    covariance: Numbers,
-    theta: Numbers,
-    y: Numbers,
-    u: Numbers,
-    duration: float,
-    scratch: Numbers,
-    /,
-) -> None:
+def advance_all(*arguments: Any) -> None:
     """Move states (batch, n), Υᵀ (batch, k, n) and covariances (batch, n, n) over a time [s].
 
     No covariance is moved if there are no numbers of it; y is read by integrated observers only.
     """
 
-def simulate_arms(
-    arms: Numbers,
-    carried: Numbers,
-    inputs: Numbers,
-    kicks: Numbers,
-    present: Numbers,
-    states: Numbers,
-    torques: Numbers,
-    /,
-) -> None:
+def simulate_arms(*arguments: Any) -> None:
     """Move two arms' records, without and with the payload, over samples; see simulate.h."""
 
-def simulate_systems(
-    sizes: Numbers,
-    system: Numbers,
-    inputs: Numbers,
-    kicks: Numbers,
-    present: Numbers,
-    states: Numbers,
-    truths: Numbers,
-    /,
-) -> None:
+def simulate_systems(*arguments: Any) -> None:
     """Move T–S systems over samples; see simulate.h."""
 
 def gauss_markov(decay: float, strength: float, present: Numbers, series: Numbers, /) -> None:
@@ -119,60 +69,16 @@ def exported_open(words: Numbers, /) -> tuple[int, int, int, int, int]:
 def history_scratch_size(model: Numbers, slots: int, /) -> int:
     """Return the numbers of scratch of a tracker whose ring has so many states."""
 
-def history_offer(
-    model: Numbers,
-    memory: Numbers,
-    ring: Numbers,
-    scratch: Numbers,
-    stamps: Numbers,
-    y: Numbers,
-    u: Numbers,
-    now: int,
-    codes: Numbers,
-    output_codes: Numbers,
-    innovations: Numbers,
-    expected_std: Numbers,
-    /,
-) -> None:
-    """Use measurements, or refuse them; see `estimation.history.History.offer`."""
+def history_offer(*arguments: Any) -> None:
+    """Use measurements, or refuse them; see `offer` in history.h."""
 
-def history_estimate(
-    model: Numbers, memory: Numbers, ring: Numbers, scratch: Numbers, stamp: int, row: Numbers, /
-) -> bool:
+def history_estimate(*arguments: Any) -> bool:
     """Write the estimate at a stamp [ns]; return whether there is one."""
 
-def history_advance(
-    model: Numbers,
-    memory: Numbers,
-    ring: Numbers,
-    scratch: Numbers,
-    stamps: Numbers,
-    y: Numbers,
-    u: Numbers,
-    codes: Numbers,
-    output_codes: Numbers,
-    innovations: Numbers,
-    expected_std: Numbers,
-    tick_stamps: Numbers,
-    now: Numbers,
-    known: Numbers,
-    newest: Numbers,
-    there: Numbers,
-    rows: Numbers,
-    stale_after: int,
-    /,
-) -> None:
+def history_advance(*arguments: Any) -> None:
     """Offer measurements and estimate at ticks; see `advance` in history.h."""
 
-def faults_add_samples(
-    watches: Numbers,
-    stamps: Numbers,
-    y: Numbers,
-    codes: Numbers,
-    innovations: Numbers,
-    expected_std: Numbers,
-    /,
-) -> None:
+def faults_add_samples(*arguments: Any) -> None:
     """See `estimation.faults.add_samples`."""
 
 def faults_add_estimates(
@@ -194,36 +100,11 @@ def estimator_predict(
 def estimator_read(model: Any, states: Any, rows: Any, work: Any, /) -> None:
     """Write the estimate of each state."""
 
-def estimator_observe(
-    model: Any,
-    states: Any,
-    y: Any,
-    u: Any,
-    duration: float,
-    samples: int,
-    correction: Any,
-    work: Any,
-    rows: Any,
-    /,
-) -> None:
+def estimator_observe(*arguments: Any) -> None:
     """Step each state through its samples (samples, p), and write a row after each."""
 
-def estimator_innovations(
-    model: Any,
-    durations: Any,
-    y: Any,
-    u: Any,
-    link_friction: float,
-    motor_friction: float,
-    gate: float,
-    corrected_until: int,
-    innovations: Any,
-    variances: Any,
-    states: Any,
-    scratch: Any,
-    /,
-) -> None:
-    """Write the innovations of a log; see innovations.h. No states are written if there is no room.
+def estimator_innovations(*arguments: Any) -> None:
+    """Write the innovations of a log; see estimator.h. No states are written if there is no room.
 
     Python's lock is not held meanwhile.
     """

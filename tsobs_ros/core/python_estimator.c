@@ -4,7 +4,6 @@
  * Bindings of the estimator: its steps for some states one after the other.
  */
 #include "estimator.h"
-#include "innovations.h"
 #include "matrices.h"
 #include "python.h"
 

@@ -125,18 +125,6 @@ BIND(weights_and_slopes_of_each, "dddDDii", "shapes parameters z weights slopes 
     Py_RETURN_NONE;
 }
 
-BIND(normalise_each, "Di", "grades r")
-{
-    const int64_t r = t[1].is.integer;
-    if (!is_size(of, t, 1, 1)) {
-        return NULL;
-    }
-    for (Py_ssize_t k = 0; k + r <= t[0].length; k += r) {
-        normalise(t[0].is.doubles + k, (long)r);
-    }
-    Py_RETURN_NONE;
-}
-
 /* --- prediction models --- */
 
 /* Return whether a time is at least 0, and a number of periods that can be counted. */
@@ -351,7 +339,6 @@ PyMethodDef model_methods[] = {
     METHOD(elementary),
     METHOD(grades_and_slopes),
     METHOD(weights_and_slopes_of_each),
-    METHOD(normalise_each),
     METHOD(flow_over),
     METHOD(advance_all),
     METHOD(simulate_arms),

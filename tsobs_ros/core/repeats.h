@@ -15,16 +15,18 @@
 #ifndef TSOBS_REPEATS_H
 #define TSOBS_REPEATS_H
 
-#include <stdint.h>
+#include "layout.h"
 
-/* Where a record has these numbers.
- *
- * value: the latest one, NaN before the first. step, rough: of the sensor, and of the differences
- * of its innovations, 0 before the first difference. before: innovation of the sample before.
- * nearest: least size of an innovation of the value. repeats: repetitions that count. */
+/* Fields of a record that has these numbers. */
+#define REPETITION_FIELDS(F, s)                                             \
+    F(NUMBER, value, 1, 1)   /* latest one, NaN before the first */         \
+    F(NUMBER, step, 1, 1)    /* of the sensor, 0 before the first, */       \
+    F(NUMBER, rough, 1, 1)   /* and of its innovations' differences */      \
+    F(NUMBER, before, 1, 1)  /* innovation of the sample before */          \
+    F(NUMBER, nearest, 1, 1) /* least size of an innovation of the value */ \
+    F(COUNT, repeats, 1, 1)  /* repetitions that count */
 typedef struct {
-    double *value, *step, *rough, *before, *nearest;
-    int64_t *repeats;
+    REPETITION_FIELDS(LAYOUT_POINTER, unused)
 } repetition;
 
 /* Return where a record has them, given a view with fields of these names. */

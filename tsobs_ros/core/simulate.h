@@ -12,37 +12,28 @@
 
 #include "layout.h"
 
-/* An arm that moves, with what differs from the nominal one.
- *
- * substeps, substep: steps of a sampling period, and the length of one [s].
- * gravity, link_spring, link_drag, link_rub: mgl, k, b and Coulomb friction over the link's inertia.
- * motor_spring, motor_drag, motor_rub: k, b and Coulomb friction over the motor's inertia.
- * link_inertia, motor_inertia: J1 and J2 [kg m2].
- * link_viscous to motor_coulomb: friction [N m s/rad], [N m].
- * added_inertia, added_gravity: the payload's [kg m2], [N m].
- * link_kick, motor_kick: what multiplies the normal numbers of the process noise [rad/s].
- * free_play: twist to either side that the spring does not feel [rad]. */
-#define SIMULATED_ARM_FIELDS(F, s)     \
-    F(COUNT, substeps, 1, 1)           \
-    F(NUMBER, substep, 1, 1)           \
-    F(NUMBER, gravity, 1, 1)           \
-    F(NUMBER, motor_inertia, 1, 1)     \
-    F(NUMBER, link_spring, 1, 1)       \
-    F(NUMBER, link_drag, 1, 1)         \
-    F(NUMBER, motor_spring, 1, 1)      \
-    F(NUMBER, motor_drag, 1, 1)        \
-    F(NUMBER, link_rub, 1, 1)          \
-    F(NUMBER, motor_rub, 1, 1)         \
-    F(NUMBER, link_inertia, 1, 1)      \
-    F(NUMBER, link_viscous, 1, 1)      \
-    F(NUMBER, link_coulomb, 1, 1)      \
-    F(NUMBER, motor_viscous, 1, 1)     \
-    F(NUMBER, motor_coulomb, 1, 1)     \
-    F(NUMBER, added_inertia, 1, 1)     \
-    F(NUMBER, added_gravity, 1, 1)     \
-    F(NUMBER, link_kick, 1, 1)         \
-    F(NUMBER, motor_kick, 1, 1)        \
-    F(NUMBER, free_play, 1, 1)
+/* An arm that moves, with what differs from the nominal one. */
+#define SIMULATED_ARM_FIELDS(F, s)                                                                \
+    F(COUNT, substeps, 1, 1)       /* steps of a sampling period, */                              \
+    F(NUMBER, substep, 1, 1)       /* and length of one [s] */                                    \
+    F(NUMBER, gravity, 1, 1)       /* mgl over the link's inertia */                              \
+    F(NUMBER, motor_inertia, 1, 1) /* [kg m2] */                                                  \
+    F(NUMBER, link_spring, 1, 1)   /* k, b and Coulomb friction over the link's inertia */        \
+    F(NUMBER, link_drag, 1, 1)                                                                    \
+    F(NUMBER, motor_spring, 1, 1)  /* k, b and Coulomb friction over the motor's inertia */       \
+    F(NUMBER, motor_drag, 1, 1)                                                                   \
+    F(NUMBER, link_rub, 1, 1)      /* of the former, */                                           \
+    F(NUMBER, motor_rub, 1, 1)     /* of the latter */                                            \
+    F(NUMBER, link_inertia, 1, 1)  /* [kg m2] */                                                  \
+    F(NUMBER, link_viscous, 1, 1)  /* friction [N m s/rad] */                                     \
+    F(NUMBER, link_coulomb, 1, 1)  /* friction [N m] */                                           \
+    F(NUMBER, motor_viscous, 1, 1)                                                                \
+    F(NUMBER, motor_coulomb, 1, 1)                                                                \
+    F(NUMBER, added_inertia, 1, 1) /* the payload's [kg m2] */                                    \
+    F(NUMBER, added_gravity, 1, 1) /* the payload's [N m] */                                      \
+    F(NUMBER, link_kick, 1, 1)     /* of the normal numbers of the process noise [rad/s] */       \
+    F(NUMBER, motor_kick, 1, 1)                                                                   \
+    F(NUMBER, free_play, 1, 1)     /* twist to either side that the spring does not feel [rad] */
 LAYOUT_DECLARE(simulated_arm, SIMULATED_ARM_FIELDS, void)
 
 /* Sizes of a T-S system: states, inputs, scheduled signals, outputs, rules and premises. */

@@ -33,9 +33,9 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array, as_matrix, positive
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, model_of
+from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, enter_adaptation, model_of
 from tsobs_ros.estimation.options import AdaptationOptions, TorqueLimits
-from tsobs_ros.estimation.state import Shape, enter_adaptation, enter_torque_limits, new_model
+from tsobs_ros.estimation.state import Shape, new_model
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.fuzzy import RuleBase, membership
@@ -127,9 +127,10 @@ def extended_kalman(
         # θ, always valid, is learnt in one pass without curvature.
         one["pass_time"], one["excitation"] = np.inf, -1.0
         one["constants"][CONSTANTS["CURVED"]] = 0.0
+    estimator = Estimator(shape, model)
     if isinstance(flow, ArmFlow):  # a torque that is no number is held, any other one taken
-        enter_torque_limits(one, TorqueLimits(np.inf, np.inf, 0.0))
-    return Estimator(shape, model)
+        estimator.limit_torque(TorqueLimits(np.inf, np.inf, 0.0))
+    return estimator
 
 
 def high_gain_matrix(arm: ElasticJointArm, theta: float) -> Array:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The step-by-step estimator: pure functions of states, over the steps of the compiled core."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +11,6 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array, as_matrix, non_negative
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation import state as records
 from tsobs_ros.estimation.options import (
     AdaptationOptions,
     CertifiedGain,
@@ -18,8 +18,10 @@ from tsobs_ros.estimation.options import (
     SupervisionOptions,
     TorqueLimits,
 )
-from tsobs_ros.estimation.state import Shape
+from tsobs_ros.estimation.state import Shape, State, flow_of, new_model, numbers_of, types_of
+from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
 from tsobs_ros.model.flow import ArmFlow
+from tsobs_ros.model.matrices import congruent, inverse, joseph
 from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix, flow_record
 from tsobs_ros.model.uncertainty import Uncertainty
 
@@ -32,75 +34,8 @@ PERIOD_TOLERANCE = 0.1
 For jitter, whose mean is the period. A sensor that is steadily 10 % slow makes the bound 2 % small.
 """
 
-
 Rows = Any
 """Rows of estimates, a record array of `Estimator.row_type`."""
-
-
-class State:
-    """All that an estimator remembers, or a batch of such states; it is not changed by a step.
-
-    The fields of core/estimator.h's state are attributes, those of its sensors with an axis of the
-    outputs, and those of its likeliest hypothesis; of a batch with the batch's axis in front. Two
-    states are equal if their bytes are.
-
-    Attributes:
-        records: The records, shape (1,) for a single state.
-        batch: Shape of the batch, () for a single state.
-    """
-
-    __slots__ = ("batch", "records", "shape")
-
-    def __init__(self, state_records: Record, shape: Shape, batch: tuple[int, ...] = ()) -> None:
-        self.records = state_records
-        self.shape = shape
-        self.batch = batch
-
-    def __getattr__(self, name: str) -> Any:
-        if name in State.__slots__:  # of a copy that is still being made
-            raise AttributeError(name)
-        values = self._field(name)
-        return values.reshape(*self.batch, *values.shape[1:]) if self.batch else values[0]
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, State):
-            return NotImplemented
-        return self.batch == other.batch and self.records.tobytes() == other.records.tobytes()
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def _field(self, name: str) -> Any:
-        """Return a field of records, their sensors or likeliest hypotheses, of states in use."""
-        return self._fields(name, self._likeliest())[0]
-
-    def _likeliest(self) -> Any:
-        return self.records["hypotheses"][np.arange(len(self.records)), self.records["best"]]
-
-    def _fields(self, name: str, likeliest: Any) -> list[Any]:
-        """Return a field of the records and of their sensors, else of hypotheses."""
-        parts = (self.records, self.records["sensors"], likeliest)
-        found = [each for each in parts if name in (each.dtype.names or ())]
-        if not found:
-            fields = [field for each in parts for field in each.dtype.names or ()]
-            raise AttributeError(f"a state has no {name!r}; it has {fields}")
-        found = (
-            found[:1] if found[0] is likeliest else [one for one in found if one is not likeliest]
-        )
-        return [self.shape.trim(name, each[name]) for each in found]
-
-    def copy(self) -> "State":
-        """Return the same state with records of its own."""
-        return State(copy_records(self.records), self.shape, self.batch)
-
-    def changed(self, **values: ArrayLike) -> "State":
-        """Return the state with some fields replaced, its own, its sensors' or likeliest ones'."""
-        copy = self.copy()
-        likeliest = copy._likeliest()
-        for name, value in values.items():
-            for target in copy._fields(name, likeliest):
-                target[...] = np.reshape(value, target.shape) if self.batch else value
-        copy.records["hypotheses"][np.arange(len(copy.records)), copy.records["best"]] = likeliest
-        return copy
 
 
 class Correction(NamedTuple):
@@ -141,9 +76,17 @@ class Estimator:
 
     def __init__(self, shape: Shape, model: Record, lacking: tuple[str, ...] = ()) -> None:
         self.shape, self.model, self.lacking = shape, model, lacking
-        self._types = records.types_of_model(model)
+        self._types = types_of(tuple(model["sizes"][0].tolist()))
         self._work = self.new_work()
-        self.row_type: Any = np.dtype((np.record, self._row_type()))
+        full: Any = self._types.estimate
+        nothing, fields = (np.float64, (0,)), [(name, *full.fields[name]) for name in full.names]
+        rows: Any = {
+            "names": full.names,
+            "formats": [nothing if name in lacking else of for name, of, _ in fields],
+            "offsets": [place for _, _, place in fields],
+            "itemsize": full.itemsize,
+        }
+        self.row_type: Any = np.dtype((np.record, np.dtype(rows)))
 
     @property
     def period(self) -> float:
@@ -157,11 +100,20 @@ class Estimator:
 
     def supervise(self, options: SupervisionOptions) -> None:
         """Supervise from now on, or by other options than before."""
-        records.enter_supervision(self.model[0], options)
+        model = self.model[0]
+        is_arm = flow_of(model)["kind"] == native.KIND_ARM
+        for name, value in vars(options).items():
+            model[name] = value
+        model["supervised"] = 1
+        for i, row in enumerate(model["C"]):
+            if not (is_arm and (row[LINK_ANGLE] or row[MOTOR_ANGLE])):
+                # The limit is for angles; another output has a unit of its own.
+                model["disturbance_limit"][i] = math.inf
 
     def limit_torque(self, limits: TorqueLimits) -> None:
         """Use only plausible torques from now on."""
-        records.enter_torque_limits(self.model[0], limits)
+        for name, value in limits._asdict().items():
+            self.model[f"torque_{name}"] = value
 
     def new_work(self) -> Record:
         """Return a scratch record, for a thread of its own."""
@@ -204,12 +156,10 @@ class Estimator:
         after, samples = state.copy(), as_rows("y", y, state.batch, (self.shape.p,))
         corrections = self.new_corrections(len(after.records))
         native.estimator_correct(
-            _numbers(self.model), _numbers(after.records), samples, _numbers(corrections)
+            numbers_of(self.model), numbers_of(after.records), samples, numbers_of(corrections)
         )
-        fields = ("innovation", "innovation_covariance", "gain", "weight")
-        return after, Correction(
-            *(_shaped(corrections, name, self.shape, state.batch) for name in fields)
-        )
+        fields = (self.shape.trim(name, corrections[name]) for name in Correction._fields)
+        return after, Correction(*(each.reshape(*state.batch, *each.shape[1:]) for each in fields))
 
     def predict(self, state: State, u: ArrayLike, duration: float) -> State:
         """Predict to the next stamp.
@@ -238,12 +188,12 @@ class Estimator:
         non_negative("duration", duration)
         after, inputs = state.copy(), as_rows("u", u, state.batch, (self.shape.m,))
         native.estimator_predict(
-            _numbers(self.model),
-            _numbers(after.records),
+            numbers_of(self.model),
+            numbers_of(after.records),
             inputs,
             duration,
             between_samples,
-            _numbers(self._work),
+            numbers_of(self._work),
         )
         return after
 
@@ -251,7 +201,7 @@ class Estimator:
         """Return the estimate and its bounds in physical units, of a batch as rows."""
         numbers = self.new_rows(len(state.records))
         native.estimator_read(
-            _numbers(self.model), _numbers(state.records), numbers, _numbers(self._work)
+            numbers_of(self.model), numbers_of(state.records), numbers, numbers_of(self._work)
         )
         return self.as_rows(numbers).reshape(state.batch)[()]
 
@@ -285,30 +235,17 @@ class Estimator:
         if states.batch != (len(samples),):
             raise ModelError(f"start: expected a batch of {(len(samples),)}, got {states.batch}")
         native.estimator_observe(
-            _numbers(self.model),
-            _numbers(states.records),
+            numbers_of(self.model),
+            numbers_of(states.records),
             samples,
             inputs,
             length,
             samples.shape[1],
-            _numbers(self.new_corrections()),
-            _numbers(self.new_work()),
+            numbers_of(self.new_corrections()),
+            numbers_of(self.new_work()),
             rows,
         )
         return self.as_rows(rows)
-
-    def _row_type(self) -> Any:
-        full: Any = self._types.estimate
-        nothing = (np.float64, (0,))
-        fields = {name: full.fields[name] for name in full.names}
-        return np.dtype(
-            {
-                "names": list(fields),
-                "formats": [nothing if n in self.lacking else of for n, (of, _) in fields.items()],
-                "offsets": [place for _, place in fields.values()],
-                "itemsize": full.itemsize,
-            }
-        )
 
     def events(self, state: State) -> dict[str, int]:
         """Return how often what was found so far."""
@@ -376,10 +313,24 @@ def certified_estimator(
     gain = certified._replace(
         K=as_matrix("K", certified.K, (n, p)), X=as_matrix("X", certified.X, (n, n))
     )
-    records.enter_gain(one, gain, gain_mode)
+    C, H, T = (one[name][:, :n] for name in ("C", "disturbance_map", "torque_map"))
+    X, K, R = gain.X, gain.K, one["R"]
+    one["late_factor"], one["gain_mode"] = gain.late, native.GAIN_RICCATI
+    if gain_mode is GainMode.CERTIFIED:
+        one["gain_mode"] = native.GAIN_CERTIFIED
+    for name, matrix in (
+        ("X", X),
+        ("K", K),
+        ("P", inverse(X)),
+        ("posterior", joseph(C, R, X, K)),
+        ("innovation_covariance", congruent(C, X, R)),
+        ("state_std", np.sqrt(X.diagonal())),
+        ("disturbance_std", np.sqrt(np.maximum(congruent(H, X).diagonal(), 0.0))),
+        ("torque_std", np.sqrt(np.maximum(congruent(T, X).diagonal(), 0.0))),
+    ):
+        fill_matrix(one[name], matrix)
     if uncertainty is not None and shape.k:
-        options = adaptation or AdaptationOptions()
-        records.enter_adaptation(one, uncertainty.limits, options, covered)
+        enter_adaptation(one, uncertainty.limits, adaptation or AdaptationOptions(), covered)
     return Estimator(shape, model)
 
 
@@ -405,9 +356,7 @@ def model_of(
     scale = flow.to_physical(np.ones(n))
     shape = Shape(n, len(scale), p, flow.input_count, k, len(flow.torque_map))
     record = flow_record(flow, uncertainty)
-    model = records.new_model(
-        shape, flow.period, record, auxiliary=auxiliary, torque=flow.torque_path
-    )
+    model = new_model(shape, flow.period, record, auxiliary=auxiliary, torque=flow.torque_path)
     one = model[0]
     one["shortest"] = (1.0 - PERIOD_TOLERANCE) * flow.period
     one["longest"] = (1.0 + PERIOD_TOLERANCE) * flow.period
@@ -425,16 +374,15 @@ def model_of(
     return shape, model
 
 
-def copy_records(source: Record) -> Record:
-    """Return a copy of some records, faster than NumPy, which copies field by field."""
-    return _numbers(source).copy().view(source.dtype)
-
-
-def _numbers(some: Record) -> Array:
-    """Return the numbers of records, shape (numbers,), the same memory."""
-    return some.view(np.float64)
-
-
-def _shaped(array: Record, name: str, shape: Shape, batch: tuple[int, ...]) -> Any:
-    values = shape.trim(name, array[name])
-    return values.reshape(*batch, *values.shape[1:]) if batch else values[0]
+def enter_adaptation(model: Any, limits: Array, options: AdaptationOptions, covered: bool) -> None:
+    """Enter what is learnt, and how fast, into one model record."""
+    fill_matrix(model["limits"], limits)
+    model["covered"] = covered
+    std = limits / math.sqrt(3.0) if options.initial_std is None else options.initial_std
+    model["theta_deviation"] = std
+    model["significance"], model["pass_time"] = options.significance, options.pass_time
+    model["random_walk"] = options.random_walk_density
+    model["adaptation_start"], model["memory"] = options.start, options.memory
+    model["excitation"] = options.excitation
+    designed = model["initial"]["hypotheses"][0]
+    fill_matrix(designed["gamma"], np.diag(model["theta_deviation"] ** 2))

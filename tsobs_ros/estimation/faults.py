@@ -29,7 +29,7 @@ from tsobs_ros.estimation.health import (
     Status,
     duration_text,
 )
-from tsobs_ros.estimation.history import USED
+from tsobs_ros.estimation.records import USED
 
 __all__ = ["Fault", "FaultKind", "FaultMonitor", "add_estimates", "add_samples", "new_watches"]
 

@@ -44,6 +44,19 @@ class RejectReason(enum.Enum):
     UNKNOWN_INPUT = "unknown input"
 
 
+REASONS = (None, *RejectReason)
+"""Reasons of rejection by their codes; 0 is a measurement that was used."""
+
+USED = 0
+NON_FINITE, GATED, IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT = (
+    REASONS.index(RejectReason[name])
+    for name in ("NON_FINITE", "GATED", "IMPLAUSIBLE_TORQUE", "UNKNOWN_INPUT")
+)
+
+CORRECTING = (USED, IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT)
+"""Outcomes of measurements whose outputs were used."""
+
+
 class Basis(enum.IntEnum):
     """What the published bounds rest on.
 

@@ -1,34 +1,24 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Records of an estimator: its state, its model, and what it says.
+"""Records of an estimator: all that it remembers, its model, and what it says.
 
-A state is all that an estimator remembers. Copying it is copying a record, two are equal if their
-bytes are, an array of them is a batch or a history. core/estimator.h lists and
-explains the fields of all records. Their shapes depend on the numbers of states n, outputs p,
-inputs m and parameters k. Flags are integers, 0 or 1.
+Copying a state is copying a record, two are equal if their bytes are, an array of them is a batch
+or a history. core/estimator.h lists and explains the fields of all records. Flags are integers, 0
+or 1.
 """
 
-import math
 from dataclasses import asdict
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
-from tsobs_ros.estimation.options import (
-    AdaptationOptions,
-    CertifiedGain,
-    GainMode,
-    SupervisionOptions,
-    TorqueLimits,
-)
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
-from tsobs_ros.model.matrices import congruent, inverse, joseph
-from tsobs_ros.model.prediction import FlowSizes, Record, fill_matrix, flow_type, scratch_size
+from tsobs_ros.model.prediction import FlowSizes, Record, flow_type, scratch_size
 from tsobs_ros.model.torque_path import DIRECT, TorquePath
 
 
@@ -56,29 +46,79 @@ class Shape(NamedTuple):
 
         Behind them there is room for auxiliary ones.
         """
-        return values[(slice(None), *map(slice, self._wide.get(name, ())))]
-
-    @property
-    def _wide(self) -> dict[str, tuple[int, ...]]:
-        n = self.n
-        square = dict.fromkeys(("covariance", "X", "P", "posterior"), (n, n))
-        return {"x": (n,), "upsilon": (self.k, n), "gain": (n, self.p), **square}
+        n, square = self.n, (self.n, self.n)
+        wide = {"x": (n,), "upsilon": (self.k, n), "gain": (n, self.p)}
+        wide |= dict.fromkeys(("covariance", "X", "P", "posterior"), square)
+        return values[(slice(None), *map(slice, wide.get(name, ())))]
 
 
-class Sizes(NamedTuple):
-    """Sizes of an estimator's records, in the order of the compiled core; see core/estimator.h."""
+class State:
+    """All that an estimator remembers, or a batch of such states; it is not changed by a step.
 
-    n: int
-    width: int
-    plant: int
-    p: int
-    m: int
-    k: int
-    t: int
-    hypotheses: int
-    past: int
-    flow_size: int
-    scratch: int
+    The fields of core/estimator.h's state are attributes, those of its sensors with an axis of the
+    outputs, and those of its likeliest hypothesis; of a batch with the batch's axis in front. Two
+    states are equal if their bytes are.
+
+    Attributes:
+        records: The records, shape (1,) for a single state.
+        shape: Sizes.
+        batch: Shape of the batch, () for a single state.
+    """
+
+    __slots__ = ("batch", "records", "shape")
+
+    def __init__(self, state_records: Record, shape: Shape, batch: tuple[int, ...] = ()) -> None:
+        self.records = state_records
+        self.shape = shape
+        self.batch = batch
+
+    def __getattr__(self, name: str) -> Any:
+        if name in State.__slots__:  # of a copy that is still being made
+            raise AttributeError(name)
+        values = self._fields(name, self._likeliest())[0]
+        return values.reshape(*self.batch, *values.shape[1:]) if self.batch else values[0]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, State):
+            return NotImplemented
+        return self.batch == other.batch and self.records.tobytes() == other.records.tobytes()
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def _likeliest(self) -> Any:
+        return self.records["hypotheses"][np.arange(len(self.records)), self.records["best"]]
+
+    def _fields(self, name: str, likeliest: Any) -> list[Any]:
+        """Return a field of the records and of their sensors, else of hypotheses."""
+        for parts in ((self.records, self.records["sensors"]), (likeliest,)):
+            found = [each[name] for each in parts if name in (each.dtype.names or ())]
+            if found:
+                return [self.shape.trim(name, each) for each in found]
+        raise AttributeError(f"a state has no {name!r}; it has {self.records.dtype.names}")
+
+    def copy(self) -> "State":
+        """Return the same state with records of its own."""
+        return State(copy_records(self.records), self.shape, self.batch)
+
+    def changed(self, **values: ArrayLike) -> "State":
+        """Return the state with some fields replaced, its own, its sensors' or likeliest ones'."""
+        copy = self.copy()
+        likeliest = copy._likeliest()
+        for name, value in values.items():
+            for target in copy._fields(name, likeliest):
+                target[...] = np.reshape(value, target.shape) if self.batch else value
+        copy.records["hypotheses"][np.arange(len(copy.records)), copy.records["best"]] = likeliest
+        return copy
+
+
+def numbers_of(records: Record) -> Array:
+    """Return the numbers of records, shape (numbers,), the same memory."""
+    return records.view(np.float64)
+
+
+def copy_records(source: Record) -> Record:
+    """Return a copy of some records, faster than NumPy, which copies field by field."""
+    return numbers_of(source).copy().view(source.dtype)
 
 
 class Types(NamedTuple):
@@ -92,18 +132,12 @@ class Types(NamedTuple):
 
 
 @cache
-def types_of(sizes: Sizes) -> Types:
-    """Return the types of an estimator's records; flows of a model are plain numbers."""
+def types_of(sizes: tuple[int, ...]) -> Types:
+    """Return the types of records with the sizes in a model record; its flow is plain numbers."""
     sensor, hypothesis = (record_type(name, sizes) for name in ("sensor", "hypothesis"))
     state = record_type("state", sizes, {"sensors": sensor, "hypotheses": hypothesis})
     others = {name: record_type(name, sizes) for name in ("correction", "estimate", "work")}
     return Types(state=state, **others, model=record_type("model", sizes, {"initial": state}))
-
-
-def types_of_model(model: Record) -> Types:
-    """Return the types of the records that belong to a model record."""
-    numbers = model.view(np.int64)[: len(Sizes._fields)].tolist()
-    return types_of(Sizes(*numbers))
 
 
 def new_model(
@@ -127,24 +161,16 @@ def new_model(
     Returns:
         The model record, shape (1,).
     """
-    sizes = Sizes(
-        n=shape.n,
-        width=shape.n + (1 + max(2, shape.p) if auxiliary else 0),
-        plant=shape.plant,
-        p=shape.p,
-        m=shape.m,
-        k=shape.k,
-        t=shape.t,
-        hypotheses=native.HYPOTHESES if auxiliary else 1,
-        past=torque.remembered(period, shape.p),
-        flow_size=flow.dtype.itemsize // 8,
-        scratch=scratch_size(FlowSizes(*(int(flow[name][0]) for name in FlowSizes._fields))),
-    )
+    n, plant, p, m, k, t = shape
+    sizes = (
+        n, n + (1 + max(2, p) if auxiliary else 0), plant, p, m, k, t,
+        native.HYPOTHESES if auxiliary else 1, torque.remembered(period, p),
+        flow.dtype.itemsize // 8,
+        scratch_size(FlowSizes(*(int(flow[name][0]) for name in FlowSizes._fields))),
+    )  # fmt: skip
     model = np.zeros(1, types_of(sizes).model)
-    model.view(np.int64)[: len(sizes)] = sizes
-    model["flow"][0] = flow.view(np.float64)
-    model["period"] = period
-    model["gate"] = np.inf
+    model["sizes"], model["flow"][0] = sizes, flow.view(np.float64)
+    model["period"], model["gate"] = period, np.inf
     for name, value in asdict(torque).items():
         model[f"torque_{name}"] = value
     model["constants"] = [value for _, value, _ in native.bank_constants()]
@@ -159,64 +185,7 @@ def new_model(
     return model
 
 
-def enter_torque_limits(model: Any, limits: TorqueLimits) -> None:
-    """Enter which torques are plausible into one model record."""
-    for name, value in limits._asdict().items():
-        model[f"torque_{name}"] = value
-
-
-def enter_gain(model: Any, certified: CertifiedGain, gain_mode: GainMode) -> None:
-    """Enter gains and bounds into one model record, whose R, C and maps are there already."""
-    n, p = certified.K.shape
-    X, K, R = certified.X, certified.K, model["R"][:p, :p]
-    C, H, T = (model[name][:, :n] for name in ("C", "disturbance_map", "torque_map"))
-    C, H = C[:p], H[:p]
-    model["late_factor"] = certified.late
-    model["gain_mode"] = (
-        native.GAIN_CERTIFIED if gain_mode is GainMode.CERTIFIED else native.GAIN_RICCATI
-    )
-    for name, matrix in (
-        ("X", X),
-        ("K", K),
-        ("P", inverse(X)),
-        ("posterior", joseph(C, R, X, K)),
-        ("innovation_covariance", congruent(C, X, R)),
-        ("state_std", np.sqrt(X.diagonal())),
-        ("disturbance_std", np.sqrt(np.maximum(congruent(H, X).diagonal(), 0.0))),
-        ("torque_std", np.sqrt(np.maximum(congruent(T, X).diagonal(), 0.0))),
-    ):
-        fill_matrix(model[name], matrix)
-
-
-def enter_adaptation(model: Any, limits: Array, options: AdaptationOptions, covered: bool) -> None:
-    """Enter what is learnt, and how fast, into one model record."""
-    fill_matrix(model["limits"], limits)
-    model["covered"] = covered
-    std = limits / math.sqrt(3.0) if options.initial_std is None else options.initial_std
-    model["theta_deviation"] = std
-    model["significance"], model["pass_time"] = options.significance, options.pass_time
-    model["random_walk"] = options.random_walk_density
-    model["adaptation_start"], model["memory"] = options.start, options.memory
-    model["excitation"] = options.excitation
-    designed = model["initial"]["hypotheses"][0]
-    fill_matrix(designed["gamma"], np.diag(model["theta_deviation"] ** 2))
-
-
-def enter_supervision(model: Any, options: SupervisionOptions) -> None:
-    """Enter which samples are not used into one model record."""
-    flow = _flow_of(model)
-    is_arm = flow["kind"] == native.KIND_ARM
-    for name, value in vars(options).items():
-        model[name] = value
-    model["supervised"] = 1
-    for i in range(int(model["p"])):
-        row = model["C"][i]
-        if not (is_arm and (row[LINK_ANGLE] or row[MOTOR_ANGLE])):
-            # The limit is for angles; another output has a unit of its own.
-            model["disturbance_limit"][i] = math.inf
-
-
-def _flow_of(model: Any) -> Any:
+def flow_of(model: Any) -> Any:
     """Return the record of the design's flow in one model record; its sizes follow its kind."""
     numbers = model["flow"]
     sizes = numbers[1 : 1 + len(FlowSizes._fields)].view(np.int64)

@@ -3,22 +3,27 @@
 """The tracker of one joint: measurements in the order of their stamps, estimates at any stamp.
 
 Live, measurements are late, doubled, out of order, from the future or missing. What cannot be used
-is refused with a reason and counted. What is late is put in its place; see `history`.
+is refused with a reason and counted. A late measurement is put in its place by rewinding a ring of
+states, one after each measurement, to the state before it, so the estimate equals, bit for bit, the
+one that arrival in order would have given. One rewind serves all that come together: the cost is
+one pass over the ring. core/history.c does it.
 """
 
 import math
 from collections import Counter
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tsobs_ros.checks import Array, check_each, non_negative, positive
+from tsobs_ros.core import native
+from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.estimator import Estimator, Rows, State, copy_records
-from tsobs_ros.estimation.history import REASONS, History
+from tsobs_ros.estimation.estimator import Estimator, Rows
 from tsobs_ros.estimation.records import (
+    REASONS,
     Basis,
     Estimate,
     Hypothesis,
@@ -27,11 +32,17 @@ from tsobs_ros.estimation.records import (
     Measurement,
     RejectReason,
 )
+from tsobs_ros.estimation.state import State, copy_records, numbers_of
 from tsobs_ros.model.prediction import Record
 from tsobs_ros.series import NANOSECONDS
 
 _BASES, _LEARNINGS, _HYPOTHESES = tuple(Basis), tuple(Learning), tuple(Hypothesis)
 """By their codes: to make them from numbers would take longer."""
+
+_MEMORY = record_type("history")
+
+_SPARE = 2
+"""States at the end of a ring: one in a gap, and one that is read."""
 
 _LONGEST = 2**61
 """Longest time that is told from a longer one, so that no sum of stamps overflows [ns]."""
@@ -68,7 +79,7 @@ class Outcomes(NamedTuple):
     """The outcomes of N measurements.
 
     Attributes:
-        codes: 0 of those used, else the place of the reason in `history.REASONS`, shape (N,).
+        codes: 0 of those used, else the place of the reason in `records.REASONS`, shape (N,).
         output_codes: The same of each output, shape (N, p).
         innovations: y − ŷ of those used, NaN if missing, shape (N, p).
         expected_std: 1σ expected of each, shape (N, p).
@@ -83,16 +94,28 @@ class Outcomes(NamedTuple):
 class Tracker:
     """Runs an estimator over measurements in the order of their stamps.
 
+    Its arrays keep their addresses, which the core looks up once.
+
     Attributes:
         estimator: The step functions.
         options: Limits.
-        history: States after the last measurements, and counts.
+        memory: Counts, limits and places in the ring, a record that core/history.h describes,
+            shape (1,).
+        ring: States after the last measurements.
     """
 
     def __init__(self, estimator: Estimator, options: TrackerOptions) -> None:
         self.estimator = estimator
         self.options = options
-        self.history = History(estimator, options.max_steps)
+        self.memory: Record = np.zeros(1, _MEMORY)
+        slots = options.max_steps + 2 + _SPARE
+        self.ring: Record = np.zeros(slots, estimator.new_states(0).dtype)
+        model = numbers_of(estimator.model)
+        scratch = np.zeros(native.history_scratch_size(model, slots))
+        self._records = [
+            native.Memory(each)
+            for each in (model, numbers_of(self.memory), numbers_of(self.ring), scratch)
+        ]
         shape = estimator.shape
         self._one = (
             np.zeros(1, np.int64),
@@ -109,16 +132,6 @@ class Tracker:
         self._scalars = slice(len(self._vectors) - len(fields), None)
         self.reset()
 
-    @property
-    def memory(self) -> Record:
-        """Counts and limits, a record that core/history.h describes, shape (1,)."""
-        return self.history.memory
-
-    @property
-    def ring(self) -> Record:
-        """States after the last measurements."""
-        return self.history.ring
-
     def reset(self) -> None:
         """Forget everything; afterwards the tracker is as a new one."""
         self.memory[:] = np.zeros(1, self.memory.dtype)
@@ -131,30 +144,49 @@ class Tracker:
             memory[name] = round(min(seconds * NANOSECONDS, _LONGEST))
         memory["max_steps"], memory["x_max"] = options.max_steps, options.x_max
 
+    def forget(self) -> None:
+        """Forget all measurements, but not the counts."""
+        if (last := self._last) is not None:
+            self.memory["bad_outputs"] += last["failures"]
+        for name in ("first", "length", "has_base", "coasted_periods"):
+            self.memory[name] = 0
+
+    @property
+    def _place(self) -> int:
+        """Where the newest state is in the ring, if there is one."""
+        memory = self.memory[0]
+        return int((memory["first"] + memory["length"] - 1) % (len(self.ring) - _SPARE))
+
+    @property
+    def _last(self) -> Any:
+        """The newest state, None before the first."""
+        return self.ring[self._place] if self.memory["length"][0] else None
+
     @property
     def newest(self) -> int | None:
         """Stamp of the newest measurement in use [ns], None before the first."""
-        return self.history.newest or None
+        last = self._last
+        return None if last is None else int(last["stamp"])
 
     @property
     def state(self) -> State | None:
         """The state after the newest measurement, None before the first."""
-        if self.history.last is None:
+        if self._last is None:
             return None
-        place = self.history.place_of_last
-        return State(copy_records(self.ring[place : place + 1]), self.estimator.shape)
+        newest = self.ring[self._place : self._place + 1]
+        return State(copy_records(newest), self.estimator.shape)
 
     @property
     def used(self) -> int:
         """Number of measurements that were used, angle and torque."""
-        return int(self.memory["accepted"][0]) - sum(self._judged.values())
+        return int(self.memory["accepted"][0]) - sum(self._judged)
 
     @property
     def rejected(self) -> Counter[RejectReason]:
         """Number of measurements not used, by reason."""
         refused = self.memory["refused"][0].tolist()
-        counts = {r: n for r, n in zip(REASONS, refused, strict=True) if r is not None and n}
-        return Counter(counts | {reason: n for reason, n in self._judged.items() if n})
+        pairs = zip(REASONS, refused, self._judged, strict=True)
+        return Counter({reason: n + own for reason, n, own in pairs if reason and n + own})
 
     @property
     def rewinds(self) -> int:
@@ -172,13 +204,13 @@ class Tracker:
     @property
     def restarts(self) -> int:
         """Number of restarts after a gap or a numerical failure."""
-        last = self.history.last
+        last = self._last
         return 0 if last is None else int(last["restarts"])
 
     @property
     def failures(self) -> int:
         """Number of numerical failures: states or outputs that were not finite."""
-        last = self.history.last
+        last = self._last
         inner = 0 if last is None else int(last["failures"])
         return int(self.memory["bad_outputs"][0]) + inner
 
@@ -191,7 +223,7 @@ class Tracker:
     @property
     def output_counts(self) -> tuple[dict[str, int], ...]:
         """Numbers of samples of each output that were gated, and that were missing."""
-        last = self.history.last
+        last = self._last
         if last is None:
             return ({"gated": 0, "missing": 0},) * self.estimator.shape.p
         sensors = last["sensors"][: self.estimator.shape.p]
@@ -220,9 +252,7 @@ class Tracker:
         # Arrays that are kept: making them would take longer than the estimator does.
         stamps[0], sample[0], inputs[0], codes[0] = stamp, y, u, 0
         innovation, expected_std = np.empty(sample.shape), np.empty(sample.shape)
-        self.history.offer(
-            stamps, sample, inputs, now, codes, output_codes, innovation, expected_std
-        )
+        self.offer_into(stamps, sample, inputs, now, codes, output_codes, innovation, expected_std)
         reason = REASONS[codes.item()]
         return reason or Innovation(stamp, innovation[0], expected_std[0])
 
@@ -253,7 +283,7 @@ class Tracker:
         if not ascending:
             order = np.argsort(times, kind="stable")
             times, samples, inputs = times[order], samples[order], inputs[order]
-        self.history.offer(times, samples, inputs, now, *outcomes)
+        self.offer_into(times, samples, inputs, now, *outcomes)
         if not ascending:
             for each in outcomes:
                 each[order] = each.copy()
@@ -279,9 +309,40 @@ class Tracker:
         after = self.newest or 0
         if not (np.diff(times, prepend=after) > 0).all():
             raise ModelError(f"stamps: expected them to ascend from {after} ns on")
-        rows = self.estimator.new_rows(len(times))
-        self.history.follow(times, samples, inputs, rows)
+        count, rows = len(times), self.estimator.new_rows(len(times))
+        codes, innovations = np.empty(samples.shape, np.int64), np.empty((2, *samples.shape))
+        outcomes, newest, there = np.empty((3, count), np.int64)
+        self.advance(
+            times, samples, inputs, outcomes, codes, *innovations,
+            times, times, np.arange(1, count + 1), newest, there, rows, 2 * _LONGEST,
+        )  # fmt: skip
+        rows[there == 0] = np.nan
         return self.estimator.as_rows(rows)
+
+    def offer_into(self, *arguments: Any) -> None:
+        """Use arrays of measurements as they are, or refuse them, and write what becomes of them.
+
+        Args:
+            arguments: Stamps, in any order [ns], shape (N,), y, shape (N, p), u, shape (N, m), the
+                time on the clock of the stamps [ns], and the arrays of `Outcomes`.
+
+        Raises:
+            ValueError: An array is too short.
+        """
+        native.history_offer(*self._records, *arguments)
+
+    def advance(self, *arguments: Any) -> None:
+        """Offer measurements, and estimate at ticks, without other threads waiting.
+
+        See `advance` of core/history.h.
+
+        Args:
+            arguments: As of `offer_into` but for the time; of the ticks stamps and times on the
+                clock [ns], numbers of samples before each, newest stamps in use, whether there are
+                estimates, and rows; and the age of the newest sample from which on there are none
+                [ns].
+        """
+        native.history_advance(*self._records, *arguments)
 
     def _prepared(
         self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike
@@ -304,7 +365,7 @@ class Tracker:
             finite, which is counted.
         """
         row = np.empty(self._width)
-        if not self.history.estimate_at(stamp, row):
+        if not native.history_estimate(*self._records, stamp, row):
             return None
         basis, claimed, valid, scale, coloured, learning, hypothesis, in_domain, age = row[
             self._scalars
@@ -319,13 +380,7 @@ class Tracker:
         )  # fmt: skip
 
     @property
-    def _judged(self) -> dict[RejectReason, int]:
-        """Numbers of measurements that the estimator itself refused, wholly or in part."""
-        last = self.history.last
-        if last is None:
-            return {}
-        return {
-            RejectReason.GATED: int(last["gated"]),
-            RejectReason.IMPLAUSIBLE_TORQUE: int(last["implausible"]),
-            RejectReason.UNKNOWN_INPUT: int(last["unknown_inputs"]),
-        }
+    def _judged(self) -> list[int]:
+        """Numbers of measurements that the estimator itself refused, in part at least, by code."""
+        last = self._last
+        return [0] * len(REASONS) if last is None else last["judged"].tolist()

@@ -124,7 +124,7 @@ def innovations(
         errors,
         variances,
         states,
-        np.empty(n * n + 2 * n + int(model["scratch"][0])),
+        np.empty(n * n + 2 * n + int(model["sizes"][0, -1])),
     )
     return Innovations(errors, variances, states)
 

@@ -19,7 +19,8 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.estimation.baselines import extended_kalman, high_gain, proportional_integral
-from tsobs_ros.estimation.estimator import Estimator, State
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.state import State
 from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
 from tsobs_ros.paper.augmentation import blend
 from tsobs_ros.paper.examples import PaperExample, torque

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.estimation.estimator import Rows
-from tsobs_ros.estimation.history import GATED, NON_FINITE, REASONS, USED
-from tsobs_ros.estimation.records import RejectReason
+from tsobs_ros.estimation.records import GATED, NON_FINITE, REASONS, USED, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.replay.source import Records
 from tsobs_ros.replay.windows import Window
@@ -78,9 +77,9 @@ def run_tracker(
         if begin == end:
             continue
         if resets[begin]:
-            tracker.history.forget()
+            tracker.forget()
         own, of_ticks = slice(taken, int(known[end - 1])), slice(begin, end)
-        tracker.history.advance(
+        tracker.advance(
             stamps[own], y[own], u[own], *(one[own] for one in results),
             at[of_ticks], now[of_ticks], known[of_ticks] - taken,
             newest[of_ticks], there[of_ticks], rows[of_ticks], limit,

@@ -30,15 +30,16 @@ from tsobs_ros.estimation.health import (
     meaning,
     phase_of,
 )
-from tsobs_ros.estimation.history import (
+from tsobs_ros.estimation.records import (
     CORRECTING,
     GATED,
     IMPLAUSIBLE_TORQUE,
     REASONS,
     UNKNOWN_INPUT,
     USED,
+    Estimate,
+    RejectReason,
 )
-from tsobs_ros.estimation.records import Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
 from tsobs_ros.nodes.observer.messages import NOT_NAMED
@@ -256,9 +257,7 @@ class ObservedJoint:
         codes = np.zeros(len(stamps), np.int64)
         output_codes = np.zeros(y.shape, np.int64)
         innovations, expected_std = np.empty((2, *y.shape))
-        self.tracker.history.offer(
-            stamps, y, u, now, codes, output_codes, innovations, expected_std
-        )
+        self.tracker.offer_into(stamps, y, u, now, codes, output_codes, innovations, expected_std)
         # A column of one and a row of one are the same numbers.
         by_output = [
             np.ascontiguousarray(each.T) for each in (y, output_codes, innovations, expected_std)

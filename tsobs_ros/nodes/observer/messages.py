@@ -22,8 +22,7 @@ from tsobs_ros.bag.tick_log import encode_tick
 from tsobs_ros.checks import Array
 from tsobs_ros.design.signals import Place, Signals, positions
 from tsobs_ros.errors import MessageError
-from tsobs_ros.estimation.history import REASONS, USED
-from tsobs_ros.estimation.records import Estimate, RejectReason
+from tsobs_ros.estimation.records import REASONS, USED, Estimate, RejectReason
 from tsobs_ros.nodes.wire import MAX_LAYOUTS, QUIET, JointStatePublisher, Numbers, Pick, picker
 from tsobs_ros.replay.places import ESTIMATES, places_of
 from tsobs_ros.series import Stamps

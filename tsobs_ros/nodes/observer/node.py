@@ -18,8 +18,7 @@ from tsobs_ros.design.published import record_text
 from tsobs_ros.estimation.events import Event
 from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.health import Level, Status, meaning
-from tsobs_ros.estimation.history import REASONS
-from tsobs_ros.estimation.records import Estimate
+from tsobs_ros.estimation.records import REASONS, Estimate
 from tsobs_ros.methods import warning
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import LATCHED, DiagnosticsPublisher

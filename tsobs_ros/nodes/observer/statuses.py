@@ -19,8 +19,7 @@ from tsobs_ros.estimation.health import (
     meaning,
     words,
 )
-from tsobs_ros.estimation.history import IMPLAUSIBLE_TORQUE
-from tsobs_ros.estimation.records import Estimate, Learning, RejectReason
+from tsobs_ros.estimation.records import IMPLAUSIBLE_TORQUE, Estimate, Learning, RejectReason
 from tsobs_ros.nodes.observer.joints import NAMES, ObservedJoint, main_of
 
 _FROM_BEST_TO_WORST = (Phase.TRACKING, Phase.COASTING, Phase.WAITING, Phase.STALE)
