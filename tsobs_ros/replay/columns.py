@@ -1,20 +1,24 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A CSV file as columns with declared names and units, and lines of cells."""
+"""Columns of CSV files as people and programs write them: text, cells, numbers, units and times."""
 
 import codecs
 import csv
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from decimal import Decimal
+from itertools import islice
 from pathlib import Path
-from typing import NamedTuple, TextIO
+from typing import NamedTuple, TextIO, TypeAlias
 
-from tsobs_ros.checks import shown
+import numpy as np
+
+from tsobs_ros.checks import Array, shown
 from tsobs_ros.errors import LogError
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.series import NANOSECONDS, Stamps
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
@@ -33,15 +37,17 @@ NO_TIME = -(2**62)
 LATEST = 2**31 * NANOSECONDS
 """The first time that a message's stamp cannot hold [ns]."""
 
+_BLOCK = 4096
 _NOTHING = frozenset(("", "-", "na", "n/a", "nan", "null", "none"))
 _COMMENTS = ("#", "%", "//")
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _FRACTION = re.compile(r"(?<=:\d\d)[.,](\d+)")
 _BLANKS, _DELIMITERS = " ", ";\t|,"
-# Below it a time in seconds is exact to the nanosecond as a double [s].
-_EXACT = 1e6
 _MAX_SHOWN = 20
 _OPEN_QUOTE = "a quote opens a cell that is not closed there"
+
+_Row: TypeAlias = tuple[int, Sequence[str]]
+"""The number of a line, from 1, and its cells."""
 
 
 class LogColumn(NamedTuple):
@@ -51,17 +57,26 @@ class LogColumn(NamedTuple):
         place: Its place from 0.
         title: Its title, as it is written.
         name: The title without unit.
-        unit: The title's unit; empty if there is none.
+        unit: The unit; empty if there is none.
+        factor: Size of the unit in `UNITS`.
     """
 
     place: int
     title: str
     name: str
     unit: str
+    factor: float = 1.0
 
 
-Row = tuple[int, Sequence[str]]
-"""The number of a line, from 1, and its cells."""
+@contextmanager
+def naming_file(path: Path) -> Iterator[None]:
+    """Make errors of reading a file `LogError`s that name it."""
+    try:
+        yield
+    except OSError as error:
+        raise LogError(f"{path}: cannot read it: {error.strerror or error}") from error
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from error
 
 
 class CsvFile:
@@ -84,23 +99,23 @@ class CsvFile:
         with path.open("rb") as file:
             self._encoding = _encoding(file.read(2**16))
         with self._open() as stream:
-            lines = (line for line in _lines(stream) if not _is_passed_over(line))
-            first = next(lines, None)
+            first = next((line for line in _lines(stream) if not _is_passed_over(line)), None)
         if first is None:
             raise LogError("the file is empty")
         counts = {sign: first.count(sign) for sign in _DELIMITERS}
         self._delimiter = max(counts, key=counts.__getitem__) if any(counts.values()) else _BLANKS
         if self._delimiter == _BLANKS:
-            # Blanks before a unit do not end a title.
-            first = re.sub(r"\s+(?=[\[(])", "", re.sub(r"(?<=[\[(])[^\])]*", _packed, first))
+            # Blanks before a unit do not end a title, nor do those in it.
+            first = re.sub(r"\s+(?=[\[(])", "", first)
+            first = re.sub(r"(?<=[\[(])[^\])]*", lambda match: "".join(match[0].split()), first)
         ((_, titles),) = self._split([first])
         self.has_titles = not any(_is_number(title, ",") for title in titles)
         if not self.has_titles:
             titles = [str(place + 1) for place in range(len(titles))]
-        self.columns = []
-        for place, title in enumerate(titles):
-            name, unit = _split_title(title.strip())
-            self.columns.append(LogColumn(place, title.strip(), name, unit))
+        self.columns = [
+            LogColumn(place, title.strip(), *_split_title(title.strip()))
+            for place, title in enumerate(titles)
+        ]
 
     @property
     def described(self) -> str:
@@ -122,14 +137,33 @@ class CsvFile:
             raise LogError(f"{what} called {name!r}; a column's number will do; {self.described}")
         return found[0]
 
-    def rows(self, places: Sequence[int]) -> Iterator[Row]:
-        """Yield the cells of some columns, line by line.
+    def named(self, name: str) -> list[LogColumn]:
+        """Return the columns of a name, in capitals or not."""
+        return [one for one in self.columns if one.name.lower() == name.lower()]
+
+    def read(
+        self, time: LogColumn, columns: Sequence[LogColumn]
+    ) -> Iterator[tuple[list[int], Stamps, Array]]:
+        """Yield line numbers, times [ns] and values of n lines each, shape (n, columns).
+
+        Values are in the units of `UNITS` that are 1, NaN of cells that are empty or a word for it.
 
         Raises:
             OSError: The file cannot be read.
             LogError: A line or a cell is too long, has more cells than there are titles, or ends
-                early but is not the last.
+                early but is not the last; or a cell is not what is expected.
         """
+        rows = self._rows([column.place for column in (time, *columns)])
+        while block := list(islice(rows, _BLOCK)):
+            values = np.empty((len(block), len(columns)))
+            for place, column in enumerate(columns):
+                numbers = np.array(self._numbers(block, place + 1, column))
+                values[:, place] = numbers * column.factor
+            stamps = [self._stamp(line, cells[0], time) for line, cells in block]
+            yield [line for line, _ in block], np.array(stamps, np.int64), values
+
+    def _rows(self, places: Sequence[int]) -> Iterator[_Row]:
+        """Yield the cells of some columns, line by line."""
         width, wanted = len(self.columns), max(places)
         with self._open() as stream:
             rows = self._split(_lines(stream))
@@ -152,39 +186,39 @@ class CsvFile:
                         raise LogError(f"line {line}: {len(cells)} cells, but {width} titles{hint}")
                 yield line, [cells[place] for place in places]
 
-    def number(self, text: str) -> float:
-        """Return the number in a cell, NaN if it is empty or a word for that.
+    def _numbers(self, rows: Sequence[_Row], place: int, column: LogColumn) -> list[float]:
+        """Return the numbers in a column of some lines."""
+        with suppress(ValueError):
+            return [float(cells[place]) for _, cells in rows]
+        found = []
+        for line, cells in rows:
+            text = cells[place].strip()
+            try:
+                known = text.lower() not in _NOTHING
+                found.append(float(self._pointed(text)) if known else math.nan)
+            except ValueError as error:
+                raise _misread("number", line, column, text) from error
+        return found
 
-        Raises:
-            ValueError: It is no number.
-        """
-        text = text.strip()
-        if text.lower() in _NOTHING:
-            return math.nan
-        return float(self._pointed(text))
-
-    def stamp(self, text: str, unit: str) -> int:
-        """Return the time in a cell [ns], `NO_TIME` if it is empty; dates are ISO 8601, in UTC.
-
-        Raises:
-            ValueError: It is no time.
-        """
+    def _stamp(self, line: int, text: str, time: LogColumn) -> int:
+        """Return the time in a cell [ns], `NO_TIME` if it is empty; dates are ISO 8601, in UTC."""
         text = text.strip()
         if text.lower() in _NOTHING:
             return NO_TIME
-        if ":" in text:
-            match = _FRACTION.search(text)
-            fraction = match[1][:9].ljust(9, "0") if match else "0"
-            moment = datetime.fromisoformat(text.replace(match[0], "", 1) if match else text)
-            moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-            stamp = int(moment.timestamp()) * NANOSECONDS + int(fraction)
-        else:
-            # A double has no nanoseconds left at today's dates.
-            number, size = self._pointed(text), UNITS["time"][unit]
-            stamp = round(float(number) * size) if abs(float(number)) * size < _EXACT else 0
-            stamp = stamp or round(Decimal(number) * int(size))
-        if abs(stamp) >= LATEST:
-            raise ValueError("beyond what a stamp can hold")
+        try:
+            if ":" in text:
+                match = _FRACTION.search(text)
+                fraction = match[1][:9].ljust(9, "0") if match else "0"
+                moment = datetime.fromisoformat(text.replace(match[0], "", 1) if match else text)
+                moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+                stamp = int(moment.timestamp()) * NANOSECONDS + int(fraction)
+            else:
+                # A double has no nanoseconds left at today's dates.
+                stamp = round(Decimal(self._pointed(text)) * int(time.factor))
+        except (ValueError, ArithmeticError) as error:
+            raise _misread("time", line, time, text) from error
+        if abs(stamp) >= LATEST:  # beyond what a message can hold
+            raise _misread("time", line, time, text)
         return stamp
 
     def _pointed(self, text: str) -> str:
@@ -196,7 +230,7 @@ class CsvFile:
         # Only titles may have other letters than ASCII.
         return self._path.open(encoding=self._encoding, errors="replace", newline="")
 
-    def _split(self, lines: "Iterator[str] | Sequence[str]") -> Iterator[Row]:
+    def _split(self, lines: Iterable[str]) -> Iterator[_Row]:
         """Yield the number and the cells of every line that is not passed over."""
         if self._delimiter == _BLANKS:
             numbered = enumerate(lines, 1)
@@ -215,6 +249,29 @@ class CsvFile:
             raise LogError(f"line {last + 1}: {error}; perhaps {_OPEN_QUOTE}") from error
 
 
+def with_unit(column: LogColumn, quantity: str, given: str = "") -> LogColumn:
+    """Return a column with the unit of its title, else a given one, else the first of `UNITS`.
+
+    Raises:
+        LogError: A unit is unknown, or there are two.
+    """
+    known = UNITS[quantity]
+    for text in (column.unit, given):
+        if text and not _unit_of(quantity, text):
+            raise LogError(
+                f"column {column.title!r}: unit {text!r} of {quantity} is not known; "
+                f"there are {', '.join(known)}"
+            )
+    stated, other = (_unit_of(quantity, text) for text in (column.unit, given))
+    if stated and given and stated != other:
+        raise LogError(
+            f"column {column.title!r}: its unit is {column.unit!r}, but --units says "
+            f"{quantity}={given}"
+        )
+    unit = stated or other or next(iter(known))
+    return column._replace(unit=unit, factor=known[unit])
+
+
 def _split_title(title: str) -> tuple[str, str]:
     """Return the name and the unit of a title such as "q [rad]"; "q[1]" has none."""
     start = max(title.rfind("["), title.rfind("("))
@@ -224,7 +281,7 @@ def _split_title(title: str) -> tuple[str, str]:
     return title[:start].rstrip(), unit
 
 
-def misread(what: str, line: int, column: LogColumn, unit: str, text: str) -> LogError:
+def _misread(what: str, line: int, column: LogColumn, text: str) -> LogError:
     """Return the error of a cell that is not what was expected."""
     hint = ""
     if what == "time":
@@ -233,21 +290,17 @@ def misread(what: str, line: int, column: LogColumn, unit: str, text: str) -> Lo
             hint = ": a stamp holds 68 years; is its unit another, as in --units time=ns?"
     elif "," in text or "." in text:
         hint = ": write thousands without a sign"
+    in_unit = f" in {column.unit}" if column.unit else ""
     return LogError(
-        f"line {line}, column {column.title!r}: expected a {what}{unit and f' in {unit}'}, got "
-        f"{shown(text)}{hint}"
+        f"line {line}, column {column.title!r}: expected a {what}{in_unit}, got {shown(text)}{hint}"
     )
 
 
-def unit_of(quantity: str, text: str) -> str:
+def _unit_of(quantity: str, text: str) -> str:
     """Return the name in `UNITS` of a unit, an empty string if it is none of the quantity."""
     unit = re.sub(r"[\s.*·-]", "", text).replace("°", "deg").replace("µ", "u").replace("μ", "u")
     known = {name.lower(): name for name in UNITS[quantity]}
     return unit if unit in UNITS[quantity] else known.get(unit.lower(), "")
-
-
-def _packed(match: "re.Match[str]") -> str:
-    return "".join(match[0].split())
 
 
 def _is_number(text: str, delimiter: str) -> bool:

@@ -3,8 +3,6 @@
 """Measurements from a log of one's own: a CSV file of time, outputs and inputs."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
-from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 from zlib import crc32
@@ -27,9 +25,8 @@ from tsobs_ros.replay.columns import (
     UNITS,
     CsvFile,
     LogColumn,
-    Row,
-    misread,
-    unit_of,
+    naming_file,
+    with_unit,
 )
 from tsobs_ros.replay.places import Layout
 from tsobs_ros.replay.source import MEASUREMENTS, Records, Source
@@ -69,15 +66,6 @@ class _Signal(NamedTuple):
         return np.asarray(samples[self.field])[:, self.joint, self.place]
 
 
-class _Cell(NamedTuple):
-    """A column of a signal: its unit, and that one's size."""
-
-    signal: _Signal
-    column: LogColumn
-    unit: str
-    factor: float
-
-
 class LogSource(Source):
     """A CSV log as a source of measurements, read line by line.
 
@@ -114,24 +102,16 @@ class LogSource(Source):
         self.path, self.topic = path, path.name
         self._torque_needed = not assume_zero_torque
         self._wanted, self._units = dict(columns or {}), dict(units or {})
-        try:
+        with naming_file(path):
             self._file = CsvFile(path)
-        except OSError as error:
-            raise LogError(f"{path}: cannot read it: {error}") from error
-        except LogError as error:
-            raise LogError(f"{path}: {error}") from error
         self.guessed = not joints
         self._named = self._joints_named()
         self.joints = tuple(joints) or self._named or (_ONLY,)
 
     def _read(self) -> None:
-        try:
+        with naming_file(self.path):
             self._choose()
             self._read_lines()
-        except OSError as error:
-            raise LogError(f"{self.path}: cannot read it: {error}") from error
-        except LogError as error:
-            raise LogError(f"{self.path}: {error}") from error
 
     def _joints_named(self) -> tuple[str, ...]:
         """Return the joints that options name, else those of columns such as `angle.JOINT`."""
@@ -161,13 +141,13 @@ class LogSource(Source):
         time = self._search("time", ["time"], _NAMES["time"])
         if time is None:
             raise self._missing("time")
-        self._time, self._time_unit = time, self._unit("time", time)
-        self._cells: list[_Cell] = []
+        self._time = with_unit(time, "time", self._units.get("time", ""))
+        self._measured: list[tuple[_Signal, LogColumn]] = []
         for joint, own in zip(self.joints, signals, strict=True):
             columns = [self._search(one.label, one.keys, one.titles, joint) for one in own]
             for one, column in zip(own, columns, strict=True):
                 if column is not None:
-                    self._cells.append(_Cell(one, column, *self._unit_of(one, column)))
+                    self._measured.append((one, self._in_units(one, column)))
                 elif one.quantity != "torque":
                     raise self._missing(one.label, joint if joint != _ONLY else "")
             torques = [column for one, column in zip(own, columns, strict=True)
@@ -175,7 +155,6 @@ class LogSource(Source):
             if torques and not any(torques) and self._torque_needed:
                 zero = ", or take it for 0: --param assume_zero_torque=true"
                 raise self._missing("torque", joint, zero)
-        self._places = [time.place, *(cell.column.place for cell in self._cells)]
 
     def _require_known(self, signals: Sequence[_Signal]) -> None:
         """Raise `LogError` if an option is for something that is not measured."""
@@ -239,7 +218,7 @@ class LogSource(Source):
             if key in self._wanted:
                 return self._file.called(self._wanted[key])
         for name in names:
-            found = [one for one in self._file.columns if one.name.lower() == name.lower()]
+            found = self._file.named(name)
             if len(found) > 1:
                 raise LogError(
                     f"several columns are called {name!r}; give the number of one: --columns "
@@ -249,27 +228,12 @@ class LogSource(Source):
                 return found[0]
         return None
 
-    def _unit(self, quantity: str, column: LogColumn) -> str:
-        stated, given = column.unit, self._units.get(quantity, "")
-        for text in (stated, given):
-            if text and not unit_of(quantity, text):
-                raise LogError(
-                    f"column {column.title!r}: unit {text!r} of {quantity} is not known; "
-                    f"there are {', '.join(UNITS[quantity])}"
-                )
-        if stated and given and unit_of(quantity, stated) != unit_of(quantity, given):
-            raise LogError(
-                f"column {column.title!r}: its unit is {stated!r}, but --units says "
-                f"{quantity}={given}"
-            )
-        return unit_of(quantity, stated or given) or next(iter(UNITS[quantity]))
-
-    def _unit_of(self, signal: _Signal, column: LogColumn) -> tuple[str, float]:
-        """Return the unit of a signal's column, and its size."""
+    def _in_units(self, signal: _Signal, column: LogColumn) -> LogColumn:
+        """Return a signal's column with its unit."""
+        given = self._units.get(signal.quantity or signal.label, "")
         if signal.quantity:
-            unit = self._unit(signal.quantity, column)
-            return unit, UNITS[signal.quantity][unit]
-        given = column.unit or self._units.get(signal.label, "")
+            return with_unit(column, signal.quantity, given)
+        given = column.unit or given
         # An exported JointState's units are those of a joint.
         exported = column.name.startswith("position.")
         if signal.unit and given and not exported and _plain(given) != _plain(signal.unit):
@@ -277,30 +241,31 @@ class LogSource(Source):
                 f"column {column.title!r}: its unit is {given!r}, but {signal.label} of the design "
                 f"is in {signal.unit!r}"
             )
-        return signal.unit, 1.0
+        return column._replace(unit=signal.unit)
 
     def _read_lines(self) -> None:
-        spool, clock = self._new_samples(), _LogClock()
-        first, equal = LATEST, 0
-        for samples in self._blocks(clock):
-            there = samples.stamps[samples.stamps != NO_TIME]
+        spool, first, equal = self._new_samples(), LATEST, 0
+        columns = [column for _, column in self._measured]
+        for _, stamps, values in self._file.read(self._time, columns):
+            there = stamps[stamps != NO_TIME]
             if first == LATEST:
                 self._check_period(there)
             first = int(there.min(initial=first))
             equal += int((np.diff(there) == 0).sum())
-            spool.add(samples)
+            spool.add(self._samples_of(stamps, values))
         self.samples = spool.read()
         if not self.count:
             raise LogError("no lines below the header")
         if first == LATEST:
             raise LogError(f"no line has a time in column {self._time.title!r}")
         self.moved_by = 0 if first > 0 else NANOSECONDS - first
-        for begin in range(0, self.count, _BLOCK):
-            samples = self.samples[begin : begin + _BLOCK]
+        clock = _LogClock(first + self.moved_by)
+        for samples in self._blocks():
             there = samples.stamps != NO_TIME
             samples.stamps = np.where(there, samples.stamps + there * self.moved_by, 0)
-            samples.log_times += self.moved_by
+            samples.log_times = clock.times(samples.stamps)
             samples.checksums = [crc32(row) for row in self._encoded(samples)]
+        self.same_clock = not clock.restarts
         if self._file.cut_off:
             self.remarks += ("note: the last line is cut off, and left out",)
         if self.moved_by:
@@ -311,12 +276,15 @@ class LogSource(Source):
                 f"note: {equal:,} of {self.count:,} lines have the time of the line before, and "
                 "are rejected: write times with more digits",
             )
-        self.same_clock = not clock.restarts
 
     def _check_period(self, stamps: Times) -> None:
         """Raise `LogError` if the times of the first lines seem to have another unit."""
         apart, title = np.diff(stamps), self._time.title
-        if self._time.unit or "time" in self._units or len(apart) < _MIN_TIMES:
+        if (
+            self._file.columns[self._time.place].unit
+            or "time" in self._units
+            or len(apart) < _MIN_TIMES
+        ):
             return
         period = float(np.median(apart))
         for unit, size in UNITS["time"].items():
@@ -328,40 +296,23 @@ class LogSource(Source):
                     "seconds, --units time=s"
                 )
 
-    def _blocks(self, clock: "_LogClock") -> Iterator[Records]:
-        """Yield the log block by block, its times as they are."""
-        rows = self._file.rows(self._places)
-        while block := list(islice(rows, _BLOCK)):
-            samples: Records = np.recarray(len(block), self._sample_type)
-            samples.stamps = [self._stamp(line, cells[0]) for line, cells in block]
-            samples.log_times = clock.times(samples.stamps)
-            # Inputs without a column are 0.
-            samples.y, samples.u, samples.complete, samples.refused = np.nan, 0.0, True, 0
-            for cell in self._cells:
-                cell.signal.of(samples)[:] = np.nan
-            for number, cell in enumerate(self._cells, 1):
-                values = np.array(self._numbers(block, number, cell)) * cell.factor
-                # A second column has what the first one lacks.
-                own = cell.signal.of(samples)
-                own[:] = np.where(np.isnan(own), values, own)
-            yield samples
+    def _samples_of(self, stamps: Times, columns: Array) -> Records:
+        samples: Records = np.recarray(len(stamps), self._sample_type)
+        samples.stamps = stamps
+        # Inputs without a column are 0.
+        samples.y, samples.u, samples.complete, samples.refused = np.nan, 0.0, True, 0
+        for signal, _ in self._measured:
+            signal.of(samples)[:] = np.nan
+        for (signal, _), values in zip(self._measured, columns.T, strict=True):
+            # A second column has what the first one lacks.
+            own = signal.of(samples)
+            own[:] = np.where(np.isnan(own), values, own)
+        return samples
 
-    def _stamp(self, line: int, cell: str) -> int:
-        try:
-            return self._file.stamp(cell, self._time_unit)
-        except (ValueError, ArithmeticError) as error:
-            raise misread("time", line, self._time, self._time_unit, cell) from error
-
-    def _numbers(self, rows: Sequence[Row], place: int, cell: _Cell) -> list[float]:
-        with suppress(ValueError):
-            return [float(cells[place]) for _, cells in rows]
-        found = []
-        for line, cells in rows:
-            try:
-                found.append(self._file.number(cells[place]))
-            except ValueError as error:
-                raise misread("number", line, cell.column, cell.unit, cells[place]) from error
-        return found
+    def _blocks(self) -> Iterator[Records]:
+        """Yield all samples, some at a time."""
+        begins = range(0, self.count, _BLOCK)
+        return (self.samples[begin : begin + _BLOCK] for begin in begins)
 
     def _encoded(self, samples: Records) -> NDArray[np.uint8]:
         """Return the messages of measurements, shape (n, size)."""
@@ -406,17 +357,17 @@ class LogSource(Source):
         except LogError as error:
             hint = str(error).replace(f"--columns {kind}=", f"--held-out {quantity}=")
             raise LogError(hint) from error
-        own = [cell.column for cell in found._cells if cell.signal.field == "y"]
-        if taken := [each.title for each in own if each.place in self._places]:
+        own = [column for signal, column in found._measured if signal.field == "y"]
+        used = [self._time.place, *(column.place for _, column in self._measured)]
+        if taken := [column.title for column in own if column.place in used]:
             raise LogError(
                 f"{self.path}: column {taken[0]!r} is used by the observer; name that of the "
                 f"held-out sensor: --held-out {quantity}=COLUMN"
             )
-        return found, [each.title for each in own]
+        return found, [column.title for column in own]
 
     def messages(self) -> Iterator[BagMessage]:
-        for begin in range(0, self.count, _BLOCK):
-            samples = self.samples[begin : begin + _BLOCK]
+        for samples in self._blocks():
             times, data = samples.log_times, self._encoded(samples)
             series = MessageSeries(f"/{MEASUREMENTS}", JOINT_STATE, times, times, data)
             yield from map(BagMessage._make, series.messages())
@@ -427,27 +378,22 @@ class _LogClock:
 
     Attributes:
         restarts: How often time has gone back by more than a second.
-        last: The last log time [ns].
     """
 
-    def __init__(self) -> None:
-        self.restarts, self._shift, self.last = 0, 0, NO_TIME
+    def __init__(self, begin: int) -> None:
+        self.restarts, self._shift, self._last = 0, 0, begin
 
-    def times(self, stamps: Times) -> Times:
-        """Return the log times of the next lines.
-
-        Args:
-            stamps: Of the lines [ns], `NO_TIME` if there is none, shape (n,).
-        """
+    def times(self, stamps: Times) -> list[int]:
+        """Return the log times of the next lines, those of the line before without a stamp."""
         times = []
         for stamp in stamps.tolist():
-            if stamp != NO_TIME:
-                if stamp + self._shift < self.last - NANOSECONDS:
+            if stamp:
+                if stamp + self._shift < self._last - NANOSECONDS:
                     self.restarts += 1
-                    self._shift = self.last + _AFTER_RESTART - stamp
-                self.last = max(self.last, stamp + self._shift)
-            times.append(self.last)
-        return np.array(times, np.int64)
+                    self._shift = self._last + _AFTER_RESTART - stamp
+                self._last = max(self._last, stamp + self._shift)
+            times.append(self._last)
+        return times
 
 
 def _plain(unit: str) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import LogError
-from tsobs_ros.replay.columns import NO_TIME, UNITS, CsvFile, LogColumn, misread, unit_of
+from tsobs_ros.replay.columns import NO_TIME, CsvFile, LogColumn, naming_file, with_unit
 from tsobs_ros.series import NANOSECONDS
 
 MAX_LINES = 2_000_000
@@ -38,56 +38,33 @@ def read_torques(path: str | Path) -> TorqueSeries:
             or times that do not rise; the text names file and line.
     """
     path = Path(path)
-    try:
+    with naming_file(path):
         return _read(CsvFile(path))
-    except OSError as error:
-        raise LogError(f"{path}: cannot read it: {error.strerror or error}") from error
-    except LogError as error:
-        raise LogError(f"{path}: {error}") from error
 
 
 def _read(file: CsvFile) -> TorqueSeries:
-    columns = [_column(file, name) for name in ("time", "torque")]
-    time_unit, torque_unit = (
-        _unit(quantity, column)
-        for quantity, column in zip(("time", "torque"), columns, strict=True)
-    )
-    stamps, torques = list[int](), list[float]()
-    for line, (time, torque) in file.rows([column.place for column in columns]):
-        try:
-            stamp = file.stamp(time, time_unit)
-        except (ValueError, ArithmeticError) as error:
-            raise misread("time", line, columns[0], time_unit, time) from error
-        try:
-            value = file.number(torque) * UNITS["torque"][torque_unit]
-        except ValueError as error:
-            raise misread("number", line, columns[1], torque_unit, torque) from error
-        if stamp == NO_TIME or not np.isfinite(value):
-            raise LogError(f"line {line}: expected a time and a finite torque")
-        if stamps and stamp <= stamps[-1]:
-            raise LogError(f"line {line}: its time is not after that of the line before")
-        if len(stamps) == MAX_LINES:
+    time, torque = (with_unit(_column(file, name), name) for name in ("time", "torque"))
+    stamps, torques = np.zeros(0, np.int64), np.zeros(0)
+    for lines, more, values in file.read(time, [torque]):
+        known = (more != NO_TIME) & np.isfinite(values[:, 0])
+        rising = np.diff(more, prepend=stamps[-1:] if len(stamps) else NO_TIME) > 0
+        for holds, text in (
+            (known, "expected a time and a finite torque"),
+            (rising, "its time is not after that of the line before"),
+        ):
+            if not holds.all():
+                raise LogError(f"line {lines[int(holds.argmin())]}: {text}")
+        stamps, torques = np.append(stamps, more), np.append(torques, values)
+        if len(stamps) > MAX_LINES:
             raise LogError(f"more than {MAX_LINES:,} lines")
-        stamps.append(stamp)
-        torques.append(value)
-    if not stamps:
+    if not len(stamps):
         raise LogError("no lines below the header")
-    return TorqueSeries((np.array(stamps) - stamps[0]) / NANOSECONDS, np.array(torques))
+    return TorqueSeries((stamps - stamps[0]) / NANOSECONDS, torques)
 
 
 def _column(file: CsvFile, name: str) -> LogColumn:
-    found = [one for one in file.columns if one.name.lower() == name]
+    found = file.named(name)
     if len(found) != 1:
         what = "several columns are" if found else "no column is"
         raise LogError(f"{what} called {name!r}; {file.described}")
     return found[0]
-
-
-def _unit(quantity: str, column: LogColumn) -> str:
-    unit = unit_of(quantity, column.unit) if column.unit else next(iter(UNITS[quantity]))
-    if not unit:
-        raise LogError(
-            f"column {column.title!r}: unit {column.unit!r} of {quantity} is not known; there are "
-            f"{', '.join(UNITS[quantity])}"
-        )
-    return unit
