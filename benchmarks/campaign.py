@@ -22,7 +22,7 @@ from common import at_least, parser, show, use_one_thread
 from tsobs_ros.campaign.batches import observe, recorded
 from tsobs_ros.campaign.definition import Campaign, load_campaign
 from tsobs_ros.campaign.drawing import draw_group
-from tsobs_ros.campaign.runs import PART
+from tsobs_ros.campaign.folder import PART
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.plant import Plant

@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 
 from tsobs_ros.campaign.definition import Campaign, CampaignError, load_campaign
-from tsobs_ros.campaign.execution import run_campaign
-from tsobs_ros.campaign.folder import CampaignFolder
+from tsobs_ros.campaign.execution import compute
+from tsobs_ros.campaign.folder import PART, CampaignFolder, run_campaign
 from tsobs_ros.campaign.rerun import rerun
-from tsobs_ros.campaign.runs import PART, compute
 from tsobs_ros.campaign.summary import summarise
 from tsobs_ros.cli.main import main
 from tsobs_ros.report.metrics import MetricsOptions, measure
@@ -158,9 +157,9 @@ def test_the_certified_bound_holds_if_its_premises_do(write: Callable[..., Path]
     )
     asked = load_campaign(path)
     summary = summarise(asked, compute(asked, 0, 60))
-    held, others = summary.bounds["premises hold"], summary.bounds["they do not"]
-    assert summary.scenarios["as_designed"]["premises_hold"] == 1.0
-    assert summary.violated["parameters"] == 30
+    held, others = summary["bounds"]["premises hold"], summary["bounds"]["they do not"]
+    assert summary["scenarios"]["as_designed"]["premises_hold"] == 1.0
+    assert summary["violated"]["parameters"] == 30
     assert held["certified"]["samples"] > 0.4
     for one in held["certified"]["quantities"].values():
         assert one["inside"] > 0.997

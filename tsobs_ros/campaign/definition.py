@@ -6,13 +6,13 @@ Wherever a scenario has a number, it may have a range [least, most], of which ea
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import sha256
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile, load_design_file
@@ -24,7 +24,6 @@ from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode, encode, naming
 from tsobs_ros.simulation.integrator import Friction
 from tsobs_ros.simulation.plant import Mismatch, Scenario
-from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Signal, signal_of
 from tsobs_ros.yaml_files import read_text, yaml_mapping, yaml_text
 
 FORMAT, VERSION = "tsobs_ros campaign", 1
@@ -36,24 +35,8 @@ class CampaignError(TsobsError, RuntimeError):
     """A campaign cannot run, go on or be shown."""
 
 
-class SignalEntry:
-    """A component of a disturbance, given by its kind and its numbers."""
-
-    kinds: Mapping[str, type[Signal]] = KINDS
-
-    def __init__(self, signal: Signal) -> None:
-        self.signal = signal
-
-    @classmethod
-    def from_mapping(cls, entries: Mapping[str, Any]) -> "SignalEntry":
-        """Return the signal that a file gives."""
-        return cls(signal_of(cls.kinds, entries))
-
-
-class ExcitationEntry(SignalEntry):
-    """The signal of the torque."""
-
-    kinds = EXCITATIONS
+SignalEntry: TypeAlias = dict[str, Any]
+"""A component of a disturbance, given by its kind and its numbers."""
 
 
 @dataclass(kw_only=True, frozen=True)
@@ -85,7 +68,7 @@ class ScenarioEntries(OutputEntries):
 
     uncertainty: float
     initial_state: list[float]
-    excitation: ExcitationEntry
+    excitation: dict[str, Any]
     weight: int = 1
     like: str = ""
     as_designed: bool = False
@@ -172,9 +155,8 @@ class Campaign:
         if not entries.scenarios:
             raise ModelError("scenarios: expected at least one")
         _ = self.file.design.arm_request, self.settings
-        for name, given in entries.scenarios.items():
+        for name, weight in self._weights.items():
             # `drawing.check` looks at the rest.
-            weight = given.get("weight", 1)
             if not isinstance(weight, int) or weight < 1:
                 raise ModelError(
                     f"scenarios.{name}.weight: expected a whole number of at least 1, "
@@ -199,10 +181,14 @@ class Campaign:
         assert isinstance(made, Scenario)
         return made
 
+    @property
+    def _weights(self) -> dict[str, Any]:
+        return {name: one.get("weight", 1) for name, one in self.entries.scenarios.items()}
+
     @cached_property
     def turns(self) -> Sequence[str]:
         """The scenarios that runs go through in turn, those of a larger weight more often."""
-        weights = {name: one.get("weight", 1) for name, one in self.entries.scenarios.items()}
+        weights = self._weights
         # One after the other, not in blocks, so that a few runs already have most of them.
         rounds = range(max(weights.values()))
         return [name for turn in rounds for name, weight in weights.items() if weight > turn]
@@ -235,10 +221,11 @@ def load_campaign(path: str | PathLike[str]) -> Campaign:
     """
     path = Path(path)
     entries = parse_campaign(read_text(path, "campaign file"), str(path))
-    beside = path.parent / entries.design
-    design = beside if beside.is_file() else config_path(entries.design)
+    near = path.parent / entries.design
     with naming(path):
-        return Campaign(entries, load_design_file(design))
+        return Campaign(
+            entries, load_design_file(near if near.is_file() else config_path(entries.design))
+        )
 
 
 def parse_campaign(text: str, name: str) -> CampaignEntries:

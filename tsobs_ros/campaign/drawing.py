@@ -3,13 +3,19 @@
 """The runs of a campaign: what each goes through, drawn by its number."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tsobs_ros.campaign.definition import Campaign, OutputEntries, PayloadEntry, ScenarioEntries
+from tsobs_ros.campaign.definition import (
+    Campaign,
+    OutputEntries,
+    PayloadEntry,
+    ScenarioEntries,
+    SignalEntry,
+)
 from tsobs_ros.checks import check_names, non_negative
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import ModelError
@@ -20,7 +26,16 @@ from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput, TorqueDisturbance
 from tsobs_ros.simulation.scenarios import SCENARIOS
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import BiasStep, GaussMarkov, Ramp, Signal, Sinusoid
+from tsobs_ros.simulation.signals import (
+    EXCITATIONS,
+    KINDS,
+    BiasStep,
+    GaussMarkov,
+    Ramp,
+    Signal,
+    Sinusoid,
+    signal_of,
+)
 
 Choose = Callable[[float, float], float]
 """Chooses a number from a range."""
@@ -151,7 +166,7 @@ def _scenario(
         side: [
             *getattr(known.torque_disturbance, side),
             *(_designed(terms, random) if given.as_designed else ()),
-            *(entry.signal for entry in getattr(given, f"{side}_torque")),
+            *_signals(f"{side}_torque", getattr(given, f"{side}_torque")),
         ]
         for side in SIDES
         for terms in [getattr(request.torque_disturbance, side)]
@@ -171,8 +186,8 @@ def _scenario(
         initial_state=tuple(request.arm.from_physical(given.initial_state).tolist()),
         initial_spread=(0.0,) * 4,
         process_noise=ProcessNoise(noise.link * factor, noise.motor * factor),
-        excitation=given.excitation.signal,
-        torque_error=(*known.torque_error, *(entry.signal for entry in given.torque_error)),
+        excitation=signal_of(EXCITATIONS, given.excitation),
+        torque_error=(*known.torque_error, *_signals("torque_error", given.torque_error)),
         outputs=_outputs(request, given, known, random),
         torque_disturbance=TorqueDisturbance(**{side: tuple(one) for side, one in torques.items()}),
         payload=_payload(given.payload) or known.payload,
@@ -226,11 +241,18 @@ def _outputs(
         numbers = asdict(output.sensor) | {"noise_std": given.noise * output.sensor.noise_std}
         for entries in own:
             numbers |= entries.sensor
-            components += [entry.signal for entry in entries.disturbance]
+            components += _signals("disturbance", entries.disturbance)
         with within("sensor"):
             sensor = decode(numbers, Sensor)
         found.append(replace(output, sensor=sensor, disturbance=tuple(components)))
     return tuple(found)
+
+
+def _signals(name: str, entries: Sequence[SignalEntry]) -> Iterator[Signal]:
+    """Yield the signals of entries of a name."""
+    for place, entry in enumerate(entries):
+        with within(f"{name}[{place}]"):
+            yield signal_of(KINDS, entry)
 
 
 def _designed(

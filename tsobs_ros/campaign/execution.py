@@ -1,85 +1,63 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the parts of a campaign are computed: threads of this machine, or a Dask cluster."""
+"""The parts of a campaign, and where they are computed: threads or a Dask cluster."""
 
-import os
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from pathlib import Path
-from typing import Any
+import json
+import math
+from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tsobs_ros import __version__
-from tsobs_ros.campaign.definition import Campaign, CampaignError
-from tsobs_ros.campaign.drawing import check
-from tsobs_ros.campaign.folder import CampaignFolder
-from tsobs_ros.campaign.runs import Columns, carry_out, compute
+from tsobs_ros.campaign.batches import claimed, observe, recorded
+from tsobs_ros.campaign.definition import Campaign, CampaignError, parse_campaign
+from tsobs_ros.campaign.drawing import Drawn, draw_group
+from tsobs_ros.campaign.premises import violated
+from tsobs_ros.design.file import load_design_file
+from tsobs_ros.report.comparison import metrics_options
+from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
+from tsobs_ros.simulation.plant import Plant
 
-Part = tuple[int, int]
+DOMAIN = "domain"
+"""The premise that the arm stays in the certificate's domain."""
+
+Columns: TypeAlias = dict[str, NDArray[Any]]
+"""Of a table, by name, one entry per run."""
+
+Part: TypeAlias = tuple[int, int]
 """A part's first run, and the run after its last."""
 
 _CONNECT_TIMEOUT = 30
 
 
-def run_campaign(
-    campaign: Campaign,
-    output: Path,
-    *,
-    threads: int | None = None,
-    scheduler: str | None = None,
-    force: bool = False,
-    progress: Callable[[int], object] = lambda _: None,
-) -> CampaignFolder:
-    """Run a campaign, or what is missing of it, and return its folder.
-
-    The numbers depend neither on where runs are computed, nor by how many, nor on what was done
-    before.
-
-    Args:
-        campaign: The campaign.
-        output: Its folder; see `CampaignFolder.make`.
-        threads: Of this machine; the number of its cores if None.
-        scheduler: Address of a Dask scheduler, to compute there.
-        force: Whether to replace another campaign's files.
-        progress: Called with the number of runs that are done since.
-
-    Raises:
-        CampaignError: The folder has something else, or the cluster cannot do it.
-        TsobsError: A scenario does not fit the design.
-    """
-    check(campaign)
-    folder = CampaignFolder.make(output, campaign, force=force)
-    missing = folder.missing()
-    progress(campaign.entries.runs - sum(end - begin for begin, end in missing))
-    done: Iterator[tuple[Part, Columns]]
-    if scheduler is None:
-        done = _on_threads(campaign, missing, threads or os.cpu_count() or 1)
-    else:
-        done = _on_cluster(campaign, missing, scheduler)
-    for (begin, end), columns in done:
-        folder.write(begin, columns)
-        progress(end - begin)
-    return folder
-
-
-def _on_threads(
+def on_threads(
     campaign: Campaign, parts: Sequence[Part], count: int
 ) -> Iterator[tuple[Part, Columns]]:
+    """Yield the columns of parts, computed by some threads, in the order of the parts.
+
+    Raises:
+        TsobsError: A scenario does not fit the design.
+    """
     pool = ThreadPoolExecutor(count)
-    waiting: deque[tuple[Part, Future[Columns]]] = deque()
     try:
-        for part in parts:
-            waiting.append((part, pool.submit(compute, campaign, *part)))
-            while len(waiting) > 2 * count or (part is parts[-1] and waiting):
-                first, future = waiting.popleft()
-                yield first, future.result()
+        yield from zip(parts, pool.map(lambda part: compute(campaign, *part), parts), strict=True)
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def _on_cluster(
+def on_cluster(
     campaign: Campaign, parts: Sequence[Part], scheduler: str
 ) -> Iterator[tuple[Part, Columns]]:
+    """Yield the columns of parts as the workers of a Dask scheduler have computed them.
+
+    Raises:
+        CampaignError: The cluster cannot do it.
+        TsobsError: A scenario does not fit the design.
+    """
     # Slow to import, and for clusters only.
     import distributed
 
@@ -92,7 +70,7 @@ def _on_cluster(
     try:
         with client:
             futures = {
-                client.submit(carry_out, *texts, *part, pure=False, retries=0): part
+                client.submit(_carry_out, *texts, *part, pure=False, retries=0): part
                 for part in parts
             }
             for future in dask.as_completed(futures):
@@ -111,3 +89,84 @@ def _on_cluster(
             f"scheduler {scheduler}: the connection was lost: {reason}; the same command goes on "
             "with the runs that are missing"
         ) from error
+
+
+def _carry_out(version: str, campaign: str, design: str, begin: int, end: int) -> Columns:
+    """Return the columns of a part, as a worker that has the package and the texts of files."""
+    if version != __version__:
+        raise RuntimeError(f"a worker has tsobs_ros {__version__}, expected {version}")
+    return compute(_campaign(campaign, design), begin, end)
+
+
+@lru_cache(maxsize=2)
+def _campaign(campaign: str, design: str) -> Campaign:
+    return Campaign(parse_campaign(campaign, "campaign"), load_design_file("design", design))
+
+
+def compute(campaign: Campaign, begin: int, end: int) -> Columns:
+    """Draw, simulate, observe and score the runs from a number up to another.
+
+    A row depends on the campaign and the run's number alone, whatever runs are computed beside it.
+
+    Raises:
+        TsobsError: A scenario does not fit the design.
+    """
+    design, request = campaign.file.design, campaign.file.design.arm_request
+    settle_time = campaign.entries.settle_time
+    settled = MetricsOptions(start_settle_time=settle_time, jump_settle_time=settle_time)
+    options = metrics_options(design, settled)
+    learnt = campaign.settings.learnt(design)
+    rows: list[dict[str, Any]] = []
+    while begin + len(rows) < end:
+        group = draw_group(campaign, begin + len(rows), end)
+        scenario = group[0].scenario
+        truth = Plant(scenario, [one.seed for one in group]).run(scenario.sample_count)
+        observed = observe(design, truth, campaign.settings, campaign.estimator)
+        for place, drawn in enumerate(group):
+            run = recorded(truth, place, observed.of(place), request)
+            estimates, events = observed.rows[place], observed.events[place]
+            reach = float(np.abs(truth.physical[place, :, 0]).max())
+            rows.append(
+                {
+                    **_of_drawn(drawn, campaign, reach),
+                    **_of_metrics(measure(run, options)),
+                    **claimed(run, estimates),
+                    **_of_learnt(estimates[-1], learnt),
+                    **{name.replace(" ", "_"): number for name, number in events.items()},
+                }
+            )
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def _of_drawn(drawn: Drawn, campaign: Campaign, reach: float) -> dict[str, Any]:
+    request = campaign.file.design.arm_request
+    start = request.arm.to_physical(np.array(drawn.scenario.initial_state)).tolist()
+    broken = violated(drawn.scenario, request) + (DOMAIN,) * (reach > request.max_angle)
+    return {
+        "run": drawn.run,
+        "scenario": drawn.name,
+        "seed": drawn.seed,
+        "drawn": json.dumps(drawn.numbers),
+        **{f"start_{name}": value for name, value in zip(request.state_names, start, strict=True)},
+        **{f"true_{name}": value for name, value in drawn.theta.items()},
+        "premises_hold": not broken,
+        "violated": ", ".join(broken),
+        "max_link_angle": reach,
+    }
+
+
+def _of_metrics(metrics: RunMetrics) -> dict[str, float]:
+    found = {"normalised_rmse": metrics.normalised_rmse}
+    for one in metrics.quantities:
+        numbers = {"rmse": one.rmse, "bound": one.bound, "inside": one.inside}
+        found |= {f"{one.key}_{what}": number for what, number in numbers.items()}
+    return {name: math.nan if number is None else number for name, number in found.items()}
+
+
+def _of_learnt(last: Any, names: tuple[str, ...]) -> dict[str, float | bool]:
+    """Return what was learnt at the end of a run."""
+    row: dict[str, float | bool] = {}
+    for place, name in enumerate(names):
+        row[f"learnt_{name}"] = float(last["parameters"][place])
+        row[f"learnt_bound_{name}"] = float(last["parameter_bound"][place])
+    return {**row, "learnt_valid": bool(last["parameters_valid"] == 1.0)} if names else row

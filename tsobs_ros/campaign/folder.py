@@ -5,7 +5,8 @@
 A file appears once it is complete. So a campaign goes on from whatever is there.
 """
 
-from collections.abc import Iterable
+import os
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +15,13 @@ import pyarrow as pa
 import pyarrow.parquet as parquet
 
 from tsobs_ros.campaign.definition import Campaign, CampaignError, load_campaign
-from tsobs_ros.campaign.runs import PART, Columns
+from tsobs_ros.campaign.drawing import check
+from tsobs_ros.campaign.execution import Columns, Part, on_cluster, on_threads
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.files import written_whole
+
+PART = 100
+"""Runs in a part: what is computed, sent and written at a time."""
 
 CAMPAIGN, DESIGN, RUNS = "campaign.yaml", "campaign.design.yaml", "runs"
 SUMMARY = ("summary.json", "summary.txt")
@@ -75,7 +80,7 @@ class CampaignFolder:
         _write(path / CAMPAIGN, campaign.text(DESIGN).encode())
         return folder
 
-    def missing(self) -> list[tuple[int, int]]:
+    def missing(self) -> list[Part]:
         """Return the parts that are not done, each as its first run and the one after its last."""
         runs = self.campaign.entries.runs
         parts = [(begin, min(begin + PART, runs)) for begin in range(0, runs, PART)]
@@ -145,6 +150,46 @@ class CampaignFolder:
                 f"{self.path}: has {done} runs already, expected at least as many, "
                 f"got {self.campaign.entries.runs}"
             )
+
+
+def run_campaign(
+    campaign: Campaign,
+    output: Path,
+    *,
+    threads: int | None = None,
+    scheduler: str | None = None,
+    force: bool = False,
+    progress: Callable[[int], object] = lambda _: None,
+) -> CampaignFolder:
+    """Run a campaign, or what is missing of it, and return its folder.
+
+    The numbers depend neither on where runs are computed, nor by how many, nor on what was done
+    before.
+
+    Args:
+        campaign: The campaign.
+        output: Its folder; see `CampaignFolder.make`.
+        threads: Of this machine; the number of its cores if None.
+        scheduler: Address of a Dask scheduler, to compute there.
+        force: Whether to replace another campaign's files.
+        progress: Called with the number of runs that are done since.
+
+    Raises:
+        CampaignError: The folder has something else, or the cluster cannot do it.
+        TsobsError: A scenario does not fit the design.
+    """
+    check(campaign)
+    folder = CampaignFolder.make(output, campaign, force=force)
+    missing = folder.missing()
+    progress(campaign.entries.runs - sum(end - begin for begin, end in missing))
+    if scheduler is None:
+        done = on_threads(campaign, missing, threads or os.cpu_count() or 1)
+    else:
+        done = on_cluster(campaign, missing, scheduler)
+    for (begin, end), columns in done:
+        folder.write(begin, columns)
+        progress(end - begin)
+    return folder
 
 
 def _is_foreign(path: Path) -> bool:

@@ -4,128 +4,44 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from tsobs_ros.campaign.batches import CLAIMS
 from tsobs_ros.campaign.definition import Campaign
-from tsobs_ros.campaign.runs import Columns
+from tsobs_ros.campaign.execution import Columns
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.report.comparison import aligned
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.report.quantities import quantities_of
 
-QUANTILES = (0.05, 0.5, 0.95, 0.99, 1.0)
-"""What errors are summed up by; the last is the largest."""
-
+# What errors are summed up by; the last is the largest.
+_QUANTILES = (0.05, 0.5, 0.95, 0.99, 1.0)
 _NAMES = ["5 %", "median", "95 %", "99 %", "largest"]
 _WORST = 5
-_GROUPS = {True: "premises hold", False: "they do not"}
-_COUNTS = (
-    "outliers_left_out",
-    "sensor_jumps",
-    "hits",
-    "losses_of_track",
-)
+_COUNTS = ("outliers_left_out", "sensor_jumps", "hits", "losses_of_track")
 
 
-@dataclass(frozen=True)
-class Summary:
-    """A campaign in numbers, None for what is not known.
-
-    Attributes:
-        runs: Number of runs.
-        asked: Number of runs that the campaign has.
-        duration: Of a run [s].
-        design: Beginning of the checksum of the design's file.
-        scenarios: For each scenario: runs, how many keep the bound's premises, quantiles of the
-            normalised RMSE, share of errors inside, and what the supervision counted.
-        quantities: For each quantity its unit and quantiles of its RMSE.
-        bounds: For runs that keep the premises and for others, by what the bounds are said to be:
-            the share of samples, and for each quantity the share of errors inside three bounds,
-            the root mean square of error / bound, the largest one and the run it is of.
-        violated: Number of runs that do not keep a premise, by its name.
-        learnt: For each learnt parameter: share of runs in which it is valid at the end, quantiles
-            of its error then, share inside three of its 1σ.
-        worst: The worst runs, by measure, each with its number.
-        failed: Runs with an error that is not known.
-    """
-
-    runs: int
-    asked: int
-    duration: float
-    design: str
-    scenarios: dict[str, dict[str, Any]]
-    quantities: dict[str, dict[str, Any]]
-    bounds: dict[str, dict[str, dict[str, Any]]]
-    violated: dict[str, int]
-    learnt: dict[str, dict[str, Any]]
-    worst: dict[str, list[dict[str, Any]]]
-    failed: int
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return everything as plain data."""
-        return asdict(self)
-
-    def text(self) -> str:
-        """Return the tables for people."""
-        there = f"{self.runs:,}" + (f" of {self.asked:,}" if self.runs < self.asked else "")
-        head = f"{there} runs of {self.duration:g} s, design {self.design}"
-        if self.failed:
-            head += f"; {self.failed:,} runs with an error that is not known"
-        scenarios = (
-            [
-                name,
-                f"{one['runs']:,}",
-                _share(one["premises_hold"]),
-                *map(_number, one["normalised_rmse"]),
-                _share(one["inside"]),
-            ]
-            for name, one in self.scenarios.items()
-        )
-        errors = ([name, one["unit"], *map(_number, one["rmse"])]
-                  for name, one in self.quantities.items())  # fmt: skip
-        bounds = (
-            [f"{claim}; {group}", _share(one["samples"]), *_hardest(one["quantities"])]
-            for group, claims in self.bounds.items()
-            for claim, one in claims.items()
-            if one["samples"]
-        )
-        parts = [
-            head,
-            _table(["normalised RMSE", "runs", "premises hold", *_NAMES, "inside"], scenarios),
-            _table(["RMSE", "unit", *_NAMES], errors),
-            _table(["bounds said to be", "samples", "inside", "rms", "worst", "of run"], bounds)
-            + f"\ninside: share of errors within {SIGMAS:g} bounds; rms, worst: of error / bound; "
-            "of the quantity where they are worst",
-        ]
-        if self.violated:
-            counts = ", ".join(f"{name} {count:,}" for name, count in self.violated.items())
-            parts.append(f"premises that do not hold, in so many runs: {counts}")
-        if self.learnt:
-            learnt = (
-                [name, _share(one["valid"]), *map(_number, one["error"]), _share(one["inside"])]
-                for name, one in self.learnt.items()
-            )
-            parts.append(_table(["error of what is learnt", "valid", *_NAMES, "inside"], learnt))
-        for measure, runs in self.worst.items():
-            worst = (
-                [str(one["run"]), one["scenario"], _number(one["value"]), one["violated"] or "none"]
-                for one in runs
-            )
-            parts.append(_table(["run", "scenario", measure, "premises that do not hold"], worst))
-        return "\n\n".join(parts)
-
-
-def summarise(campaign: Campaign, columns: Columns) -> Summary:
-    """Return the summary of runs.
+def summarise(campaign: Campaign, columns: Columns) -> dict[str, Any]:
+    """Return the summary of runs as plain data, None for what is not known.
 
     Args:
         campaign: The campaign.
         columns: Of its runs, of all or of some.
+
+    Returns:
+        Numbers of `runs`, of those `asked` for and of those that `failed`, with an error that is
+        not known; `duration` of a run [s]; `design`, the beginning of its file's checksum; for each
+        of `scenarios` runs, how many keep the premises, quantiles of the normalised RMSE, share of
+        errors inside and what the supervision counted; for each of `quantities` unit and quantiles
+        of the RMSE; `bounds` of runs that keep the premises and of others, by what they are said to
+        be: the share of samples, and of each quantity the share of errors inside three bounds, root
+        mean square and largest of error / bound with its run; runs that `violated` each premise;
+        for each parameter that is `learnt` the share of runs in which it is valid at the end, and
+        there quantiles of its error and the share inside three of its 1σ; the `worst` runs by
+        measure.
     """
     file, entries = campaign.file, campaign.entries
     quantities = quantities_of(file.design.arm_request)
@@ -133,32 +49,81 @@ def summarise(campaign: Campaign, columns: Columns) -> Summary:
     texts = columns["violated"].tolist()
     broken = Counter(reason for text in texts for reason in text.split(", ") if reason)
     there = set(columns["scenario"].tolist())
-    return Summary(
-        runs=len(columns["run"]),
-        asked=entries.runs,
-        duration=entries.duration,
-        design=file.identity,
-        scenarios={
+    held = columns["premises_hold"]
+    return {
+        "runs": len(columns["run"]),
+        "asked": entries.runs,
+        "duration": entries.duration,
+        "design": file.identity,
+        "scenarios": {
             name: _scenario(columns, keys, columns["scenario"] == name)
             for name in entries.scenarios
             if name in there
         },
-        quantities={
+        "quantities": {
             each.key: {"unit": each.unit, "rmse": _quantiles(columns[f"{each.key}_rmse"])}
             for each in quantities
         },
-        bounds={
-            group: {
-                claim: _claim(columns, keys, claim, columns["premises_hold"] == held)
-                for claim in CLAIMS
-            }
-            for held, group in _GROUPS.items()
+        "bounds": {
+            group: {claim: _claim(columns, keys, claim, chosen) for claim in CLAIMS}
+            for group, chosen in (("premises hold", held), ("they do not", ~held))
         },
-        violated=dict(broken.most_common()),
-        learnt={name: _learnt(columns, name) for name in campaign.settings.learnt(file.design)},
-        worst=_worst(columns, keys, entries.repeats),
-        failed=int((~np.isfinite(columns["normalised_rmse"])).sum()),
-    )
+        "violated": dict(broken.most_common()),
+        "learnt": {name: _learnt(columns, name) for name in campaign.settings.learnt(file.design)},
+        "worst": _worst(columns, keys, entries.repeats),
+        "failed": int((~np.isfinite(columns["normalised_rmse"])).sum()),
+    }
+
+
+def render(summary: Mapping[str, Any]) -> str:
+    """Return the tables of a summary for people."""
+    runs, asked, failed = (summary[name] for name in ("runs", "asked", "failed"))
+    there = f"{runs:,}" + (f" of {asked:,}" if runs < asked else "")
+    head = f"{there} runs of {summary['duration']:g} s, design {summary['design']}"
+    if failed:
+        head += f"; {failed:,} runs with an error that is not known"
+    scenarios = [
+        [
+            name,
+            f"{one['runs']:,}",
+            _share(one["premises_hold"]),
+            *map(_number, one["normalised_rmse"]),
+            _share(one["inside"]),
+        ]
+        for name, one in summary["scenarios"].items()
+    ]
+    errors = [[name, one["unit"], *map(_number, one["rmse"])]
+              for name, one in summary["quantities"].items()]  # fmt: skip
+    bounds = [
+        [f"{claim}; {group}", _share(one["samples"]), *_hardest(one["quantities"])]
+        for group, claims in summary["bounds"].items()
+        for claim, one in claims.items()
+        if one["samples"]
+    ]
+    parts = [
+        head,
+        _table(["normalised RMSE", "runs", "premises hold", *_NAMES, "inside"], scenarios),
+        _table(["RMSE", "unit", *_NAMES], errors),
+        _table(["bounds said to be", "samples", "inside", "rms", "worst", "of run"], bounds)
+        + f"\ninside: share of errors within {SIGMAS:g} bounds; rms, worst: of error / bound; "
+        "of the quantity where they are worst",
+    ]
+    if violated := summary["violated"]:
+        counts = ", ".join(f"{name} {count:,}" for name, count in violated.items())
+        parts.append(f"premises that do not hold, in so many runs: {counts}")
+    if summary["learnt"]:
+        learnt = [
+            [name, _share(one["valid"]), *map(_number, one["error"]), _share(one["inside"])]
+            for name, one in summary["learnt"].items()
+        ]
+        parts.append(_table(["error of what is learnt", "valid", *_NAMES, "inside"], learnt))
+    for measure, worst in summary["worst"].items():
+        rows = [
+            [str(one["run"]), one["scenario"], _number(one["value"]), one["violated"] or "none"]
+            for one in worst
+        ]
+        parts.append(_table(["run", "scenario", measure, "premises that do not hold"], rows))
+    return "\n\n".join(parts)
 
 
 def _scenario(columns: Columns, keys: Sequence[str], chosen: Flags) -> dict[str, Any]:
@@ -240,8 +205,8 @@ def _worst(columns: Columns, keys: Sequence[str], repeats: int) -> dict[str, lis
 def _quantiles(values: Array) -> list[float | None]:
     known = values[np.isfinite(values)]
     if not len(known):
-        return [None] * len(QUANTILES)
-    return [float(value) for value in np.quantile(known, QUANTILES)]
+        return [None] * len(_QUANTILES)
+    return [float(value) for value in np.quantile(known, _QUANTILES)]
 
 
 def _hardest(quantities: dict[str, dict[str, Any]]) -> list[str]:
@@ -264,5 +229,5 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(aligned([head, *rows], text_columns=1))

@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     from tsobs_ros.campaign.definition import load_campaign
-    from tsobs_ros.campaign.execution import run_campaign
+    from tsobs_ros.campaign.folder import run_campaign
 
     begin = time.monotonic()
     campaign = load_campaign(options.campaign)
@@ -81,14 +81,14 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _show(options: argparse.Namespace, folder: "CampaignFolder", seconds: float | None) -> int:
-    from tsobs_ros.campaign.summary import summarise
+    from tsobs_ros.campaign.summary import render, summarise
 
     summary = summarise(folder.campaign, folder.read())
-    mapping, text = summary.as_mapping(), summary.text()
+    text = render(summary)
     if seconds is not None:
-        folder.write_summary([json.dumps(mapping, indent=2) + "\n", text + "\n"])
+        folder.write_summary([json.dumps(summary, indent=2) + "\n", text + "\n"])
         print(f"{seconds:.1f} s", file=sys.stderr)
-    show(mapping, printable(text, newline="\n"), options.json)
+    show(summary, printable(text, newline="\n"), options.json)
     return 0
 
 
