@@ -113,11 +113,11 @@ def ours(
     settings = ObserverSettings(gain_mode=mode, adapt=adapt)
     found = observe(design, runs, settings)
     to_design = design.arm_request.arm.from_physical
-    parameters, bounds = found.field("parameters"), found.field("parameter_bound")
+    parameters, bounds = found.rows["parameters"], found.rows["parameter_bound"]
     learns = parameters.shape[2] > 0
     return Found(
         *(
-            np.concatenate([to_design(found.field(state)), found.field(disturbance)], axis=2)
+            np.concatenate([to_design(found.rows[state]), found.rows[disturbance]], axis=2)
             for state, disturbance in (
                 ("state", "disturbance"),
                 ("state_bound", "disturbance_bound"),

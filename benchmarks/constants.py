@@ -111,12 +111,12 @@ def observed(runs: Trajectories, design: Design, changes: Mapping[str, float]) -
 def _judged(runs: Trajectories, found: Observed, hidden: int | None) -> Score:
     """Return how good estimates are over the second half of the runs."""
     late = runs.times >= 0.5 * runs.times[-1]
-    away = (found.field("state") - runs.physical)[:, late]
-    kept = (np.abs(away) <= SIGMAS * found.field("state_bound")[:, late]).all(axis=2)
+    away = (found.rows["state"] - runs.physical)[:, late]
+    kept = (np.abs(away) <= SIGMAS * found.rows["state_bound"][:, late]).all(axis=2)
     if hidden is None:
-        wrong = np.abs(found.field("disturbance") - runs.disturbances)[:, late]
-        kept &= (wrong <= SIGMAS * found.field("disturbance_bound")[:, late]).all(axis=2)
-    claims = found.field("claimed")[:, late] > 0.0
+        wrong = np.abs(found.rows["disturbance"] - runs.disturbances)[:, late]
+        kept &= (wrong <= SIGMAS * found.rows["disturbance_bound"][:, late]).all(axis=2)
+    claims = found.rows["claimed"][:, late] > 0.0
     weights = np.eye(4)[0 if hidden is None else hidden]
     if hidden is None:
         to_design = SCENARIOS["noise"].arm.from_physical(np.ones(4))

@@ -210,12 +210,12 @@ def judged(case: Case, design: Design, runs: Trajectories) -> Found:
     """Return what ours and the two EKFs do."""
     late, place = runs.times >= _JUDGED, case.hidden
     mine = observe(design, runs)
-    states = {"ours": mine.field("state")}
+    states = {"ours": mine.rows["state"]}
     for who, method in (("plain", "ekf_plain"), ("gated", "ekf")):
-        states[who] = observe(design, runs, ObserverSettings(method=method)).field("state")
+        states[who] = observe(design, runs, ObserverSettings(method=method)).rows["state"]
     away = {who: (each - runs.physical)[:, late] for who, each in states.items()}
-    kept = np.abs(away["ours"]) <= SIGMAS * mine.field("state_bound")[:, late]
-    claims = mine.field("claimed")[:, late] > 0.0
+    kept = np.abs(away["ours"]) <= SIGMAS * mine.rows["state_bound"][:, late]
+    claims = mine.rows["claimed"][:, late] > 0.0
     return Found(
         {who: np.sqrt((each[..., place] ** 2).mean(axis=1)) for who, each in away.items()},
         kept[..., place].mean(axis=1),

@@ -75,19 +75,19 @@ def test_what_is_observed_is_what_a_tracker_estimates(method: str) -> None:
             tracker.offer(Measurement(stamp, y, u), stamp)
             one = tracker.estimate(stamp)
             for found, expected in (
-                (observed.field("state"), one and one.state),
-                (observed.field("state_bound"), one and one.state_bound),
-                (observed.field("disturbance"), one and one.disturbance),
-                (observed.field("disturbance_bound"), one and one.disturbance_bound),
-                (observed.field("parameters"), one and one.parameters),
-                (observed.field("parameter_bound"), one and one.parameter_bound),
+                (observed.rows["state"], one and one.state),
+                (observed.rows["state_bound"], one and one.state_bound),
+                (observed.rows["disturbance"], one and one.disturbance),
+                (observed.rows["disturbance_bound"], one and one.disturbance_bound),
+                (observed.rows["parameters"], one and one.parameters),
+                (observed.rows["parameter_bound"], one and one.parameter_bound),
             ):
                 if expected is None or not len(expected):
                     assert np.isnan(found[run, sample]).all()
                 else:
                     assert found[run, sample].tolist() == expected.tolist()
         assert observed.events[run] == tracker.events
-    assert np.isnan(observed.field("state")).any()
+    assert np.isnan(observed.rows["state"]).any()
 
 
 def test_samples_that_are_followed_ascend(design: Design) -> None:

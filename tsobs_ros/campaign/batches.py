@@ -57,10 +57,6 @@ class Observed(NamedTuple):
         """Return the estimates of a run, by the names in `ESTIMATED`."""
         return {name: np.asarray(self.rows[name][run]) for name in ESTIMATED}
 
-    def field(self, name: str) -> Array:
-        """Return a field of `Estimate`, shape (runs, samples) or (runs, samples, numbers)."""
-        return np.asarray(self.rows[name])
-
 
 def observe(
     design: Design,

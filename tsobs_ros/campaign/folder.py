@@ -28,6 +28,46 @@ SUMMARY = ("summary.json", "summary.txt")
 _IDENTITY = b"tsobs_ros campaign"
 
 
+def run_campaign(
+    campaign: Campaign,
+    output: Path,
+    *,
+    threads: int | None = None,
+    scheduler: str | None = None,
+    force: bool = False,
+    progress: Callable[[int], object] = lambda _: None,
+) -> "CampaignFolder":
+    """Run a campaign, or what is missing of it, and return its folder.
+
+    The numbers depend neither on where runs are computed, nor by how many, nor on what was done
+    before.
+
+    Args:
+        campaign: The campaign.
+        output: Its folder; see `CampaignFolder.make`.
+        threads: Of this machine; the number of its cores if None.
+        scheduler: Address of a Dask scheduler, to compute there.
+        force: Whether to replace another campaign's files.
+        progress: Called with the number of runs that are done since.
+
+    Raises:
+        CampaignError: The folder has something else, or the cluster cannot do it.
+        TsobsError: A scenario does not fit the design.
+    """
+    check(campaign)
+    folder = CampaignFolder.make(output, campaign, force=force)
+    missing = folder.missing()
+    progress(campaign.entries.runs - sum(end - begin for begin, end in missing))
+    if scheduler is None:
+        done = on_threads(campaign, missing, threads or os.cpu_count() or 1)
+    else:
+        done = on_cluster(campaign, missing, scheduler)
+    for (begin, end), columns in done:
+        folder.write(begin, columns)
+        progress(end - begin)
+    return folder
+
+
 @dataclass(frozen=True)
 class CampaignFolder:
     """The folder of a campaign; what is in it already is kept.
@@ -92,9 +132,8 @@ class CampaignFolder:
         Raises:
             CampaignError: It cannot be written.
         """
-        identity = {_IDENTITY: self.campaign.identity.encode()}
-        sink = pa.BufferOutputStream()
-        parquet.write_table(pa.table(columns).replace_schema_metadata(identity), sink)
+        sink, table = pa.BufferOutputStream(), pa.table(columns)
+        parquet.write_table(table.replace_schema_metadata({_IDENTITY: self._identity}), sink)
         _write(self._part(begin), sink.getvalue().to_pybytes())
 
     def read(self) -> Columns:
@@ -121,6 +160,10 @@ class CampaignFolder:
         for name, text in zip(SUMMARY, texts, strict=True):
             _write(self.path / name, text.encode())
 
+    @property
+    def _identity(self) -> bytes:
+        return self.campaign.identity.encode()
+
     def _part(self, begin: int) -> Path:
         return self.path / RUNS / f"{begin:08d}.parquet"
 
@@ -130,8 +173,8 @@ class CampaignFolder:
             metadata = parquet.read_metadata(self._part(begin))
         except (OSError, pa.ArrowInvalid):
             return 0
-        identity = (metadata.metadata or {}).get(_IDENTITY)
-        return int(metadata.num_rows) if identity == self.campaign.identity.encode() else 0
+        is_own = (metadata.metadata or {}).get(_IDENTITY) == self._identity
+        return int(metadata.num_rows) if is_own else 0
 
     def _require_same(self) -> None:
         try:
@@ -150,46 +193,6 @@ class CampaignFolder:
                 f"{self.path}: has {done} runs already, expected at least as many, "
                 f"got {self.campaign.entries.runs}"
             )
-
-
-def run_campaign(
-    campaign: Campaign,
-    output: Path,
-    *,
-    threads: int | None = None,
-    scheduler: str | None = None,
-    force: bool = False,
-    progress: Callable[[int], object] = lambda _: None,
-) -> CampaignFolder:
-    """Run a campaign, or what is missing of it, and return its folder.
-
-    The numbers depend neither on where runs are computed, nor by how many, nor on what was done
-    before.
-
-    Args:
-        campaign: The campaign.
-        output: Its folder; see `CampaignFolder.make`.
-        threads: Of this machine; the number of its cores if None.
-        scheduler: Address of a Dask scheduler, to compute there.
-        force: Whether to replace another campaign's files.
-        progress: Called with the number of runs that are done since.
-
-    Raises:
-        CampaignError: The folder has something else, or the cluster cannot do it.
-        TsobsError: A scenario does not fit the design.
-    """
-    check(campaign)
-    folder = CampaignFolder.make(output, campaign, force=force)
-    missing = folder.missing()
-    progress(campaign.entries.runs - sum(end - begin for begin, end in missing))
-    if scheduler is None:
-        done = on_threads(campaign, missing, threads or os.cpu_count() or 1)
-    else:
-        done = on_cluster(campaign, missing, scheduler)
-    for (begin, end), columns in done:
-        folder.write(begin, columns)
-        progress(end - begin)
-    return folder
 
 
 def _is_foreign(path: Path) -> bool:

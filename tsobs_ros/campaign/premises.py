@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Premises of a certified bound: which of them a simulated run does not keep."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import fields
+from collections.abc import Iterable
 
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
@@ -31,51 +30,48 @@ def violated(scenario: Scenario, request: ArmRequest) -> tuple[str, ...]:
     does not certify these, the bound is called "certified but for the learnt parameters". Whether
     a run stays in the domain is seen only when it has been simulated.
     """
-    found = set(_arm(scenario, request))
-    if scenario.payload.link_inertia or scenario.payload.gravity_torque:
-        found.add("payload")
-    if scenario.backlash:
-        found.add("backlash")
-    if scenario.torque_error:
-        found.add("torque error")
+    friction, payload, torques = scenario.friction, scenario.payload, scenario.torque_disturbance
     noise, designed = scenario.process_noise, request.process_noise
-    if _is_more(noise.link, designed.link) or _is_more(noise.motor, designed.motor):
-        found.add("process noise")
-    for side in SIDES:
-        terms = getattr(request.torque_disturbance, side)
-        if not _foresees(terms, getattr(scenario.torque_disturbance, side)):
-            found.add("torque disturbance")
+    uncertain = request.uncertainty
+    found = {
+        "payload": payload.link_inertia or payload.gravity_torque,
+        "backlash": scenario.backlash,
+        "torque error": scenario.torque_error,
+        "process noise": _is_more(noise.link, designed.link)
+        or _is_more(noise.motor, designed.motor),
+        "torque disturbance": not all(
+            _foresees(getattr(request.torque_disturbance, side), getattr(torques, side))
+            for side in SIDES
+        ),
+        "friction": friction.link_coulomb
+        or friction.motor_coulomb
+        or _is_more(friction.link_viscous, uncertain.get("link_damping", 0.0))
+        or _is_more(friction.motor_viscous, uncertain.get("motor_damping", 0.0)),
+        "parameters": any(
+            _is_more(abs(theta), uncertain.get(name, 0.0))
+            for name, theta in _thetas(scenario.mismatch, request.arm).items()
+        ),
+    }
     for asked, output in zip(request.sensors, scenario.signals.outputs, strict=True):
-        if not _foresees(asked.disturbance, output.disturbance):
-            found.add("disturbance")
-        if _is_more(output.sensor.noise_std, asked.measurement_std):
-            found.add("noise")
-        found |= {what for number, what in _SENSOR.items() if getattr(output.sensor, number)}
-    return tuple(sorted(found))
+        sensor = output.sensor
+        for name, holds in (
+            ("disturbance", not _foresees(asked.disturbance, output.disturbance)),
+            ("noise", _is_more(sensor.noise_std, asked.measurement_std)),
+            *((name, getattr(sensor, number)) for number, name in _SENSOR.items()),
+        ):
+            found[name] = found.get(name) or holds
+    return tuple(sorted(name for name, holds in found.items() if holds))
 
 
-def _arm(scenario: Scenario, request: ArmRequest) -> Iterable[str]:
-    friction, arm = scenario.friction, request.arm
-    if friction.link_coulomb or friction.motor_coulomb:
-        yield "friction"
-    for name, side in (("link_damping", "link_viscous"), ("motor_damping", "motor_viscous")):
-        if _is_more(getattr(friction, side), request.uncertainty.get(name, 0.0)):
-            yield "friction"
-    for name, theta in _thetas(scenario.mismatch, arm).items():
-        if _is_more(abs(theta), request.uncertainty.get(name, 0.0)):
-            yield "parameters"
-
-
-def _thetas(mismatch: Mismatch, arm: ElasticJointArm) -> Mapping[str, float]:
+def _thetas(mismatch: Mismatch, arm: ElasticJointArm) -> dict[str, float]:
     """Return the changes of uncertain parameters that a mismatch is."""
-    changes = {item.name: getattr(mismatch, item.name) for item in fields(mismatch)}
     return {
-        "stiffness": changes["stiffness"],
-        "gravity": changes["gravity_torque"] if arm.gravity_torque else 0.0,
-        "link_damping": changes["link_damping"] * arm.link_damping,
-        "motor_damping": changes["motor_damping"] * arm.motor_damping,
-        "link_inverse_inertia": 1.0 / (1.0 + changes["link_inertia"]) - 1.0,
-        "motor_inverse_inertia": 1.0 / (1.0 + changes["motor_inertia"]) - 1.0,
+        "stiffness": mismatch.stiffness,
+        "gravity": mismatch.gravity_torque if arm.gravity_torque else 0.0,
+        "link_damping": mismatch.link_damping * arm.link_damping,
+        "motor_damping": mismatch.motor_damping * arm.motor_damping,
+        "link_inverse_inertia": 1.0 / (1.0 + mismatch.link_inertia) - 1.0,
+        "motor_inverse_inertia": 1.0 / (1.0 + mismatch.motor_inertia) - 1.0,
     }
 
 
