@@ -33,7 +33,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 
 Array = NDArray[np.float64]
-PROPERTY = settings(max_examples=8)
+PROPERTY = settings(max_examples=4)
 MATRICES = hnp.arrays(np.float64, (3, 3), elements=st.floats(-3.0, 3.0, allow_subnormal=False))
 
 
@@ -107,41 +107,29 @@ def test_the_shipped_design_is_proved_with_its_margins(shipped: Design) -> None:
         assert exact.margin == pytest.approx(rounded.margin, rel=2e-3)
 
 
-@pytest.mark.parametrize(
-    "request_",
-    [
-        ArmRequest(
-            decay_rate=0.05,
-            arm=ElasticJointArm(0.05, 0.005, 200.0, 2.0, 0.01, 0.01),
-            disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("sinusoid", {"frequency": 3.0})),
-        ),
-        ArmRequest(
-            outputs=(Output("motor_angle", 0.001), Output("link_angle", 0.01, (BIAS,))),
-            torque_disturbance=TorqueDisturbance((), (CONTACT,)),
-        ),
-        ArmRequest(
-            arm=ElasticJointArm(gravity_torque=0.0),
-            outputs=(Output("motor_velocity", 0.01), Output("motor_angle", 0.001)),
-            torque_disturbance=TorqueDisturbance((CONTACT,)),
-            uncertainty={"motor_inverse_inertia": 0.1},
-            certify_uncertainty=True,
-        ),
-        ArmRequest(
-            outputs=(
-                Output("motor_angle", 0.001, delay=0.004),
-                Output("link_angle", 0.01, (BIAS,)),
-            ),
-        ),
-    ],
-    ids=[
-        "stiff with a tone",
-        "two encoders and a contact",
-        "no gravity",
-        "a late encoder",
-    ],
-)
-def test_designs_of_every_sort_are_proved(request_: ArmRequest) -> None:
-    design = synthesise(request_)
+REQUESTS = {
+    "stiff with a tone": ArmRequest(
+        decay_rate=0.05,
+        arm=ElasticJointArm(0.05, 0.005, 200.0, 2.0, 0.01, 0.01),
+        disturbance=(BIAS, DisturbanceTerm("sinusoid", {"frequency": 3.0})),
+    ),
+    "a late encoder and a contact": ArmRequest(
+        outputs=(Output("motor_angle", 0.001, delay=0.004), Output("link_angle", 0.01, (BIAS,))),
+        torque_disturbance=TorqueDisturbance((), (CONTACT,)),
+    ),
+    "no gravity": ArmRequest(
+        arm=ElasticJointArm(gravity_torque=0.0),
+        outputs=(Output("motor_velocity", 0.01), Output("motor_angle", 0.001)),
+        torque_disturbance=TorqueDisturbance((CONTACT,)),
+        uncertainty={"motor_inverse_inertia": 0.1},
+        certify_uncertainty=True,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REQUESTS)
+def test_designs_of_every_sort_are_proved(name: str) -> None:
+    design = synthesise(REQUESTS[name])
     report = verify_exactly(design)
     assert report.holds
     margins = [inequality.margin for inequality in design.certificate.inequalities]
@@ -151,16 +139,13 @@ def test_designs_of_every_sort_are_proved(request_: ArmRequest) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"K": 0.0 * np.ones((5, 1))},
         {"K": np.full((5, 1), 1e200)},
         {"P": np.eye(5) + np.eye(5, k=1)},
-        {"P": np.ones((5, 5))},
         {"request": ArmRequest(x_max=0.76)},
         {"request": ArmRequest(certify_uncertainty=True, uncertainty={"stiffness": 0.2})},
         {"request": ArmRequest(disturbance=(DisturbanceTerm("bias", {"density": 2e-4}),))},
     ],
-    ids=["no gain", "huge gain", "unsymmetric", "singular", "domain",
-         "uncertainty", "noise"],
+    ids=["huge gain", "unsymmetric", "domain", "uncertainty", "noise"],
 )  # fmt: skip
 def test_a_tampered_design_is_not_proved(shipped: Design, change: dict[str, Any]) -> None:
     assert not verify_exactly(replace(shipped, **change)).holds

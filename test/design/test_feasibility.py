@@ -59,7 +59,7 @@ REQUESTS = st.builds(
 )  # fmt: skip
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(REQUESTS, st.floats(0.75, 0.99))
 def test_obstacles_agree_with_a_rank_test(request_: ArmRequest, slope: float) -> None:
     """Obstacles at any slope are what a rank test finds at a slope at random, mode by mode."""

@@ -37,7 +37,7 @@ DATA = Path(__file__).parent / "data"
 """Files as they were written by version 0.1.0 before requests and designs had a schema."""
 
 PROPERTY = settings(
-    max_examples=20,
+    max_examples=12,
     # The file is written again by every example.
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
@@ -231,8 +231,6 @@ ARM = [
         r"outputs\[0\].delay: expected 0 for link_velocity, as only angles can be late, got 0.001",
     ),
     (TORQUE, {"gain": 0.0}, "design.torque.gain: expected a finite number above 0, got 0.0"),
-    (TORQUE, {"offset": math.nan}, "design.torque.offset: expected a finite number, got nan"),
-    (TORQUE, {"delay": -1e-3}, "design.torque.delay: .* of at least 0, got -0.001"),
     (TORQUE, {"delay": 2.0}, "torque.delay: .* 20 periods, 0.1 s, got 2.0 s; .* would be 0.002 s"),
     (TORQUE, {"lag": 1e-3}, "design.torque: unknown entry 'lag', expected some of gain, offset, d"),
     (LINK, {"elbow": []}, "torque_disturbance: unknown entry 'elbow'"),
@@ -358,16 +356,6 @@ def test_a_limit_beyond_all_torques_is_none(tmp_path: Path) -> None:
     assert ArmRequest().torque_limits(1e9, 1e9) == unlimited
 
 
-def test_numpy_numbers_are_saved_as_numbers(shipped: Design, tmp_path: Path) -> None:
-    terms = (DisturbanceTerm("bias", {"density": np.float64(1e-4)}),)
-    noise = ProcessNoise(np.float64(1e-4), np.float64(1e-5))
-    request = replace(
-        shipped.request, x_max=np.float64(0.75), rate=200, disturbance=terms, process_noise=noise
-    )
-    save_design(replace(shipped, request=request), tmp_path / "a.yaml")
-    assert load_design(tmp_path / "a.yaml").request == shipped.request
-
-
 @pytest.mark.parametrize(
     ("load", "what"), [(load_design, "design file"), (load_request, "request")]
 )
@@ -426,7 +414,7 @@ WRONG = st.recursive(
 )  # fmt: skip
 
 
-@settings(PROPERTY, max_examples=60)
+@settings(PROPERTY, max_examples=30)
 @given(data=st.data())
 @pytest.mark.parametrize("name", ["arm", "system"])
 def test_a_mutated_file_is_either_a_design_or_a_named_refusal(

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.problem import Request
+from tsobs_ros.design.request import AnyRequest
 from tsobs_ros.errors import CertificateError
 from tsobs_ros.model.prediction import VertexSystem
 
@@ -101,7 +101,7 @@ class CertificateReport:
             raise CertificateError(f"{source}: the certificate does not hold: {'; '.join(failing)}")
 
 
-def check_certificate(problem: Request, P: Array, K: Array) -> CertificateReport:
+def check_certificate(problem: AnyRequest, P: Array, K: Array) -> CertificateReport:
     """Check the certificate of gain K and matrix P from the problem's model alone.
 
     P is scaled to unit diagonal, so that units do not matter. Its factor is then exact to n ε κ, κ
@@ -144,7 +144,7 @@ def check_certificate(problem: Request, P: Array, K: Array) -> CertificateReport
 
 
 def _check_vertex(
-    problem: Request, root: Array, K: Array, vertex: VertexSystem
+    problem: AnyRequest, root: Array, K: Array, vertex: VertexSystem
 ) -> tuple[str, float, float]:
     """Return the vertex's name, its decrease over a step with X = I and its error's growth."""
     closed = vertex.transition @ (np.eye(K.shape[0]) - K @ problem.flow.output_matrix)

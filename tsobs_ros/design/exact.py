@@ -89,9 +89,8 @@ def _inequalities(design: Design) -> Iterator[Inequality]:
         positive = judged(name, "", P, np.diag(np.diag(P)))
     yield positive
     if positive.holds:
-        problem = _Problem(design)
-        for where, decrease in problem.decreases():
-            yield judged("covariance decrease", where, decrease, problem.period * problem.X)
+        for where, decrease, unit in _decreases(design):
+            yield judged("covariance decrease", where, decrease, unit)
 
 
 def _margin(matrix: Rational, unit: Rational, guess: float) -> float:
@@ -105,95 +104,74 @@ def _margin(matrix: Rational, unit: Rational, guess: float) -> float:
 
 
 class _Parts(NamedTuple):
-    """A request's step in fractions.
-
-    Attributes:
-        drift: Matrix of the linear flow [1/s].
-        density: White noise density of the augmented state.
-        output: C̄, shape (p, n).
-        std: 1σ of a sample of each output, shape (p,).
-        share: Share of the period that the linear flow takes at once.
-        corners: A half kick of an arm, or the deviation of a system from its mean, each.
+    """A request's step in fractions: its matrices, and half a kick of an arm at each corner, or the
+    deviation of each of a system's matrices from their mean.
     """
 
     drift: Rational
     density: Rational
     output: Rational
     std: Rational
-    share: Fraction
     corners: list[Rational]
 
 
-class _Problem:
-    """A request and its answer in fractions, in coordinates scaled by powers of two.
+def _decreases(design: Design) -> Iterator[tuple[str, Rational, Rational]]:
+    """Yield each vertex, λ²X less an upper bound on the covariance after a step from X, and T X.
 
-    Attributes:
-        period: T [s].
-        X: P⁻¹.
+    They are in coordinates scaled by powers of two. Any scale is as good for the claim; this one
+    keeps the flow's norm small.
     """
-
-    def __init__(self, design: Design) -> None:
-        request = design.request
-        self.period = 1 / Fraction(request.rate)
-        self._places = [vertex.where for vertex in request.vertices()]
+    request, period = design.request, 1 / Fraction(design.request.rate)
+    parts = _arm_parts(request) if isinstance(request, ArmRequest) else _system_parts(request)
+    _, (scale, _) = matrix_balance(np.asarray(parts.drift, float), permute=False, separate=True)
+    D, inverted = np.diag(rational(scale)), np.diag(1 / rational(scale))
+    duration = Fraction(request.flow.linear_share) * period
+    flow = inverted @ (duration * parts.drift) @ D
+    phi = exponential(flow)
+    noise = noise_integral(flow, inverted @ (duration * parts.density) @ inverted)
+    gain: Rational = inverted @ rational(design.K)
+    X = inverse(D @ rational(design.P) @ D)
+    closed = identity(len(gain)) - gain @ parts.output @ D
+    posterior = closed @ X @ closed.T + (gain * parts.std**2) @ gain.T
+    kept = decay_below(2 * Fraction(request.decay_rate) * period)
+    corners = [inverted @ corner @ D for corner in parts.corners]
+    pairs = zip(request.vertices(), product(corners, repeat=2), strict=True)
+    for vertex, (first, second) in pairs:
         if isinstance(request, ArmRequest):
-            parts, self._step = _arm_parts(request), self._step_of_arm
+            after = second @ _bounded(phi, noise, first @ posterior @ first.T) @ second.T
         else:
-            parts, self._step = _system_parts(request), self._step_of_system
-        # Any scale is as good for the claim; this one keeps the flow's norm small.
-        rounded = np.asarray(parts.drift, dtype=np.float64)
-        _, (scale, _) = matrix_balance(rounded, permute=False, separate=True)
-        D, inverted = np.diag(rational(scale)), np.diag(1 / rational(scale))
-        duration = parts.share * self.period
-        flow = inverted @ (duration * parts.drift) @ D
-        self._phi = exponential(flow)
-        self._noise = noise_integral(flow, inverted @ (duration * parts.density) @ inverted)
-        self._kept = decay_below(2 * Fraction(request.decay_rate) * self.period)
-        self._corners = [inverted @ corner @ D for corner in parts.corners]
-        gain: Rational = inverted @ rational(design.K)
-        self.X = inverse(D @ rational(design.P) @ D)
-        closed = identity(len(gain)) - gain @ parts.output @ D
-        self._posterior = closed @ self.X @ closed.T + (gain * parts.std**2) @ gain.T
+            after = _after_system_step(phi, noise, period, first, second, posterior)
+        yield vertex.where, kept * X - after, period * X
 
-    def decreases(self) -> Iterator[tuple[str, Rational]]:
-        """Yield each vertex, and λ²X less an upper bound on the covariance after a step from X."""
-        pairs = product(self._corners, repeat=2)
-        for place, (first, second) in zip(self._places, pairs, strict=True):
-            yield place, self._kept * self.X - self._step(first, second)
 
-    def _step_of_arm(self, first: Rational, second: Rational) -> Rational:
-        covariance = _bounded(self._phi, self._noise, first @ self._posterior @ first.T)
-        return np.asarray(second @ covariance @ second.T)
-
-    def _step_of_system(self, first: Rational, second: Rational) -> Rational:
-        T, one = self.period, identity(len(self.X))
-        kick, drive, spread = one + T / 2 * first, T * second, one + T * second
-        # Each entry of M Δ N is at most the row sum of M times the column sum of N times ΔΦ's.
-        radius = self._phi.radius * (1 + _row_sum(drive) * _row_sum(kick.T))
-        middle = Enclosure(self._phi.centre + drive @ self._phi.centre @ kick, radius)
-        noise = Enclosure(
-            spread @ self._noise.centre @ spread.T, self._noise.radius * _row_sum(spread) ** 2
-        )
-        return _bounded(self._phi, self._noise, _bounded(middle, noise, self._posterior))
+def _after_system_step(
+    phi: Enclosure, noise: Enclosure, T: Fraction, first: Rational, second: Rational, W: Rational
+) -> Rational:
+    """Return an upper bound on the covariance after a system's step from W."""
+    one = identity(len(W))
+    kick, drive, spread = one + T / 2 * first, T * second, one + T * second
+    # Each entry of M Δ N is at most the row sum of M times the column sum of N times ΔΦ's.
+    radius = phi.radius * (1 + _row_sum(drive) * _row_sum(kick.T))
+    middle = Enclosure(phi.centre + drive @ phi.centre @ kick, radius)
+    half = Enclosure(spread @ noise.centre @ spread.T, noise.radius * _row_sum(spread) ** 2)
+    return _bounded(phi, noise, _bounded(middle, half, W))
 
 
 def _arm_parts(request: ArmRequest) -> _Parts:
     """Return the exact linear flow of an arm, from its parameters without rounding."""
     arm, flow = request.arm, request.flow
     j1, j2, k = (Fraction(v) for v in (arm.link_inertia, arm.motor_inertia, arm.stiffness))
-    drift: Rational = rational(np.zeros((4, 4)))
-    drift[0] = [0, 1, 0, 0]
-    drift[LINK_VELOCITY] = [-k / j1, -Fraction(arm.link_damping) / j1, 1, 0]
-    drift[2] = [0, 0, 0, 1]
-    drift[MOTOR_VELOCITY] = [k * k / (j1 * j2), 0, -k / j2, -Fraction(arm.motor_damping) / j2]
-    density: Rational = rational(np.zeros((4, 4)))
-    density[LINK_VELOCITY, LINK_VELOCITY] = Fraction(request.process_noise.link)
-    density[MOTOR_VELOCITY, MOTOR_VELOCITY] = Fraction(request.process_noise.motor) * (k / j1) ** 2
-    drift, density = _with_disturbance(drift, density, flow.disturbance)
-    n = len(drift)
-    drift, density = _with_disturbance(drift, density, flow.torque_disturbance)
-    motor, link = rational(flow.torque_disturbance.H)
-    drift[MOTOR_VELOCITY, n:], drift[LINK_VELOCITY, n:] = k / (j1 * j2) * motor, link / j1
+    A: Rational = rational(np.zeros((4, 4)))
+    A[0], A[2] = [0, 1, 0, 0], [0, 0, 0, 1]
+    A[LINK_VELOCITY] = [-k / j1, -Fraction(arm.link_damping) / j1, 1, 0]
+    A[MOTOR_VELOCITY] = [k * k / (j1 * j2), 0, -k / j2, -Fraction(arm.motor_damping) / j2]
+    link, motor = Fraction(request.process_noise.link), Fraction(request.process_noise.motor)
+    white = np.diag(rational([0, link, 0, motor * (k / j1) ** 2]))
+    models = flow.disturbance, flow.torque_disturbance
+    drift, density = _with_disturbances(A, white, *models)
+    torques, n = rational(models[1].H), 4 + models[0].state_count
+    drift[MOTOR_VELOCITY, n:] = k / (j1 * j2) * torques[0]
+    drift[LINK_VELOCITY, n:] = torques[1] / j1
     output, scale = rational(flow.output_matrix), [Fraction(1)] * 2 + [j1 / k] * 2
     for row, each in zip(output, request.sensors, strict=True):
         place = QUANTITIES.index(each.measures)
@@ -201,8 +179,7 @@ def _arm_parts(request: ArmRequest) -> _Parts:
         if each.delay:
             row[place + 1] = -Fraction(each.delay) * scale[place]
     std = rational([each.measurement_std for each in request.sensors])
-    kicks = list(_kicks(request, len(drift)))
-    return _Parts(drift, density, output, std, Fraction(1), kicks)
+    return _Parts(drift, density, output, std, list(_kicks(request, len(drift))))
 
 
 def _kicks(request: ArmRequest, n: int) -> Iterator[Rational]:
@@ -229,11 +206,10 @@ def _kicks(request: ArmRequest, n: int) -> Iterator[Rational]:
 def _system_parts(request: TSRequest) -> _Parts:
     """Return the exponential midpoint rule of a T–S system, around the mean of its rules."""
     A = rational(request.model.A)
-    density = np.diag(rational(request.process_noise))
-    mean, density = _with_disturbance(A.sum(axis=0) / len(A), density, request.disturbance_model)
+    white = np.diag(rational(request.process_noise))
+    mean, density = _with_disturbances(A.sum(axis=0) / len(A), white, request.disturbance_model)
     output, std = rational(request.flow.output_matrix), rational(request.measurement_std)
-    corners = list(_deviations(request, mean))
-    return _Parts(mean, density, output, std, Fraction(1, 2), corners)
+    return _Parts(mean, density, output, std, list(_deviations(request, mean)))
 
 
 def _deviations(request: TSRequest, mean: Rational) -> Iterator[Rational]:
@@ -253,19 +229,20 @@ def _deviations(request: TSRequest, mean: Rational) -> Iterator[Rational]:
             yield deviation
 
 
-def _with_disturbance(
-    drift: Rational, density: Rational, model: DisturbanceModel
+def _with_disturbances(
+    A: Rational, white: Rational, *models: DisturbanceModel
 ) -> tuple[Rational, Rational]:
-    """Return drift and density with those of an exosystem behind them."""
-    S, G = rational(model.S), rational(model.G)
-    return _block_diagonal(drift, S), _block_diagonal(density, G @ G.T)
-
-
-def _block_diagonal(first: Rational, second: Rational) -> Rational:
-    n, size = len(first), len(first) + len(second)
-    joined = rational(np.zeros((size, size)))
-    joined[:n, :n], joined[n:, n:] = first, second
-    return joined
+    """Return drift and density of a plant with exosystems behind it."""
+    n = len(A) + sum(model.state_count for model in models)
+    drift, density = rational(np.zeros((2, n, n)))
+    end = len(A)
+    drift[:end, :end], density[:end, :end] = A, white
+    for model in models:
+        own = slice(end, end + model.state_count)
+        drift[own, own] = rational(model.S)
+        density[own, own] = rational(model.G) @ rational(model.G).T
+        end = own.stop
+    return drift, density
 
 
 def _bounded(phi: Enclosure, noise: Enclosure, W: Rational) -> Rational:

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.design.problem import Channel, Request
+from tsobs_ros.design.problem import Channel
 from tsobs_ros.design.remedies import helpful, remedies_of_hidden_modes
-from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.design.request import AnyRequest, ArmRequest
 from tsobs_ros.errors import DetectabilityError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY
 from tsobs_ros.model.detectability import (
@@ -51,7 +51,7 @@ class Obstacle(NamedTuple):
     text: str
 
 
-def find_obstacles(request: Request) -> list[Obstacle]:
+def find_obstacles(request: AnyRequest) -> list[Obstacle]:
     """Return the undetectable modes, one of each conjugate pair.
 
     An arm's are those on its domain; an output with an arbitrary disturbance shows nothing. Of a
@@ -60,7 +60,6 @@ def find_obstacles(request: Request) -> list[Obstacle]:
     """
     if isinstance(request, ArmRequest):
         return list(_of_arm(request))
-    assert isinstance(request, TSRequest)
     flow, pairs = request.flow, zip(*request.vertex_matrices(), strict=True)
     return [
         Obstacle(None, mode.eigenvalue, mode.shape, f"{name}: {_mode_text(request, mode)}")
@@ -70,13 +69,13 @@ def find_obstacles(request: Request) -> list[Obstacle]:
     ]
 
 
-def is_detectable(request: Request) -> bool:
+def is_detectable(request: AnyRequest) -> bool:
     """Return whether no mode that persists is hidden, and no disturbance is arbitrary."""
     return not (request.disturbance_model.arbitrary or find_obstacles(request))
 
 
 def require_detectable(
-    request: Request, has_design: Callable[[Request], bool] = is_detectable
+    request: AnyRequest, has_design: Callable[[AnyRequest], bool] = is_detectable
 ) -> None:
     """Refuse a request that no observer can answer.
 
@@ -215,7 +214,7 @@ def _obstacle(
     return Obstacle(slope, eigenvalue, unit, f"{text}: {mode}")
 
 
-def _mode_text(request: Request, mode: HiddenMode) -> str:
+def _mode_text(request: AnyRequest, mode: HiddenMode) -> str:
     labels = [*request.state_names, *(f"w{i + 1}" for i in range(len(request.disturbance_labels)))]
     text = format_mode(mode, f"[{', '.join(labels)}]")
     return f"the mode {text} does not decay and is not seen"

@@ -8,6 +8,7 @@ about a T–S system given by its matrices has a top-level `system`, one about a
 """
 
 import hashlib
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from os import PathLike
 from typing import Any, NamedTuple, TypeAlias
@@ -18,6 +19,7 @@ from tsobs_ros.checks import Array, as_matrix, meant, shown
 from tsobs_ros.design.names import NO_LABELS, Labels
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import (
+    AnyRequest,
     ArmRequest,
     DisturbanceTerm,
     TorqueDisturbance,
@@ -27,13 +29,12 @@ from tsobs_ros.errors import DesignFileError
 from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
 from tsobs_ros.model.torque_path import DIRECT
 from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.model.uncertainty import system_uncertainty
+from tsobs_ros.model.uncertainty import Direction
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode, encode, located, naming, within
 from tsobs_ros.yaml_files import read_text, read_yaml, write_yaml, yaml_mapping, yaml_text
 
 FilePath: TypeAlias = str | PathLike[str]
-Request: TypeAlias = ArmRequest | TSRequest
 
 # Not NDArray: numpy 2.5 makes that an alias without an origin that `schema` could find.
 Numbers: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
@@ -65,39 +66,23 @@ def save_design(design: Design, path: FilePath) -> None:
     """Write a design file; an existing file is replaced only once the new one is complete.
 
     Raises:
-        DesignFileError: The file cannot be written, or a T–S system has memberships that no file
-            can give.
+        DesignFileError: The file cannot be written.
     """
-    with naming(path):
-        text = design_text(design)
-    write_yaml(path, text)
+    write_yaml(path, design_text(design))
 
 
 def design_text(design: Design) -> str:
-    """Return the content of a design file; see `save_design`.
-
-    Raises:
-        DesignFileError: A T–S system has memberships that no file can give.
-    """
+    """Return the content of a design file; see `save_design`."""
     request = design.request
     kind = _ARM if isinstance(request, ArmRequest) else _SYSTEM
-    with within(""):
-        file = ArmFile(request) if isinstance(request, ArmRequest) else SystemFile.of(request)
-    gain = GainEntry(np.array(design.plain_gain))
-    answer = AnswerEntries(gain, CertificateEntry(design.P), design.solver)
-    data = {"format": kind, "version": VERSION, **encode(file), **encode(answer)}
-    if isinstance(request, ArmRequest):
-        entries = data["design"]
-        for name in ("disturbance", "measurement_std") if request.outputs else ("outputs",):
-            del entries[name]
-        for name, default in (
-            ("torque_disturbance", TorqueDisturbance()),
-            ("torque", DIRECT),
-        ):
-            entry = entries.pop(name)
-            if getattr(request, name) != default:
-                entries[name] = entry
-    return yaml_text(_HEADERS[kind], data)
+    entries = _system_entries(request) if isinstance(request, TSRequest) else _arm_entries(request)
+    answer = {
+        "gain": {"K": design.plain_gain},
+        "certificate": {"P": design.P},
+        "solver": design.solver,
+    }
+    data = {"format": kind, "version": VERSION, **entries, **answer}
+    return yaml_text(_HEADERS[kind], encode(data))
 
 
 def load_design(path: FilePath | None = None) -> Design:
@@ -177,9 +162,9 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
         raise DesignFileError(f"{path}: version: expected {VERSION}, got {shown(version)}")
     with naming(path):
         names = [name for name in _ANSWER if name in data]
-        answer = decode({name: data.pop(name) for name in names}, AnswerEntries)
+        answer = decode({name: data.pop(name) for name in names}, _Answer)
         request = (
-            _arm_request(data, "design") if kind == _ARM else decode(data, SystemFile).request()
+            _arm_request(data, "design") if kind == _ARM else decode(data, _SystemFile).request()
         )
         n, p = request.flow.state_count, request.flow.output_matrix.shape[0]
         shape = (n,) if kind == _ARM and p == 1 else (n, p)
@@ -191,7 +176,7 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
         return design
 
 
-def load_request(path: FilePath) -> Request:
+def load_request(path: FilePath) -> AnyRequest:
     """Read the request that `tsobs design` answers from a commented YAML file.
 
     The arm's entries may stand alone or under `design`; what is left out keeps its default, but
@@ -217,9 +202,9 @@ def load_request(path: FilePath) -> Request:
         for name in data if data.keys().isdisjoint(("design", "system")) else ():
             if name not in known and (question := meant(name, ("design", "system"))):
                 raise DesignFileError(f"unknown entry {shown(name)}{question}")
-        request: Request
+        request: AnyRequest
         if "system" in data:
-            request = decode(data, SystemFile).request()
+            request = decode(data, _SystemFile).request()
         else:
             place = "design" if "design" in data else ""
             request = _arm_request(data, place)
@@ -240,6 +225,18 @@ def load_request(path: FilePath) -> Request:
         return request
 
 
+def _arm_entries(request: ArmRequest) -> dict[str, Any]:
+    """Return the entries of a file that describe an arm's request."""
+    entries = encode(request)
+    for name in ("disturbance", "measurement_std") if request.outputs else ("outputs",):
+        del entries[name]
+    for name, default in (("torque_disturbance", TorqueDisturbance()), ("torque", DIRECT)):
+        entry = entries.pop(name)
+        if getattr(request, name) != default:
+            entries[name] = entry
+    return {"design": entries}
+
+
 def _arm_request(data: dict[Any, Any], place: str) -> ArmRequest:
     """Return the request under `design` or alone; its outputs are a list, or the link angle's."""
     entries = data.get(place) if place else data
@@ -250,49 +247,43 @@ def _arm_request(data: dict[Any, Any], place: str) -> ArmRequest:
             if name in entries:
                 message = f"{name}: expected in outputs, one per output, not besides them"
                 raise DesignFileError(located(place, message))
-    return decode(data, ArmFile).design if place else decode(data, ArmRequest)
+    return decode(data, _ArmFile).design if place else decode(data, ArmRequest)
 
 
 @dataclass
-class GainEntry:
-    """The filter gain: a list of numbers for an arm, of rows for a T–S system."""
-
+class _Gain:
     K: Numbers
 
 
 @dataclass
-class CertificateEntry:
-    """The matrix that proves the gain."""
-
+class _Certificate:
     P: Numbers
 
 
 @dataclass
-class AnswerEntries:
+class _Answer:
     """What a design file has besides its request."""
 
-    gain: GainEntry
-    certificate: CertificateEntry
+    gain: _Gain
+    certificate: _Certificate
     solver: SolverReport
 
 
 @dataclass
-class ArmFile:
-    """What a design file of an arm has of its request."""
-
+class _ArmFile:
     design: ArmRequest
 
 
 @dataclass
-class PremiseEntry:
-    """One premise variable, linear in the state and in scheduled signals."""
+class _Premise:
+    """A premise variable, linear in the state and in scheduled signals."""
 
     state: Numbers | None = None
     scheduled: Numbers | None = None
 
 
 @dataclass(kw_only=True)
-class RuleEntry:
+class _Rule:
     """One rule: the memberships of its premises by shape and parameters, and its matrices."""
 
     if_: dict[str, dict[str, str | float]] = field(default_factory=dict, metadata={"name": "if"})
@@ -300,103 +291,67 @@ class RuleEntry:
     B: Numbers
     C: Numbers | None = None
 
-    def memberships(self, premises: list[str]) -> tuple[Membership, ...]:
-        """Return the memberships of all premises; one that the rule leaves out is always met."""
+    def memberships(self, premises: Iterable[str]) -> Iterator[Membership]:
+        """Yield the memberships of all premises; one that the rule leaves out is always met."""
         for name in self.if_:
             if name not in premises:
                 raise ValueError(
                     f"if: unknown entry {shown(name)}, expected some of {', '.join(premises)}"
                 )
-        chosen: list[Membership] = []
         for name in premises:
             with within(f"if.{name}"):
                 parameters: dict[str, Any] = dict(self.if_.get(name, {"shape": "always"}))
-                chosen.append(membership(parameters.pop("shape", None), parameters))
-        return tuple(chosen)
+                yield membership(parameters.pop("shape", None), parameters)
 
 
 @dataclass
-class SystemEntry:
+class _System:
     """A T–S system; see `TSModel`."""
 
-    premises: dict[str, PremiseEntry]
-    rules: list[RuleEntry]
+    premises: dict[str, _Premise]
+    rules: list[_Rule]
     C: Numbers
     slope_vertices: list[Numbers] = field(default_factory=list)
 
-    @classmethod
-    def of(cls, request: TSRequest) -> "SystemEntry":
-        """Return the entries that describe a request's system."""
-        model = request.model
-        names = [f"z{j + 1}" for j in range(model.rule_base.premise_count)]
-        premises = zip(names, model.premise, model.schedule, strict=True)
-        outputs = model.rule_count * [None] if model.outputs is None else model.outputs
-        rules = zip(model.rule_base.rules, model.A, model.B, outputs, strict=True)
-        return cls(
-            premises={
-                name: PremiseEntry(state=state, scheduled=scheduled if scheduled.size else None)
-                for name, state, scheduled in premises
-            },
-            rules=[
-                RuleEntry(
-                    if_={name: one.as_mapping() for name, one in zip(names, each, strict=True)},
-                    A=A,
-                    B=B,
-                    C=C,
-                )
-                for each, A, B, C in rules
-            ],
-            C=model.C,
-            slope_vertices=[np.asarray(matrix) for matrix in request.slope_vertices],
-        )
-
     def model(self) -> TSModel:
         """Return the system; matrices of other shapes raise `ModelError`."""
-        if not self.rules or not self.premises:
-            missing = "rules" if not self.rules else "premises"
-            raise ValueError(f"{missing}: expected at least one")
-        n, p = len(self.rules[0].A), len(self.C)
-        inputs = self.rules[0].B.shape
+        for name in ("rules", "premises"):
+            if not getattr(self, name):
+                raise ValueError(f"{name}: expected at least one")
+        n, p, inputs = len(self.rules[0].A), len(self.C), self.rules[0].B.shape[1:]
         C = as_matrix("C", self.C, (p, n))
-        memberships, outputs = [], []
+        rules, outputs = [], []
         for i, rule in enumerate(self.rules):
             with within(f"rules[{i}]"):
                 as_matrix("A", rule.A, (n, n))
-                as_matrix("B", rule.B, (n, *inputs[1:]))
-                own = C if rule.C is None else rule.C
-                outputs.append(as_matrix("C", own, (p, n)))
-                memberships.append(rule.memberships(list(self.premises)))
-        scheduled = [each.scheduled for each in self.premises.values()]
-        signals = max((len(each) for each in scheduled if each is not None), default=0)
+                as_matrix("B", rule.B, (n, *inputs))
+                outputs.append(as_matrix("C", C if rule.C is None else rule.C, (p, n)))
+                rules.append(tuple(rule.memberships(self.premises)))
         sources: dict[str, list[Array]] = {"state": [], "scheduled": []}
+        given = [each.scheduled for each in self.premises.values()]
+        widths = n, max((len(each) for each in given if each is not None), default=0)
         for name, each in self.premises.items():
             with within(f"premises.{name}"):
                 if each.state is None and each.scheduled is None:
                     raise ValueError("expected at least one of state and scheduled")
-                for source, width in (("state", n), ("scheduled", signals)):
-                    given = getattr(each, source)
-                    row = np.zeros(width) if given is None else given
-                    sources[source].append(as_matrix(source, row, (width,)))
+                for (source, rows), width in zip(sources.items(), widths, strict=True):
+                    row = getattr(each, source)
+                    row = np.zeros(width) if row is None else row
+                    rows.append(as_matrix(source, row, (width,)))
         A, B = (np.array([getattr(rule, name) for rule in self.rules]) for name in "AB")
-        rules = RuleBase(tuple(memberships))
-        differing = None if all(rule.C is None for rule in self.rules) else np.array(outputs)
+        differing = any(rule.C is not None for rule in self.rules)
         premise, schedule = map(np.array, sources.values())
-        return TSModel(A, B, C, rules, premise, schedule, differing)
-
-
-@dataclass
-class DirectionEntry:
-    """An uncertain direction: one matrix, or one a rule; and the bound of its θ."""
-
-    E: Numbers
-    bound: float
+        rule_base = RuleBase(tuple(rules))
+        return TSModel(
+            A, B, C, rule_base, premise, schedule, np.array(outputs) if differing else None
+        )
 
 
 @dataclass(kw_only=True)
-class SystemFile:
+class _SystemFile:
     """What a design file of a T–S system has of its request; see `TSRequest`."""
 
-    system: SystemEntry
+    system: _System
     names: Labels | None = None
     units: Labels | None = None
     disturbance: list[list[DisturbanceTerm]] | None = None
@@ -407,37 +362,46 @@ class SystemFile:
     initial_std: Numbers
     certify_uncertainty: bool = False
     D_s: Numbers | None = None
-    uncertainty: dict[str, DirectionEntry] | None = None
-
-    @classmethod
-    def of(cls, request: TSRequest) -> "SystemFile":
-        """Return the entries that describe a request."""
-        own = {name: getattr(request, name) for name in _request_entries()}
-        given = {
-            name: each for name, each in own.items() if each is not None and each is not NO_LABELS
-        }
-        for name in ("process_noise", "measurement_std", "initial_std", "D_s"):
-            given |= {name: np.asarray(given[name])} if name in given else {}
-        if (known := request.uncertainty) is not None:
-            each = zip(known.names, known.linear, known.limits.tolist(), strict=True)
-            given["uncertainty"] = {name: DirectionEntry(E, bound) for name, E, bound in each}
-        return cls(system=SystemEntry.of(request), **given)
+    uncertainty: dict[str, Direction] | None = None
 
     def request(self) -> TSRequest:
         """Return the request; values out of range raise `ModelError`."""
         with within("system"):
             model = self.system.model()
-        own = {name: getattr(self, name) for name in _request_entries()}
-        given = {name: each for name, each in own.items() if each is not None}
-        if entries := given.pop("uncertainty", {}):
-            given["uncertainty"] = system_uncertainty(
-                model,
-                {name: entry.E for name, entry in entries.items()},
-                {name: entry.bound for name, entry in entries.items()},
-            )
+        given = {name: getattr(self, name) for name in _OF_REQUEST}
+        given = {name: each for name, each in given.items() if each is not None}
         return TSRequest(model=model, slope_vertices=self.system.slope_vertices, **given)
 
 
-def _request_entries() -> list[str]:
-    """Return the entries of a system's file that its request has under the same name."""
-    return [each.name for each in fields(SystemFile) if each.name != "system"]
+_OF_REQUEST = [each.name for each in fields(_SystemFile) if each.name != "system"]
+"""Entries of a system's file that its request has under the same name."""
+
+
+def _system_entries(request: TSRequest) -> dict[str, Any]:
+    """Return the entries of a file that describe a system's request."""
+    model, names = request.model, [f"z{j + 1}" for j in range(len(request.model.premise))]
+    premises = zip(names, model.premise, model.schedule, strict=True)
+    outputs = model.rule_count * [None] if model.outputs is None else model.outputs
+    rules = zip(model.rule_base.rules, model.A, model.B, outputs, strict=True)
+    system = _System(
+        premises={
+            name: _Premise(state, scheduled if scheduled.size else None)
+            for name, state, scheduled in premises
+        },
+        rules=[
+            _Rule(
+                if_={name: one.as_mapping() for name, one in zip(names, each, strict=True)},
+                A=A,
+                B=B,
+                C=C,
+            )
+            for each, A, B, C in rules
+        ],
+        C=model.C,
+        slope_vertices=[np.asarray(matrix) for matrix in request.slope_vertices],
+    )
+    own = {name: getattr(request, name) for name in _OF_REQUEST}
+    if not request.uncertainty:
+        del own["uncertainty"]
+    given = {name: each for name, each in own.items() if each is not None and each is not NO_LABELS}
+    return {"system": system, **given}

@@ -10,7 +10,6 @@ by a matrix that is re-checked by eigenvalues:
           Σ tr Zᵢ(AᵢᵀP + PAᵢ) = tr P Σ(AᵢZᵢ + ZᵢAᵢᵀ) ≥ 0 for every P ≻ 0
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import clarabel
@@ -20,8 +19,8 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import DesignError
 
-# Relative eigenvalue below which a matrix proves neither answer.
 _UNDECIDED = 1e-7
+"""Relative eigenvalue below which a matrix proves neither answer."""
 
 
 class CommonLyapunov(NamedTuple):
@@ -62,21 +61,21 @@ def common_lyapunov(A: Array) -> CommonLyapunov:
     True
     """
     n = A.shape[-1]
-    variable = cp.Variable((n, n), symmetric=True)
-    largest = cp.Variable()
-    decreases = []
-    for matrix in A:
-        product = variable @ matrix
-        decreases.append(largest * np.eye(n) - product - product.T >> 0)
+    variable, largest = cp.Variable((n, n), symmetric=True), cp.Variable()
+    products = [variable @ matrix for matrix in A]
+    decreases = [largest * np.eye(n) - product - product.T >> 0 for product in products]
     constraints = [variable >> 0, cp.trace(variable) == n, *decreases]
     _solve(cp.Problem(cp.Minimize(largest), constraints), "common Lyapunov matrix")
     P = 0.5 * (variable.value + variable.value.T)
-    products = P @ A
-    margin = float(np.linalg.eigvalsh(products + products.transpose(0, 2, 1)).max())
+    sums = P @ A + (P @ A).transpose(0, 2, 1)
+    margin = float(np.linalg.eigvalsh(sums).max())
     size = float(np.linalg.norm(A, 2, axis=(1, 2)).max())
     if np.linalg.eigvalsh(P)[0] > 0.0 and margin < -_UNDECIDED * size:
         return CommonLyapunov(margin, P, None)
-    Z = _positive([0.5 * (each.dual_value + each.dual_value.T) for each in decreases])
+    duals = np.array([0.5 * (each.dual_value + each.dual_value.T) for each in decreases])
+    values, vectors = np.linalg.eigh(duals)  # rounding leaves eigenvalues just below zero
+    Z = vectors * np.maximum(values, 0.0)[:, None, :] @ vectors.transpose(0, 2, 1)
+    Z = np.asarray(Z / np.trace(Z, axis1=1, axis2=2).sum())
     refutation = refutation_margin(A, Z)
     if refutation > -_UNDECIDED * size:
         return CommonLyapunov(refutation, None, Z)
@@ -114,10 +113,8 @@ def smallest_lyapunov(M: Array, C: Array, D: Array, weight: float = 1e-2) -> Lya
     n, p = M.shape[-1], C.shape[0]
     P = cp.Variable((n, n), symmetric=True)
     Q = [cp.Variable((n, p)) for _ in M]
-    constraints = [P >> np.eye(n)]
-    for matrix, gain in zip(M, Q, strict=True):
-        product = P @ matrix - gain @ C
-        constraints.append(product + product.T + D << 0)
+    products = [P @ matrix - gain @ C for matrix, gain in zip(M, Q, strict=True)]
+    constraints = [P >> np.eye(n), *(each + each.T + D << 0 for each in products)]
     effort = sum(cp.sum_squares(each) for each in Q)
     problem = cp.Problem(cp.Minimize(cp.trace(P) + weight * effort), constraints)
     _solve(problem, "smallest Lyapunov matrix")
@@ -136,13 +133,6 @@ def _solve(problem: cp.Problem, what: str) -> None:
         raise DesignError(f"{what}: the solver failed: {error}") from error
     if problem.variables()[0].value is None:
         raise DesignError(f"{what}: the solver answered {problem.status!r}")
-
-
-def _positive(Z: Sequence[Array]) -> Array:
-    """Return Zᵢ ⪰ 0 with Σ tr Zᵢ = 1: rounding leaves eigenvalues just below zero."""
-    values, vectors = np.linalg.eigh(np.array(Z))
-    parts = vectors * np.maximum(values, 0.0)[:, None, :] @ vectors.transpose(0, 2, 1)
-    return np.asarray(parts / np.trace(parts, axis1=1, axis2=2).sum())
 
 
 def solver_version() -> str:

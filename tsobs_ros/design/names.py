@@ -53,17 +53,16 @@ def checked_names(names: Labels, counts: Sequence[int]) -> Labels:
         ModelError: There is not one name per signal, one is not plain, or two signals share one;
             the text names the entry.
     """
-    filled: dict[str, tuple[str, ...]] = {}
-    for (group, given), count, letter in zip(vars(names).items(), counts, "xyus", strict=True):
-        filled[group] = given or tuple(f"{letter}{i + 1}" for i in range(count))
-        _require(
-            "names", group, filled[group], count, "a letter, then letters, digits and underscores",
-            _PLAIN.fullmatch,
-        )  # fmt: skip
-    for groups in (("states",), ("outputs", "inputs"), ("inputs", "scheduled")):
+    groups = zip(vars(names).values(), counts, "xyus", strict=True)
+    filled = Labels(
+        *(given or tuple(f"{x}{i + 1}" for i in range(count)) for given, count, x in groups)
+    )
+    plain = "a letter, then letters, digits and underscores"
+    _require("names", filled, counts, plain, _PLAIN.fullmatch)
+    for together in (("states",), ("outputs", "inputs"), ("inputs", "scheduled")):
         places: dict[str, str] = {}
-        for group in groups:
-            for i, name in enumerate(filled[group]):
+        for group in together:
+            for i, name in enumerate(getattr(filled, group)):
                 place = f"names.{group}[{i}]"
                 if name in places:
                     raise ModelError(
@@ -71,7 +70,7 @@ def checked_names(names: Labels, counts: Sequence[int]) -> Labels:
                         f"which {places[name]} has"
                     )
                 places[name] = place
-    return Labels(**filled)
+    return filled
 
 
 def checked_units(units: Labels, counts: Sequence[int]) -> Labels:
@@ -87,8 +86,7 @@ def checked_units(units: Labels, counts: Sequence[int]) -> Labels:
     """
     if units == NO_LABELS:
         return Labels(*(("",) * count for count in counts))
-    for (group, given), count in zip(vars(units).items(), counts, strict=True):
-        _require("units", group, given, count, "printable characters", str.isprintable)
+    _require("units", units, counts, "printable characters", str.isprintable)
     return units
 
 
@@ -99,20 +97,17 @@ def labelled(names: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
 
 
 def _require(
-    entry: str,
-    group: str,
-    given: Sequence[str],
-    count: int,
-    what: str,
-    is_good: Callable[[str], object],
+    entry: str, labels: Labels, counts: Sequence[int], what: str, is_good: Callable[[str], object]
 ) -> None:
     """Refuse texts of another number than signals, too long ones and those that are not `what`."""
-    if len(given) != count:
-        signal = "scheduled signal" if group == "scheduled" else group.removesuffix("s")
-        got = len(given) or "none"
-        raise ModelError(f"{entry}.{group}: expected {count}, one for each {signal}, got {got}")
-    for i, text in enumerate(given):
-        if len(text) > _MAX_LENGTH or not is_good(text):
-            raise ModelError(
-                f"{entry}.{group}[{i}]: expected {what}, {_MAX_LENGTH} at most, got {shown(text)}"
-            )
+    for (group, given), count in zip(vars(labels).items(), counts, strict=True):
+        if len(given) != count:
+            signal = "scheduled signal" if group == "scheduled" else group.removesuffix("s")
+            got = len(given) or "none"
+            raise ModelError(f"{entry}.{group}: expected {count}, one for each {signal}, got {got}")
+        for i, text in enumerate(given):
+            if len(text) > _MAX_LENGTH or not is_good(text):
+                raise ModelError(
+                    f"{entry}.{group}[{i}]: expected {what}, {_MAX_LENGTH} at most, "
+                    f"got {shown(text)}"
+                )

@@ -8,7 +8,7 @@ A number in another unit often makes a valid request, whose design is good for n
 import math
 from collections.abc import Iterator
 
-from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.design.request import AnyRequest, ArmRequest
 from tsobs_ros.model.arm import ElasticJointArm
 
 _ENTRIES = {
@@ -47,7 +47,7 @@ def description(request: ArmRequest) -> list[str]:
     ]
 
 
-def questions(request: ArmRequest | TSRequest) -> Iterator[str]:
+def questions(request: AnyRequest) -> Iterator[str]:
     """Yield a question about each number that may be in another unit."""
     wanted, rate = 0.0, request.rate
     if isinstance(request, ArmRequest):

@@ -19,7 +19,6 @@ from tsobs_ros.estimation.options import TorqueLimits
 from tsobs_ros.model import disturbance as disturbances
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.prediction import Flow, VertexSystem
-from tsobs_ros.model.uncertainty import Uncertainty
 
 DISTURBANCE_KINDS: Mapping[str, Callable[..., DisturbanceModel]] = {
     name: getattr(disturbances, name)
@@ -92,6 +91,7 @@ class Channel(NamedTuple):
 
 
 def require_terms(name: str, terms: Sequence[DisturbanceTerm]) -> None:
+    """Refuse a disturbance without terms, which `clean` has one of."""
     if not terms:
         raise ModelError(f"{name}: expected at least one term, e.g. kind: clean")
 
@@ -104,94 +104,55 @@ def require_squares(name: str, values: Iterable[float]) -> None:
 
 
 class Request(ABC):
-    """The problem that synthesis, certificate and observer solve, whatever its model.
+    """What requests of both kinds have, for an arm and for a T–S system; see `AnyRequest`.
 
     Attributes:
         rate: Samples per second [Hz].
         decay_rate: Rate ρ at which eᵀPe has to shrink without noise, as e^{−2ρt} [1/s].
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
+        flow: The prediction model.
+        channels: The disturbances of the outputs, then those of torques, with or without terms.
+        disturbance_model: The exosystem of the outputs' disturbances.
+        uncertainty_model: The uncertain parameters; their number is 0 if there are none.
+        output_std: 1σ of one sample's noise of each output, shape (p,).
+        plant_std: 1σ of the plant's states before any measurement, in design coordinates.
+        signal_names: The names of all signals, alone.
+        signal_units: The units of all signals, empty texts if they are not known.
+        headline: The problem in words, for reports.
+        details: What reports of this kind of problem have besides, as plain data.
+        domain: The domain in words, after "for", e.g. "gravity slopes [0.7317, 1]".
         default_torque_rate: 1σ of the rate at which a torque may move in a gap [N m/s].
+        max_angle: Half width of the domain of an arm's link angle [rad], infinite if there is none.
+        reach: Largest states of an arm that are likely (rad, rad/s), shape (4,); None of a system.
+        torque_sides: The sides of an arm with a torque disturbance, "motor" before "link".
     """
 
     rate: float
     decay_rate: float
-    certify_uncertainty: bool
-    default_torque_rate = 0.0
-
-    @property
-    def max_angle(self) -> float:
-        """Half width of the domain of an arm's link angle [rad], infinite if there is none."""
-        return math.inf
-
-    @property
-    def reach(self) -> Array | None:
-        """Largest states of an arm that are likely (rad, rad/s), shape (4,)."""
-        return None
-
-    @property
-    def torque_sides(self) -> tuple[str, ...]:
-        """The sides of an arm with a torque disturbance, "motor" before "link"."""
-        return ()
-
-    @property
-    def period(self) -> float:
-        """Sampling period T [s]."""
-        return 1.0 / self.rate
 
     @property
     @abstractmethod
-    def flow(self) -> Flow:
-        """The prediction model."""
+    def flow(self) -> Flow: ...
 
     @property
     @abstractmethod
-    def channels(self) -> tuple[Channel, ...]:
-        """The disturbances of the outputs, then those of torques, with or without terms."""
+    def channels(self) -> tuple[Channel, ...]: ...
 
     @property
     @abstractmethod
-    def disturbance_model(self) -> DisturbanceModel:
-        """The exosystem of the outputs' disturbances."""
+    def output_std(self) -> Array: ...
 
     @property
     @abstractmethod
-    def uncertainty_model(self) -> Uncertainty:
-        """The uncertain parameters; their number is 0 if there are none."""
+    def plant_std(self) -> Array: ...
 
     @property
     @abstractmethod
-    def output_std(self) -> Array:
-        """1σ of one sample's noise of each output, shape (p,)."""
+    def signal_names(self) -> Labels: ...
 
     @property
     @abstractmethod
-    def plant_std(self) -> Array:
-        """1σ of the plant's states before any measurement, in design coordinates."""
-
-    @property
-    @abstractmethod
-    def signal_names(self) -> Labels:
-        """The names of all signals, alone."""
-
-    @property
-    @abstractmethod
-    def signal_units(self) -> Labels:
-        """The units of all signals, empty texts if they are not known."""
-
-    @property
-    @abstractmethod
-    def headline(self) -> str:
-        """The problem in words, for reports."""
-
-    @property
-    @abstractmethod
-    def details(self) -> Mapping[str, Any]:
-        """What reports of this kind of problem have besides, as plain data."""
-
-    @property
-    @abstractmethod
-    def domain(self) -> str:
-        """The domain in words, after "for", e.g. "gravity slopes [0.7317, 1]"."""
+    def signal_units(self) -> Labels: ...
 
     @abstractmethod
     def vertices(self, share: float = 1.0) -> Sequence[VertexSystem]:
@@ -203,20 +164,16 @@ class Request(ABC):
         """
 
     @abstractmethod
-    def at_rate(self, rate: float) -> Self:
-        """Return the request for the error systems of another rate [Hz], without delays."""
-
-    @abstractmethod
     def starts(self) -> Sequence[VertexSystem]:
         """Return systems whose Kalman filters are first guesses, the best first."""
 
     @abstractmethod
+    def at_rate(self, rate: float) -> Self:
+        """Return the request for the error systems of another rate [Hz], without delays."""
+
+    @abstractmethod
     def with_terms(self, place: int, terms: Terms) -> Self:
         """Return the request with other terms at a place of `channels`."""
-
-    def further_outputs(self) -> Iterator[tuple[str, Self]]:
-        """Yield an arm's request with one more output, undisturbed, and the output in words."""
-        return iter(())
 
     @abstractmethod
     def on_share(self, share: float) -> tuple[str, Self] | None:
@@ -226,9 +183,18 @@ class Request(ABC):
     def with_bounds(self, share: float) -> Self:
         """Return the request with a share of its bounds of uncertainty."""
 
+    def further_outputs(self) -> Iterator[tuple[str, Self]]:
+        """Yield an arm's request with one more output, undisturbed, and the output in words."""
+        return iter(())
+
     def torque_limits(self, limit: float = 0.0, rate_limit: float = 0.0) -> TorqueLimits | None:
         """Return which torques a drive of the arm can have; None for a T–S system."""
         return None
+
+    @property
+    def period(self) -> float:
+        """Sampling period T [s]."""
+        return 1.0 / self.rate
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -259,6 +225,11 @@ class Request(ABC):
     def input_names(self) -> tuple[str, ...]:
         """The names of the inputs and then of the scheduled signals."""
         return self.signal_names.inputs + self.signal_names.scheduled
+
+    @property
+    def input_units(self) -> tuple[str, ...]:
+        """Their units, empty texts if they are not known."""
+        return self.signal_units.inputs + self.signal_units.scheduled
 
     @property
     def disturbance_labels(self) -> list[str]:

@@ -39,8 +39,6 @@ class ObserverRecord:
         measurements: Full name of the topic of its measurements.
         designs: Its design files.
         parameters: Those of the node that decide estimates, by name.
-        format: `FORMAT`.
-        version: `VERSION`.
     """
 
     format: str = FORMAT

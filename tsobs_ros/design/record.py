@@ -11,7 +11,7 @@ import numpy as np
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.design.certificate import CertificateReport, check_certificate
-from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.design.request import AnyRequest, ArmRequest
 from tsobs_ros.errors import ModelError, printable
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
 from tsobs_ros.estimation.options import (
@@ -66,13 +66,13 @@ class Design:
     >>> state, _ = (observer := design.observer()).correct(observer.initial(), np.array([0.3]))
     """
 
-    request: ArmRequest | TSRequest
+    request: AnyRequest
     P: Array
     K: Array
     solver: SolverReport
 
     def __post_init__(self) -> None:
-        n, p = self.request.flow.state_count, self.request.flow.output_matrix.shape[0]
+        p, n = self.request.flow.output_matrix.shape
         object.__setattr__(self, "P", as_matrix("P", self.P, (n, n)))
         object.__setattr__(self, "K", as_matrix("K", self.K, (n, p)))
 
@@ -101,10 +101,9 @@ class Design:
         """
         try:
             np.linalg.cholesky(self.P)
-        except np.linalg.LinAlgError as error:
-            raise ModelError(
-                f"P: expected a positive definite matrix, got {self.P.tolist()}"
-            ) from error
+        except np.linalg.LinAlgError:
+            got = self.P.tolist()
+            raise ModelError(f"P: expected a positive definite matrix, got {got}") from None
         return as_matrix("X", inverse(self.P), self.P.shape)
 
     @cached_property
@@ -115,14 +114,11 @@ class Design:
         sample does not come: the left side is matrix-convex in the slopes, as the certificate's.
         The digits are few so that they are the same on every CPU.
         """
-        root = np.linalg.cholesky(self.covariance_bound)
-        worst = 1.0
+        root, worst = np.linalg.cholesky(self.covariance_bound), 1.0
         for share in (0.25, 0.5, 0.75, 1.0):  # of a period that the sample is late
-            problem = self.request.at_rate(self.request.rate / share)
-            for vertex in problem.vertices():
+            for vertex in self.request.at_rate(self.request.rate / share).vertices():
                 moved = np.linalg.solve(root, vertex.transition @ root)
-                half = np.linalg.solve(root, vertex.noise)
-                noise = np.linalg.solve(root, half.T)
+                noise = np.linalg.solve(root, np.linalg.solve(root, vertex.noise).T)
                 growth = np.linalg.eigvalsh(moved @ moved.T + (noise + noise.T) / 2)[-1]
                 worst = max(worst, float(growth))
         return math.ceil(1e4 * math.sqrt(worst) * (1.0 + 1e-9)) / 1e4

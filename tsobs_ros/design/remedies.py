@@ -9,10 +9,10 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from tsobs_ros.design.problem import CLEAN, DisturbanceTerm, Request, Terms
-from tsobs_ros.design.request import ArmRequest, Output
+from tsobs_ros.design.problem import CLEAN, DisturbanceTerm, Terms
+from tsobs_ros.design.request import AnyRequest, ArmRequest, Output
 from tsobs_ros.model.flow import ProcessNoise
 
 _BIAS, _DECAYING = DisturbanceTerm("bias"), DisturbanceTerm("gauss_markov")
@@ -28,14 +28,14 @@ class Remedy(NamedTuple):
     """
 
     text: str
-    request: Any
+    request: AnyRequest
 
 
 Family = Iterable[Remedy]
 
 
 def helpful(
-    families: Iterable[Family], has_design: Callable[[Request], bool]
+    families: Iterable[Family], has_design: Callable[[AnyRequest], bool]
 ) -> tuple[Remedy, ...]:
     """Return the first of each family of changes that leads to a design.
 
@@ -48,7 +48,7 @@ def helpful(
 
 
 def remedies_of_hidden_modes(
-    request: Request, slopes: Sequence[float | None] = (), oscillates: bool = False
+    request: AnyRequest, slopes: Sequence[float | None] = (), oscillates: bool = False
 ) -> Iterator[Family]:
     """Yield changes of a request whose disturbances hide a mode.
 
@@ -73,7 +73,7 @@ def remedies_of_hidden_modes(
     yield from _further_outputs(request)
 
 
-def remedies_of_gain(request: Request) -> Iterator[Family]:
+def remedies_of_gain(request: AnyRequest) -> Iterator[Family]:
     """Yield changes of a request that no gain with one common matrix was found for."""
     yield _faster(request)
     smaller = [request.on_share(share) for share in _SHARES]
@@ -81,7 +81,7 @@ def remedies_of_gain(request: Request) -> Iterator[Family]:
     if request.decay_rate > 0.0:
         for_rates = [share * request.decay_rate for share in (0.25, 1.0 / 16.0, 1.0 / 64.0, 0.0)]
         yield [
-            Remedy(f"a smaller decay_rate: {rate:.3g} 1/s", _changed(request, decay_rate=rate))
+            Remedy(f"a smaller decay_rate: {rate:.3g} 1/s", replace(request, decay_rate=rate))
             for rate in for_rates
         ]
     if request.certify_uncertainty:
@@ -100,11 +100,7 @@ def remedies_of_gain(request: Request) -> Iterator[Family]:
     yield from _further_outputs(request)
 
 
-def _changed(request: Any, **changes: Any) -> Any:
-    return replace(request, **changes)
-
-
-def _without_arbitrary(request: Request) -> Iterator[Family]:
+def _without_arbitrary(request: AnyRequest) -> Iterator[Family]:
     text = "a model of the disturbance in place of arbitrary: kind"
     modelled = []
     for term in (_BIAS, _DECAYING):
@@ -123,7 +119,7 @@ def _without_arbitrary(request: Request) -> Iterator[Family]:
         )
 
 
-def _fewer_terms(request: Request) -> Iterator[Family]:
+def _fewer_terms(request: AnyRequest) -> Iterator[Family]:
     for place, (name, terms) in enumerate(request.channels):
         if len(terms) > 1:
             alike = " and ".join(term.kind for term in terms)
@@ -149,7 +145,7 @@ def _domain_above(request: ArmRequest, slope: float) -> Iterator[Remedy]:
         yield Remedy(text, replace(request, x_max=x_max))
 
 
-def _other_frequencies(request: Request) -> Iterator[Remedy]:
+def _other_frequencies(request: AnyRequest) -> Iterator[Remedy]:
     for factor in (1.25, 0.8, 1.6, 0.625, 2.5):
         changed, moved = request, []
         for place, channel in enumerate(request.channels):
@@ -165,7 +161,7 @@ def _other_frequencies(request: Request) -> Iterator[Remedy]:
         yield Remedy(f"{away}: {', '.join(moved)}", changed)
 
 
-def _decaying(request: Request) -> Iterator[Family]:
+def _decaying(request: AnyRequest) -> Iterator[Family]:
     for place, (name, terms) in enumerate(request.channels):
         if any(term.kind not in ("clean", "gauss_markov") for term in terms):
             text = (
@@ -175,14 +171,14 @@ def _decaying(request: Request) -> Iterator[Family]:
             yield [Remedy(text, request.with_terms(place, (_DECAYING,)))]
 
 
-def _further_outputs(request: Request) -> Iterator[Family]:
+def _further_outputs(request: AnyRequest) -> Iterator[Family]:
     for output, added in request.further_outputs():
         yield [Remedy(f"a further output without disturbance: {output}", added)]
 
 
-def _faster(request: Request) -> Iterator[Remedy]:
+def _faster(request: AnyRequest) -> Iterator[Remedy]:
     slower = ""
     for factor in (1.5, 2.0, 3.0, 5.0, 10.0, 20.0):
         rate = factor * request.rate
-        yield Remedy(f"a faster rate: {rate:g} Hz{slower}", _changed(request, rate=rate))
+        yield Remedy(f"a faster rate: {rate:g} Hz{slower}", replace(request, rate=rate))
         slower = f" ({rate:g} Hz is not enough)"

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from itertools import product
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,9 +39,15 @@ from tsobs_ros.model.prediction import VertexSystem
 from tsobs_ros.model.torque_path import DIRECT, TorquePath, require_delay
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
+from tsobs_ros.model.uncertainty import (
+    Direction,
+    Uncertainty,
+    arm_uncertainty,
+    system_uncertainty,
+)
 
 __all__ = [
+    "AnyRequest",
     "ArmRequest",
     "DisturbanceTerm",
     "Output",
@@ -92,9 +98,14 @@ class Output:
         require_terms("disturbance", self.disturbance)
 
     @property
+    def channel(self) -> Channel:
+        """The disturbance, named by the output."""
+        return Channel(self.measures, tuple(self.disturbance))
+
+    @property
     def model(self) -> DisturbanceModel:
         """The sum of the disturbance's terms."""
-        return Channel(self.measures, tuple(self.disturbance)).model
+        return self.channel.model
 
 
 @dataclass(frozen=True)
@@ -128,6 +139,7 @@ class TorqueDisturbance:
 
     @property
     def channels(self) -> tuple[Channel, ...]:
+        """The disturbances of motor and link, with or without terms."""
         return tuple(Channel(f"the torque at the {s}", getattr(self, s)) for s in SIDES)
 
     @cached_property
@@ -135,11 +147,6 @@ class TorqueDisturbance:
         """The exosystems with at least one state by their sides, the motor's first."""
         models = zip(SIDES, (channel.model for channel in self.channels), strict=True)
         return Fixed({side: model for side, model in models if model.state_count})
-
-    @cached_property
-    def model(self) -> DisturbanceModel:
-        """The exosystem of both sides."""
-        return per_channel([channel.model for channel in self.channels])
 
 
 @dataclass(frozen=True)
@@ -193,7 +200,8 @@ class ArmRequest(Request):
     def __post_init__(self) -> None:
         if self.outputs:
             self._take_outputs()
-        limits = {name: getattr(self, name) for name in ("torque_limit", "torque_rate_limit")}
+        given = {name: getattr(self, name) for name in ("torque_limit", "torque_rate_limit")}
+        limits = {name: limit for name, limit in given.items() if limit is not None}
         self._take(
             measurement_std=positive("measurement_std", self.measurement_std),
             outputs=tuple(self.outputs),
@@ -208,10 +216,7 @@ class ArmRequest(Request):
                     if name != "gravity" or self.arm.gravity_torque
                 }
             ),
-            **{
-                name: None if value is None else non_negative(name, value)
-                for name, value in limits.items()
-            },
+            **{name: non_negative(name, limit) for name, limit in limits.items()},
         )
         if not 0.0 < self.x_max <= math.pi:
             degrees = f" rad; as degrees it would be {math.radians(self.x_max):.4g} rad"
@@ -252,8 +257,7 @@ class ArmRequest(Request):
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        outputs = [Channel(each.measures, tuple(each.disturbance)) for each in self.sensors]
-        return (*outputs, *self.torque_disturbance.channels)
+        return (*(output.channel for output in self.sensors), *self.torque_disturbance.channels)
 
     @cached_property
     def signal_names(self) -> Labels:
@@ -284,7 +288,7 @@ class ArmRequest(Request):
             self.process_noise,
             self.period,
             self.output_names,
-            self.torque_disturbance.model,
+            per_channel([channel.model for channel in self.torque_disturbance.channels]),
             self.torque,
             [output.delay for output in self.sensors],
         )
@@ -326,10 +330,7 @@ class ArmRequest(Request):
 
     @property
     def reach(self) -> Array:
-        """Largest [q₁, q̇₁, q₂, q̇₂] that is likely (rad, rad/s), shape (4,).
-
-        Velocities are those of a swing through the domain at the joint's fastest frequency.
-        """
+        # Velocities are those of a swing through the domain at the joint's fastest frequency.
         arm = self.arm
         spring = arm.stiffness / arm.link_inertia + arm.stiffness / arm.motor_inertia
         speed = self.x_max * math.sqrt(spring + arm.gravity_gain)
@@ -342,7 +343,6 @@ class ArmRequest(Request):
 
     @property
     def max_angle(self) -> float:
-        """Half width of the certificate's domain [rad]: without gravity it has all angles."""
         return self.x_max if self.arm.gravity_torque else math.inf
 
     @property
@@ -445,7 +445,7 @@ class TSRequest(Request):
         slope_vertices: Matrices whose convex hull holds the Jacobian of f on the domain,
             shape (l, n, n), for a premise that is the estimate.
         D_s: Channels to outputs, shape (p, channels); by default one channel per output.
-        uncertainty: Uncertain directions of the rules' matrices and their bounds.
+        uncertainty: Uncertain directions of the rules' matrices by name.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
         names: Names of the signals; x1, y1, u1, s1 and so on in groups without any.
         units: Their units, of all groups or of none.
@@ -463,10 +463,12 @@ class TSRequest(Request):
     decay_rate: float = 0.0
     slope_vertices: Sequence[ArrayLike] = ()
     D_s: ArrayLike | None = None
-    uncertainty: Uncertainty | None = None
+    uncertainty: Mapping[str, Direction] = Fixed({})
     certify_uncertainty: bool = False
     names: Labels = NO_LABELS
     units: Labels = NO_LABELS
+
+    default_torque_rate, max_angle, reach, torque_sides = 0.0, math.inf, None, ()
 
     def __post_init__(self) -> None:
         n, p = self.model.state_count, self.model.C.shape[0]
@@ -483,6 +485,9 @@ class TSRequest(Request):
         )
         for name in ("measurement_std", "initial_std"):
             require_squares(name, getattr(self, name).tolist())
+        known = self.uncertainty_model
+        each = zip(known.names, known.linear, known.limits.tolist(), strict=True)
+        self._take(uncertainty=Fixed({name: Direction(E, bound) for name, E, bound in each}))
         _ = self.flow, self.signal_names, self.signal_units
         self._require_no_alias()
         if self.slope_vertices and self.model.premise_known:
@@ -490,10 +495,9 @@ class TSRequest(Request):
                 "slope_vertices: expected none, the premise is made of scheduled signals only "
                 "and the rules' matrices are the vertices"
             )
-        if self.certify_uncertainty and self.uncertainty is None:
+        if self.certify_uncertainty and not self.uncertainty:
             raise ModelError("certify_uncertainty: expected at least one uncertain direction")
-        directions = self.uncertainty_model.directions
-        is_common = bool((directions == directions[:, :1]).all())
+        is_common = (known.directions == known.directions[:, :1]).all()
         if self.certify_uncertainty and self.slope_vertices and not is_common:
             raise ModelError(
                 "certify_uncertainty: with slope_vertices every direction must be one matrix for "
@@ -512,8 +516,7 @@ class TSRequest(Request):
 
     @cached_property
     def uncertainty_model(self) -> Uncertainty:
-        nothing = Uncertainty({}, np.zeros((0, *self.flow.deviations.shape)))
-        return nothing if self.uncertainty is None else self.uncertainty
+        return system_uncertainty(self.model, self.uncertainty)
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -524,11 +527,9 @@ class TSRequest(Request):
 
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:
-        models = []
         for place, terms in enumerate(self.disturbance):
             require_terms(f"disturbance[{place}]", terms)
-            models.append(Channel("", tuple(terms)).model)
-        joined = per_channel(models)
+        joined = per_channel([Channel("", tuple(terms)).model for terms in self.disturbance])
         return joined if self.D_s is None else joined.through(self.D_s)
 
     @property
@@ -581,11 +582,6 @@ class TSRequest(Request):
         return model.state_count, len(model.C), model.input_count, int(model.schedule.shape[1])
 
     @property
-    def input_units(self) -> tuple[str, ...]:
-        """The units of `input_names`, empty texts if the request gives none."""
-        return self.signal_units.inputs + self.signal_units.scheduled
-
-    @property
     def headline(self) -> str:
         model = self.model
         outputs = ", ".join(labelled(self.output_names, self.output_units))
@@ -630,8 +626,7 @@ class TSRequest(Request):
                 at = ", ".join(f"{k} {v:+.4g}" for k, v in zip(uncertain.names, theta, strict=True))
                 labels += [f"{name} ({at})" for name in names]
             matrices, names = np.concatenate(corners), labels
-        middle = matrices.mean(axis=0)
-        return middle + share * (matrices - middle), names
+        return _closer(matrices, share), names
 
     def vertices(self, share: float = 1.0) -> list[VertexSystem]:
         return self.flow.vertices(*self.vertex_matrices(share))
@@ -655,14 +650,24 @@ class TSRequest(Request):
         matrices = np.array(self.slope_vertices or self.model.A)
         if len(matrices) < 2:
             return None
-        middle = matrices.mean(axis=0)
-        closer = middle + share * (matrices - middle)
+        closer = _closer(matrices, share)
         text = f"a smaller domain: {what} {100 * share:.0f} % as far from their mean"
         if self.slope_vertices:
             return text, replace(self, slope_vertices=tuple(closer))
         return text, replace(self, model=replace(self.model, A=closer))
 
     def with_bounds(self, share: float) -> Self:
-        known = self.uncertainty_model
-        bounds = {name: share * bound for name, bound in known.bounds.items()}
-        return replace(self, uncertainty=Uncertainty(bounds, known.directions))
+        closer = {
+            name: replace(each, bound=share * each.bound) for name, each in self.uncertainty.items()
+        }
+        return replace(self, uncertainty=closer)
+
+
+def _closer(matrices: Array, share: float) -> Array:
+    """Return matrices at a share of their distances from their mean."""
+    middle = matrices.mean(axis=0)
+    return np.asarray(middle + share * (matrices - middle))
+
+
+AnyRequest: TypeAlias = ArmRequest | TSRequest
+"""What a design is asked for by."""

@@ -10,7 +10,7 @@ has an entry a signal, whose value is its `position`.
 from collections.abc import Iterable
 from typing import Literal, NamedTuple, TypeAlias
 
-from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.design.request import AnyRequest, ArmRequest
 
 Field: TypeAlias = Literal["position", "velocity", "effort"]
 
@@ -59,9 +59,7 @@ class Signals(NamedTuple):
         return frozenset(place.name for place in self.outputs + self.inputs + self.other_inputs)
 
 
-def signals(
-    request: ArmRequest | TSRequest, joint: str, alone: bool, both_sides: bool = False
-) -> Signals:
+def signals(request: AnyRequest, joint: str, alone: bool, both_sides: bool = False) -> Signals:
     """Return the places of a joint's signals in measurements and estimates.
 
     Args:

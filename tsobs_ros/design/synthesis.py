@@ -34,10 +34,9 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.certificate import check_certificate
 from tsobs_ros.design.feasibility import is_detectable, require_detectable
 from tsobs_ros.design.lyapunov import solver_version
-from tsobs_ros.design.problem import Request
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.remedies import helpful, remedies_of_gain
-from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.design.request import AnyRequest
 from tsobs_ros.errors import DesignError
 from tsobs_ros.model.prediction import VertexSystem
 
@@ -54,7 +53,7 @@ class _Solution(NamedTuple):
     iterations: int
 
 
-def synthesise(request: ArmRequest | TSRequest) -> Design:
+def synthesise(request: AnyRequest) -> Design:
     """Design the certified gain for a request.
 
     Args:
@@ -76,7 +75,7 @@ def synthesise(request: ArmRequest | TSRequest) -> Design:
         raise DesignError(f"{error}. What would help: {advice}", found) from error
 
 
-def _has_design(problem: Request) -> bool:
+def _has_design(problem: AnyRequest) -> bool:
     """Return whether a request has a design that is found with little effort."""
     try:
         if is_detectable(problem):
@@ -88,7 +87,7 @@ def _has_design(problem: Request) -> bool:
 
 
 def solve_gain(
-    problem: Request, passes: int = 12, smallest_step: float = 1.0 / 64.0
+    problem: AnyRequest, passes: int = 12, smallest_step: float = 1.0 / 64.0
 ) -> tuple[Array, Array, SolverReport]:
     """Return P and K with the smallest proved bound, re-checked, and who computed them.
 
@@ -116,23 +115,20 @@ def solve_gain(
             f"the solver answered {solution.status!r}, but on re-checking: {report.worst}"
         )
     seconds = round(time.perf_counter() - started, 3)
-    made = "Clarabel", solver_version(), solution.status, solution.iterations, seconds, margin
-    return P, K, SolverReport(*made)
+    how = solution.status, solution.iterations, seconds, margin
+    return P, K, SolverReport("Clarabel", solver_version(), *how)
 
 
-def _walk_to_domain(problem: Request, margin: float, smallest_step: float) -> _Solution:
+def _walk_to_domain(problem: AnyRequest, margin: float, smallest_step: float) -> _Solution:
     """Solve for all that is asked, from its middle in as few steps as the solver bears."""
     starts = problem.starts()
-    guesses = [
-        guess for start in starts if (guess := _kalman_covariance(problem, start)) is not None
-    ]
+    found = [_kalman_covariance(problem, start) for start in starts]
+    guesses = [guess for guess in found if guess is not None]
     if not guesses:
-        raise DesignError(
-            f"no stationary Kalman filter exists at {starts[-1].where}; check the noise"
-        )
-    scaling = guesses[0]
+        where = starts[-1].where
+        raise DesignError(f"no stationary Kalman filter exists at {where}; check the noise")
+    scaling, share, step = guesses[0], 0.0, 1.0
     solution: _Solution | None = None
-    share, step = 0.0, 1.0
     while share < 1.0 or solution is None:
         target = min(1.0, share + step)
         candidate = _solve(problem, problem.vertices(target), scaling, margin)
@@ -154,22 +150,21 @@ def _walk_to_domain(problem: Request, margin: float, smallest_step: float) -> _S
     return solution
 
 
-def _settle(problem: Request, solution: _Solution, margin: float, passes: int) -> _Solution:
+def _settle(problem: AnyRequest, solution: _Solution, margin: float, passes: int) -> _Solution:
     """Repeat the solve around its own answer until the bound's volume stops shrinking."""
     vertices = problem.vertices()
-    best = solution
     for _ in range(passes):
-        candidate = _solve(problem, vertices, best.covariance, margin)
+        candidate = _solve(problem, vertices, solution.covariance, margin)
         if candidate is None:
-            return best
-        best = candidate
-        if abs(candidate.objective - problem.flow.state_count) < _SETTLED:
-            return best
-    return best
+            break
+        solution = candidate
+        if abs(solution.objective - problem.flow.state_count) < _SETTLED:
+            break
+    return solution
 
 
 def _solve(
-    problem: Request, vertices: Sequence[VertexSystem], scaling: Array, margin: float
+    problem: AnyRequest, vertices: Sequence[VertexSystem], scaling: Array, margin: float
 ) -> _Solution | None:
     """Minimise trace(Z⁻¹X) over the vertices with Z = `scaling`; None if the solver gives up."""
     n, period = problem.flow.state_count, problem.period
@@ -179,8 +174,7 @@ def _solve(
     output = problem.flow.output_matrix @ root
     information = output.T @ np.linalg.inv(period * problem.measurement_covariance) @ output
 
-    P = cp.Variable((n, n), symmetric=True)
-    W = cp.Variable((n, n), symmetric=True)
+    P, W = (cp.Variable((n, n), symmetric=True) for _ in range(2))
     constraints = [cp.bmat([[W, np.eye(n)], [np.eye(n), P]]) >> 0]
     for vertex in vertices:
         delta = inverse @ ((vertex.transition - np.eye(n)) / period) @ root
@@ -188,14 +182,9 @@ def _solve(
         G = np.linalg.cholesky((noise + noise.T) / 2)
         corner = (decay - 1.0) / period * P - P @ delta - delta.T @ P + information
         cross = np.sqrt(period) * (P @ delta - information)
-        zero = np.zeros((n, n))
-        block = cp.bmat(
-            [
-                [corner, cross, P @ G],
-                [cross.T, P + period * information, zero],
-                [(P @ G).T, zero, np.eye(n)],
-            ]
-        )
+        middle, zero = P + period * information, np.zeros((n, n))
+        rows = [corner, cross, P @ G], [cross.T, middle, zero], [(P @ G).T, zero, np.eye(n)]
+        block = cp.bmat(list(rows))
         constraints.append((block + block.T) / 2 >> 0)
     program = cp.Problem(cp.Minimize(cp.trace(W)), constraints)
     try:
@@ -211,25 +200,19 @@ def _solve(
     if np.linalg.eigvalsh(normalised)[0] <= 0.0:
         return None
     covariance = root @ normalised @ root.T
-    return _Solution(
-        covariance=(covariance + covariance.T) / 2,
-        objective=float(np.trace(normalised)),
-        status=str(program.status),
-        iterations=int(program.solver_stats.num_iters or 0),
-    )
+    iterations = int(program.solver_stats.num_iters or 0)
+    how = float(np.trace(normalised)), str(program.status), iterations
+    return _Solution((covariance + covariance.T) / 2, *how)
 
 
-def _kalman_covariance(problem: Request, vertex: VertexSystem) -> Array | None:
+def _kalman_covariance(problem: AnyRequest, vertex: VertexSystem) -> Array | None:
     """Return the stationary prior covariance of the Kalman filter of one system, or None."""
+    C, R = problem.flow.output_matrix, problem.measurement_covariance
     try:
-        covariance = solve_discrete_are(
-            vertex.transition.T,
-            problem.flow.output_matrix.T,
-            vertex.noise,
-            problem.measurement_covariance,
-        )
-        np.linalg.cholesky((covariance + covariance.T) / 2)
+        covariance = solve_discrete_are(vertex.transition.T, C.T, vertex.noise, R)
+        covariance = np.asarray((covariance + covariance.T) / 2)
+        np.linalg.cholesky(covariance)
     except (np.linalg.LinAlgError, ValueError):
         # SciPy raises either, according to where its ordering of eigenvalues fails.
         return None
-    return np.asarray((covariance + covariance.T) / 2)
+    return covariance

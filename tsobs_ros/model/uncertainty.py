@@ -10,9 +10,9 @@ being a torque at the link. The arm is a single rule of them.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, Fixed, as_matrix, check_names, positive
 from tsobs_ros.errors import ModelError
@@ -128,32 +128,36 @@ def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncert
     return Uncertainty(bounds, stack)
 
 
-def system_uncertainty(
-    model: TSModel, directions: Mapping[str, ArrayLike], bounds: Mapping[str, float]
-) -> Uncertainty:
-    """Return the uncertainty of a T–S system's state matrices, Aᵢ + Σ θ_k E_{k,i}.
+@dataclass
+class Direction:
+    """An uncertain direction of a T–S system's state matrices, Aᵢ + θ Eᵢ with |θ| ≤ bound.
+
+    Attributes:
+        E: Eᵢ, shape (r, n, n); one (n, n) serves every rule.
+        bound: Of |θ|.
+    """
+
+    E: np.ndarray[Any, np.dtype[np.float64]]  # not Array, which `schema` cannot take apart
+    bound: float
+
+
+def system_uncertainty(model: TSModel, directions: Mapping[str, Direction]) -> Uncertainty:
+    """Return the uncertainty of a T–S system's state matrices.
 
     Args:
         model: The nominal system.
-        directions: E_{k,i} by name, shape (r, n, n); one (n, n) serves every rule.
-        bounds: |θ| at most so much, by the same names.
+        directions: Uncertain directions by name.
 
     Raises:
-        ModelError: The names differ, a direction is zero or of the wrong shape, or a bound is not
-            above zero.
+        ModelError: A direction is zero or of the wrong shape, or a bound is not above zero.
     """
-    if set(directions) != set(bounds):
-        raise ModelError(
-            f"uncertainty: expected a bound for each of {', '.join(directions) or 'none'}, "
-            f"got {', '.join(bounds) or 'none'}"
-        )
     rules, n = model.rule_count, model.state_count
-    stack = np.zeros((len(bounds), rules, n, n + model.input_count))
-    for name, placed in zip(bounds, stack, strict=True):
-        shape = (n, n) if np.ndim(directions[name]) == 2 else (rules, n, n)
-        positive(f"uncertainty.{name}.bound", bounds[name])
-        matrix = as_matrix(f"uncertainty.{name}.E", directions[name], shape)
+    stack = np.zeros((len(directions), rules, n, n + model.input_count))
+    for (name, each), placed in zip(directions.items(), stack, strict=True):
+        shape = (n, n) if np.ndim(each.E) == 2 else (rules, n, n)
+        positive(f"uncertainty.{name}.bound", each.bound)
+        matrix = as_matrix(f"uncertainty.{name}.E", each.E, shape)
         if not matrix.any():
             raise ModelError(f"uncertainty.{name}.E: expected a matrix other than zero")
         placed[..., :n] = matrix
-    return Uncertainty(bounds, stack)
+    return Uncertainty({name: each.bound for name, each in directions.items()}, stack)

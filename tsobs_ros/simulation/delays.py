@@ -33,10 +33,9 @@ class TorqueDelay:
             commands: Of the samples that follow those of the last call, shape (runs, samples).
         """
         samples = commands.shape[1]
-        past = self._past
-        if past is None:
-            past = np.repeat(commands[:, :1], self._whole + 1, axis=1)
-        known = np.concatenate([past, commands], axis=1)
+        if self._past is None:
+            self._past = np.repeat(commands[:, :1], self._whole + 1, axis=1)
+        known = np.concatenate([self._past, commands], axis=1)
         self._past = known[:, samples:]
         older, newer = known[:, :samples], known[:, 1 : samples + 1]
         mean = newer + self._share * (older - newer)
@@ -70,24 +69,23 @@ class AngleDelay:
         """
         if not self._is_late:
             return np.asarray(states[..., self._places])
-        samples, past, T = states.shape[1], self._past, self._period
-        if past is None:
+        samples, T = states.shape[1], self._period
+        if self._past is None:
             ages = T * np.arange(self._longest, 0, -1)[:, np.newaxis]
-            past = np.repeat(states[:, :1], self._longest, axis=1)
-            past[..., 0::2] -= ages * past[..., 1::2]
-        known = np.concatenate([past, states], axis=1)
+            self._past = np.repeat(states[:, :1], self._longest, axis=1)
+            self._past[..., 0::2] -= ages * self._past[..., 1::2]
+        known = np.concatenate([self._past, states], axis=1)
         self._past = known[:, samples:]
-        found = np.empty((len(states), samples, len(self._places)))
-        for output, (place, (whole, share)) in enumerate(
-            zip(self._places, self._cuts, strict=True)
-        ):
+        found = []
+        for place, (whole, share) in zip(self._places, self._cuts, strict=True):
             now = self._longest - whole
             newer = known[:, now : now + samples]
-            found[..., output] = newer[..., place]
             if share > 0.0:
                 older = known[:, now - 1 : now - 1 + samples]
-                found[..., output] = _hermite(older, newer, place, T, 1.0 - share)
-        return found
+                found.append(_hermite(older, newer, place, T, 1.0 - share))
+            else:
+                found.append(newer[..., place])
+        return np.stack(found, axis=-1)
 
 
 def _cut(delay: float, rate: float) -> tuple[int, float]:

@@ -9,7 +9,7 @@ over a minute. Its error is far below any noise.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -179,30 +179,23 @@ def substeps(rate: float) -> int:
 def _arm_record(scenario: "Scenario", payload: Payload) -> Array:
     """Return the numbers of the true arm with a payload, as the compiled core has them."""
     true, friction, noise = scenario.true_arm, scenario.friction, scenario.process_noise
-    arm = replace(
-        true,
-        link_inertia=true.link_inertia + payload.link_inertia,
-        gravity_torque=true.gravity_torque + payload.gravity_torque,
-    )
+    j1, j2 = true.link_inertia + payload.link_inertia, true.motor_inertia
     steps = substeps(scenario.rate)
     substep = 1.0 / scenario.rate / steps
     record = np.zeros(1, _ARM)
     record[0] = (
         steps,
         substep,
-        arm.gravity_gain,
-        arm.motor_inertia,
-        arm.stiffness / arm.link_inertia,
-        (arm.link_damping + friction.link_viscous) / arm.link_inertia,
-        arm.stiffness / arm.motor_inertia,
-        (arm.motor_damping + friction.motor_viscous) / arm.motor_inertia,
-        friction.link_coulomb / arm.link_inertia,
-        friction.motor_coulomb / arm.motor_inertia,
-        arm.link_inertia,
-        friction.link_viscous,
-        friction.link_coulomb,
-        friction.motor_viscous,
-        friction.motor_coulomb,
+        (true.gravity_torque + payload.gravity_torque) / j1,
+        j2,
+        true.stiffness / j1,
+        (true.link_damping + friction.link_viscous) / j1,
+        true.stiffness / j2,
+        (true.motor_damping + friction.motor_viscous) / j2,
+        friction.link_coulomb / j1,
+        friction.motor_coulomb / j2,
+        j1,
+        *(getattr(friction, each.name) for each in fields(friction)),
         payload.link_inertia,
         payload.gravity_torque,
         math.sqrt(noise.link * substep),

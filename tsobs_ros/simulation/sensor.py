@@ -86,30 +86,20 @@ class Disturbance:
         signals: Sequence[Signal],
     ) -> None:
         self._seeds, self._source, self._rate = seeds, source, rate
-        self._key = (channel,) if channel else ()
-        self._generation = 0
+        self._key, self._generation = (channel,) if channel else (), 0
         self.exchange(signals, 0)
 
     def exchange(self, signals: Sequence[Signal], index: int) -> None:
-        """Put other signals in the place of the present ones.
-
-        Args:
-            signals: The others.
-            index: Index of the first sample they are for, from which their time counts.
-        """
+        """Put other signals in the place of the present ones, whose time counts from `index` on."""
         self._signals, self._begin = tuple(signals), index
-        generation = self._generation
-        self._generation += 1
         # The stream and the present values of every drift.
-        self._drifts = [
-            (
-                each,
-                RandomStream(self._seeds, self._source, (generation, place, *self._key)),
-                np.zeros(len(self._seeds)),
-            )
-            for place, each in enumerate(signals)
-            if isinstance(each, GaussMarkov)
-        ]
+        self._drifts = []
+        for place, each in enumerate(signals):
+            if isinstance(each, GaussMarkov):
+                key = self._generation, place, *self._key
+                stream = RandomStream(self._seeds, self._source, key)
+                self._drifts.append((each, stream, np.zeros(len(self._seeds))))
+        self._generation += 1
 
     def values(self, start: int, samples: int) -> Array:
         """Move on over samples and return their values, shape (runs, samples)."""
@@ -129,11 +119,9 @@ class Disturbance:
 
     def stuck(self, start: int, samples: int) -> Flags:
         """Return at which samples a signal holds the measured value, shape (samples,)."""
-        found, times = np.zeros(samples, np.bool_), self._times(start, samples)
-        for each in self._signals:
-            if isinstance(each, StuckSensor):
-                found |= each.holds(times)
-        return found
+        times = self._times(start, samples)
+        holds = [each.holds(times) for each in self._signals if isinstance(each, StuckSensor)]
+        return np.asarray(np.any([np.zeros(samples, np.bool_), *holds], axis=0))
 
     def _times(self, start: int, samples: int) -> Array:
         first = start - self._begin
@@ -160,7 +148,7 @@ class Output:
         signals: Sequence[Signal],
     ) -> None:
         self._disturbance = Disturbance(seeds, Source.DISTURBANCE, number, rate, signals)
-        self._seeds, self._rate, self._sensor = seeds, rate, Sensor()
+        self._seeds, self._rate, self._sensor, self._latency = seeds, rate, Sensor(), 0
         self._key = (number,) if number else ()
         self._normal = RandomStream(seeds, Source.MEASUREMENT, self._key)
         self._uniform = RandomStream(seeds, Source.OUTLIER, self._key, uniform=True)
@@ -177,13 +165,13 @@ class Output:
 
         Of another latency, older values than the next one are not known; the next one is taken.
         """
-        former, degrees = self._sensor, sensor.noise_degrees
-        if degrees != former.noise_degrees:
+        degrees, latency = sensor.noise_degrees, round(sensor.latency * self._rate)
+        if degrees != self._sensor.noise_degrees:
             key = (degrees, *self._key)
             self._tail = RandomStream(self._seeds, Source.TAIL, key) if degrees else None
-        if self._delay(sensor) != self._delay(former):
+        if latency != self._latency:
             self._past = None
-        self._sensor = sensor
+        self._sensor, self._latency = sensor, latency
 
     def disturb(self, signals: Sequence[Signal], index: int) -> None:
         """Exchange the disturbance; see `Disturbance.exchange`."""
@@ -220,15 +208,11 @@ class Output:
             lost = lost | (luck >= 1.0 - sensor.loss_probability)
         return added, np.where(lost, np.nan, values)
 
-    def _delay(self, sensor: Sensor) -> int:
-        return round(sensor.latency * self._rate)
-
     def _late(self, truth: Array) -> Array:
         """Return the true values that are measured, as old as the latency."""
-        past = self._past
-        if past is None:
-            past = np.repeat(truth[:, :1], self._delay(self._sensor), axis=1)
-        known = np.concatenate([past, truth], axis=1)
+        if self._past is None:
+            self._past = np.repeat(truth[:, :1], self._latency, axis=1)
+        known = np.concatenate([self._past, truth], axis=1)
         self._past = known[:, truth.shape[1] :]
         return known[:, : truth.shape[1]]
 
@@ -236,9 +220,9 @@ class Output:
         """Return the noise in units of its 1σ."""
         sensor, last, noise = self._sensor, self._last, self._normal.take(samples)
         if self._tail is not None:
-            others, total = self._tail.take(samples, sensor.noise_degrees), np.zeros_like(noise)
-            for place in range(sensor.noise_degrees):
-                total += others[..., place] * others[..., place]
+            total = np.zeros_like(noise)
+            for others in np.moveaxis(self._tail.take(samples, sensor.noise_degrees), -1, 0):
+                total += others * others
             noise /= np.sqrt(total / sensor.noise_degrees)
         if sensor.noise_time_constant > 0.0:
             decay, strength = markov_step(1.0 / self._rate, sensor.noise_time_constant)
