@@ -1,7 +1,8 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A joint with encoders, its data sheet, and a torque of many tones."""
+"""A joint with encoders, its data sheet, a torque of many tones, and recordings of both."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -37,9 +38,30 @@ def request_of(arm: ts.ElasticJointArm = ARM, *outputs: str, **changes: Any) -> 
     return replace(request, **changes)
 
 
-def tones(duration: float, seed: int, size: float = 0.05) -> Array:
+def tones(duration: float, seed: int) -> Array:
     """Return the torque of twelve tones up to 8 Hz [N m] at 500 Hz, with phases by a seed."""
     rng, time = np.random.default_rng(seed), np.arange(round(500 * duration) + 1) / 500.0
     frequencies = 2.0 * np.pi * np.linspace(0.3, 8.0, 12)
     phases = rng.uniform(0.0, 2.0 * np.pi, 12)
-    return size * np.sin(np.outer(time, frequencies) + phases).sum(axis=1)
+    return 0.05 * np.sin(np.outer(time, frequencies) + phases).sum(axis=1)
+
+
+def run_of(
+    request: ArmRequest,
+    duration: float,
+    seed: int = 0,
+    friction: Mapping[str, float] | None = None,
+    torque: Array | None = None,
+) -> Any:
+    """Return a simulation of an arm from rest at 0."""
+    torque = tones(duration, seed) if torque is None else torque
+    start = [0.0] * 4
+    return ts.simulate(
+        request, duration=duration, seed=seed, torque=torque, friction=friction, initial_state=start
+    )
+
+
+def recorded(request: ArmRequest, duration: float, *args: Any, **kwargs: Any) -> Recorded:
+    """Return time, outputs and torque of `run_of`."""
+    run = run_of(request, duration, *args, **kwargs)
+    return run.time, run.angle, run.torque

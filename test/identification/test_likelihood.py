@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from identified_joint import ARM, WRONG, request_of
+from identified_joint import ARM, WRONG, recorded, request_of
 
 import tsobs_ros as ts
 from tsobs_ros.design.problem import DisturbanceTerm
@@ -22,21 +22,21 @@ from tsobs_ros.model.torque_path import TorquePath
 DRIFT = DisturbanceTerm("gauss_markov", {"std": 0.02, "time_constant": 0.5})
 
 
-def recording_of(recorded: Any, request: ts.ArmRequest, **changes: Any) -> Recording:
-    time, y, u = recorded(request, duration=2.0, **changes)
+def recording_of(request: ts.ArmRequest, **changes: Any) -> Recording:
+    time, y, u = recorded(request, 2.0, **changes)
     durations = np.full(len(time), request.period)
     return Recording("test", time, durations, y.reshape(len(time), -1), u)
 
 
 @pytest.mark.parametrize("outputs", [("motor_angle",), ("motor_angle", "link_angle")])
-def test_the_filter_is_the_plain_kalman_filter(recorded: Any, outputs: tuple[str, ...]) -> None:
+def test_the_filter_is_the_plain_kalman_filter(outputs: tuple[str, ...]) -> None:
     request = request_of(
         ARM,
         *outputs,
         torque=TorquePath(0.9, 0.01, 0.005),
         torque_disturbance=TorqueDisturbance(motor=(DRIFT,)),
     )
-    recording = recording_of(recorded, request)
+    recording = recording_of(request)
     covariances = (request.measurement_covariance, request.initial_covariance)
     filtered = extended_kalman(request.flow, *covariances, gate=np.inf)
     state, expected = filtered.initial(), []
@@ -45,15 +45,15 @@ def test_the_filter_is_the_plain_kalman_filter(recorded: Any, outputs: tuple[str
         expected.append(correction.innovation[0])
         state = filtered.predict(state, [u], request.period)
 
-    found = innovations(Joint.of(request), recording)
+    found = innovations(Joint.of(request), recording, gate=np.inf)
 
     np.testing.assert_allclose(found.errors[:, 0], expected, atol=1e-9)
 
 
-def test_a_late_output_and_its_zero_are_those_of_the_design(recorded: Any) -> None:
+def test_a_late_output_and_its_zero_are_those_of_the_design() -> None:
     late = (Output("motor_angle", 0.001), Output("link_angle", 0.001, delay=0.004))
     request = request_of(ARM, outputs=late)
-    recording = recording_of(recorded, request)
+    recording = recording_of(request)
     joint = Joint.of(request)
     assert joint.output_delays == (0.0, 0.004)
     shifted = replace(joint, output_offsets=(0.0, 0.3))
@@ -67,9 +67,9 @@ def test_a_late_output_and_its_zero_are_those_of_the_design(recorded: Any) -> No
     assert np.abs(innovations(blind, recording).errors).mean() > 1.05 * small
 
 
-def test_the_gradient_is_that_of_the_cost(recorded: Any) -> None:
+def test_the_gradient_is_that_of_the_cost() -> None:
     unknowns = Unknowns.of(request_of(WRONG), ["arm", "motor_friction", "torque.delay"])
-    recording = recording_of(recorded, request_of(), friction={"motor_coulomb": 0.01})
+    recording = recording_of(request_of(), friction={"motor_coulomb": 0.01})
     likelihood = Likelihood(unknowns, [recording])
     at = 0.1 * np.random.default_rng(0).standard_normal(unknowns.count)
     likelihood.evaluate(at)
@@ -84,8 +84,8 @@ def test_the_gradient_is_that_of_the_cost(recorded: Any) -> None:
         assert gradient[place] == pytest.approx(slope, rel=0.05, abs=0.05 * abs(gradient).max())
 
 
-def test_friction_of_the_filter_is_that_of_a_rubbing_arm(recorded: Any) -> None:
-    recording = recording_of(recorded, request_of(), friction={"motor_coulomb": 0.02})
+def test_friction_of_the_filter_is_that_of_a_rubbing_arm() -> None:
+    recording = recording_of(request_of(), friction={"motor_coulomb": 0.02})
     joint = Joint.of(request_of())
     costs = [
         np.square(innovations(replace(joint, friction=(each, 0.0)), recording).errors).sum()
@@ -95,8 +95,8 @@ def test_friction_of_the_filter_is_that_of_a_rubbing_arm(recorded: Any) -> None:
     assert np.argmin(costs) == 2
 
 
-def test_a_gap_begins_anew(recorded: Any) -> None:
-    recording = recording_of(recorded, request_of())
+def test_a_gap_begins_anew() -> None:
+    recording = recording_of(request_of())
     durations = recording.durations.copy()
     durations[499] = -1.0
     broken = innovations(Joint.of(request_of()), replace(recording, durations=durations))
