@@ -17,7 +17,7 @@ import tsobs_ros
 from tsobs_ros.cli.common import progress
 from tsobs_ros.cli.main import main
 from tsobs_ros.design.file import load_design, load_request
-from tsobs_ros.design.plausible import questions
+from tsobs_ros.design.plausible import description, questions
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,32 +34,18 @@ def strict_json(text: str) -> Any:
     return json.loads(text, parse_constant=refuse)
 
 
-@pytest.fixture
-def tampered(tmp_path: Path) -> Callable[[Callable[[dict[str, Any]], None]], Path]:
-    """Write a copy of the shipped design with a change."""
-
-    def write(change: Callable[[dict[str, Any]], None]) -> Path:
-        data = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))
-        change(data)
-        path = tmp_path / "tampered.design.yaml"
-        path.write_text(yaml.safe_dump(data), encoding="utf-8")
-        return path
-
-    return write
-
-
 def test_a_design_and_a_files_name_do_not_command_the_terminal(
-    tampered: Callable[[Callable[[dict[str, Any]], None]], Path],
-    hostile: str,
-    check_shown: Callable[[str], None],
-    capsys: Captured,
+    tmp_path: Path, hostile: str, check_shown: Callable[[str], None], capsys: Captured
 ) -> None:
     hostile = hostile.replace("\0", "")  # which no argument can have
-    path = str(tampered(lambda data: data["solver"].update(name=hostile, status=hostile)))
-    assert main(["verify", path]) == 0
+    data = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))
+    data["solver"].update(name=hostile, status=hostile)
+    path = tmp_path / "tampered.design.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    assert main(["verify", str(path)]) == 0
     assert main(["verify", hostile]) == 1
     with pytest.raises(SystemExit, match="2"):
-        main(["verify", path, hostile])
+        main(["verify", str(path), hostile])
     told = capsys.readouterr()
     check_shown(told.out + told.err)
     assert (told.out + told.err).count(r"x\x1b[2J") == 4
@@ -84,39 +70,35 @@ def test_verify_shows_every_margin_of_the_shipped_design(capsys: Captured) -> No
     assert [each["margin"] for each in printed["inequalities"]] == margins
 
 
-def test_a_design_says_what_arm_it_is_for_and_asks_about_odd_numbers(
-    tmp_path: Path, capsys: Captured
-) -> None:
+def test_a_design_says_what_arm_it_is_for(tmp_path: Path, capsys: Captured) -> None:
     pytest.importorskip("cvxpy")
-    request = tmp_path / "request.yaml"
+    request, path = tmp_path / "request.yaml", tmp_path / "new.design.yaml"
     arm = "{link_inertia: 0.8, motor_inertia: 1.5, stiffness: 25.0, gravity_torque: 6.0}"
     request.write_text(f"arm: {arm}\n", encoding="utf-8")
-    path = tmp_path / "new.design.yaml"
     path.write_text("precious", encoding="utf-8")
-    assert main(["design", str(request), "--output", str(path)]) == 1
+    command = ["design", str(request), "--output", str(path)]
+    assert main(command) == 1
     assert capsys.readouterr().err == f"error: {path}: exists already; --force replaces it\n"
     assert path.read_text(encoding="utf-8") == "precious"
-    command = ["design", str(request), "--output", str(path), "--force"]
-    assert main(command) == 0
+    assert main([*command, "--force", "--json"]) == 0
     assert load_design(path).certificate.holds
     out, err = capsys.readouterr()
     assert err == ""
-    lines = out.splitlines()
-    assert "link_inertia 0.8 kg m^2" in lines[0]
-    assert "motor_damping 0 N m s/rad" in lines[0]
-    # sqrt(25 / 0.8) / 2 pi and sqrt(25 / 0.8 + 25 / 1.5) / 2 pi
-    assert lines[1] == (
-        "resonances: 0.89 Hz with the motor held, 1.1 Hz with both free; they want 11 Hz and more, "
-        "the request has 200 Hz"
-    )
-    assert main([*command, "--json"]) == 0
-    printed = strict_json(capsys.readouterr().out)
+    printed = strict_json(out)
     assert printed["arm"]["stiffness"] == 25.0
+    # sqrt(25 / 0.8) / 2 pi and sqrt(25 / 0.8 + 25 / 1.5) / 2 pi
     assert printed["resonances"] == pytest.approx([0.8897, 1.1018], abs=1e-4)
+    first, second = description(load_request(request))
+    assert "link_inertia 0.8 kg m^2" in first
+    assert "motor_damping 0 N m s/rad" in first
+    assert "they want 11 Hz and more, the request has 200 Hz" in second
 
-    heavy = arm.replace("0.8", "350000.0")
+
+def test_numbers_in_another_unit_are_asked_about(tmp_path: Path) -> None:
+    request = tmp_path / "request.yaml"
     request.write_text(
-        f"arm: {heavy}\nmeasurement_std: 30\nrate: 0.002\ninitial_std: [90, 1, 90, 1]\n",
+        "arm: {link_inertia: 350000.0, motor_inertia: 1.5, stiffness: 25.0, gravity_torque: 6.0}\n"
+        "measurement_std: 30\nrate: 0.002\ninitial_std: [90, 1, 90, 1]\n",
         encoding="utf-8",
     )
     assert list(questions(load_request(request))) == [
@@ -170,12 +152,9 @@ def test_wrong_usage_is_exit_code_2(capsys: Captured, arguments: list[str]) -> N
     assert "usage: tsobs" in capsys.readouterr().err
 
 
-def test_the_folder_of_shipped_files_is_printed(capsys: Captured) -> None:
+def test_folder_and_version_are_printed(capsys: Captured) -> None:
     assert main(["config"]) == 0
     assert Path(capsys.readouterr().out.rstrip("\n"), SHIPPED_DESIGN).is_file()
-
-
-def test_the_version_is_printed(capsys: Captured) -> None:
     with pytest.raises(SystemExit, match="0"):
         main(["--version"])
     assert capsys.readouterr().out == f"tsobs {tsobs_ros.__version__}\n"

@@ -139,26 +139,16 @@ def check_layouts(reader: BagReader) -> None:
         sources |= {each.text for each in snippet.findall("additional_sources/*")}
         assert sources <= series
     series |= {snippet.attrib["name"] for snippet in snippets}
-    series |= {f"{topic}/{name}/position" for topic in ADAPTIVE_TOPICS for name in ran_parameters()}
+    learnt = load_design_file(SHIPPED).design.request.uncertainty
+    series |= {f"{topic}/{name}/position" for topic in ADAPTIVE_TOPICS for name in learnt}
     curves = {curve.attrib["name"] for curve in layout.iter("curve")}
     assert len(curves) > 25
     assert curves <= series
 
 
-def ran_parameters() -> tuple[str, ...]:
-    """Return the parameters that the shipped design learns."""
-    return tuple(load_design_file(SHIPPED).design.request.uncertainty)
-
-
-def test_nothing_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "precious"
-    path.write_text("mine", encoding="utf-8")
-    assert main(["demo", "--output", str(path)]) == 1
-    assert f"error: {path}: exists already" in capsys.readouterr().err
-    assert path.read_text(encoding="utf-8") == "mine"
-
-
-def test_a_node_that_fails_fails_the_demo_with_its_reason(demo: Demo, tmp_path: Path) -> None:
+def test_a_node_that_fails_fails_the_demo_with_its_reason(
+    demo: Demo, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     output = tmp_path / "demo"
     finished = demo("--design", str(tmp_path / "no.yaml"), "--output", str(output)).finish(TIMEOUT)
     assert finished.exit_code == 1
@@ -166,6 +156,9 @@ def test_a_node_that_fails_fails_the_demo_with_its_reason(demo: Demo, tmp_path: 
     assert "observer ended with exit code 1" in line
     assert "no.yaml: no such design file" in line
     assert running(output) == []
+    # Another one does not write into its folder.
+    assert main(["demo", "--output", str(output)]) == 1
+    assert f"error: {output}: exists already" in capsys.readouterr().err
 
 
 def test_signals_end_the_nodes_and_close_the_bag(demo: Demo, tmp_path: Path) -> None:
