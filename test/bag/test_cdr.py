@@ -4,7 +4,7 @@
 
 import pytest
 
-from tsobs_ros.bag.cdr import MessageLayout
+from tsobs_ros.bag.definitions import MessageLayout
 from tsobs_ros.errors import MessageError
 
 HEADER = b"\x00\x01\x00\x00"

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
+from tsobs_ros.bag.cdr import MessageSeries
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter
-from tsobs_ros.bag.message_series import MessageSeries
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.writer import packed
 

@@ -10,7 +10,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from tsobs_ros.bag import BagReader, BagWriter
-from tsobs_ros.bag.diagnostics import DIAGNOSTICS, read_statuses
+from tsobs_ros.bag.cdr import DIAGNOSTICS, read_statuses
 from tsobs_ros.bag.estimate_topics import parameter_names, sides
 from tsobs_ros.bag.joint_series import read_blocks
 from tsobs_ros.bag.joint_states import (

@@ -7,8 +7,8 @@ from zlib import crc32
 import numpy as np
 import pytest
 
-from tsobs_ros.bag.cdr import MessageLayout
-from tsobs_ros.bag.tick_log import DEFINITION, TICK_LOG, decode_ticks, encode_tick
+from tsobs_ros.bag.cdr import TICK_LOG, TICK_LOG_TEXT, decode_ticks, encode_tick
+from tsobs_ros.bag.definitions import MessageLayout
 from tsobs_ros.errors import MessageError
 
 STAMP = 1_700_000_000_123_456_789
@@ -21,7 +21,7 @@ def as_rows(*messages: bytes) -> "np.ndarray[tuple[int, int], np.dtype[np.uint8]
 @pytest.mark.parametrize("measured", [[], [b"one"], [b"one", b"one", b"another"]])
 def test_a_tick_is_read_as_written_and_has_the_layout_of_its_type(measured: list[bytes]) -> None:
     message = encode_tick(STAMP, 7, True, measured)
-    MessageLayout(TICK_LOG, DEFINITION).check(message)
+    MessageLayout(TICK_LOG, TICK_LOG_TEXT).check(message)
     expected = [STAMP, 7, 1, *map(crc32, measured)]
     assert decode_ticks(as_rows(message, message)).tolist() == [expected, expected]
 

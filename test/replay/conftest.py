@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from tsobs_ros.bag import BagWriter
+from tsobs_ros.bag.cdr import TICK_LOG
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
-from tsobs_ros.bag.tick_log import TICK_LOG
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings

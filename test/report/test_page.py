@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tsobs_ros.bag.diagnostics import RecordedStatus
+from tsobs_ros.bag.cdr import RecordedStatus
 from tsobs_ros.estimation.events import Event, EventKind
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import Basis

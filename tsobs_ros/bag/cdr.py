@@ -1,13 +1,25 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Reading a message's CDR bytes step by step, with every step inside their bounds."""
+"""Messages as bytes on the wire (CDR), without ROS: texts, statuses, ticks; arrays of messages.
 
-import re
+A message of the tick log of an observer is a std_msgs/Int64MultiArray of one tick, so that a replay
+is a loop: its time on the observer's clock [ns], which is the stamp of its estimates, the number of
+ticks since the restart, from 1, whether there were estimates, and the CRC-32 of each measurement
+message taken, in the order of taking. A tick with neither estimates nor measurements is left out,
+and not counted.
+"""
+
 import struct
-from collections.abc import Mapping
-from typing import Literal, TypeAlias
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from typing import Any, NamedTuple, TypeAlias
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tsobs_ros.errors import MessageError
+from tsobs_ros.series import NANOSECONDS
 
 HEADER = 4
 """Bytes before the body, from whose end alignment counts."""
@@ -15,20 +27,12 @@ HEADER = 4
 ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
 """Byte order, as `struct` writes it, by the first half of the header."""
 
-_SEPARATOR = re.compile(r"^={80}\n", re.MULTILINE)
-_FIELD = re.compile(
-    r"(?P<type>[A-Za-z][\w/]*)(?:<=\d+)?(?P<array>\[(?:<=)?(?P<size>\d*)\])?\s+"
-    r"[A-Za-z]\w*\s*(?P<constant>=)?",
-    re.ASCII,
-)
-SIZES: Mapping[str, int] = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
-    f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)
-}
-"""Bytes of each primitive type but strings."""
+LITTLE = b"\x00\x01\x00\x00"
+"""The header of messages in little-endian order."""
 
 
 class CdrReader:
-    """A place in a message, which moves on as values are read.
+    """A place in a message, which moves on as values are read, each inside of its bounds.
 
     Args:
         data: The message with its header.
@@ -56,21 +60,24 @@ class CdrReader:
         """How many bytes there still are."""
         return len(self._data) - self.place
 
-    def skip(self, size: int, what: str) -> None:
-        """Move on by so many bytes, which there must be."""
+    def skip(self, size: int, what: str) -> int:
+        """Move on by so many bytes, which there must be; return the place of the first."""
         if size > self.left:
             raise MessageError(
                 f"{what}: expected {size} bytes at {self.place}, but the message ends after "
                 f"{self.left}"
             )
         self.place += size
+        return self.place - size
+
+    def stamp(self, what: str) -> int:
+        """Read a time [ns]."""
+        seconds, nanoseconds = self._unpack("iI", 4, 8, what)
+        return int(seconds) * NANOSECONDS + int(nanoseconds)
 
     def count(self, what: str, least_size: int) -> int:
         """Read how many elements of at least so many bytes follow."""
-        self._align(4)
-        at = self.place
-        self.skip(4, what)
-        count = int(struct.unpack_from(f"{self.order}I", self._data, at)[0])
+        count = int(self._unpack("I", 4, 4, what)[0])
         if count * least_size > self.left:
             raise MessageError(
                 f"{what}: {count} elements at {self.place} do not fit into the {self.left} bytes "
@@ -81,8 +88,7 @@ class CdrReader:
     def text(self, what: str) -> str:
         """Read a string."""
         size = self.count(what, 1)
-        at = self.place
-        self.skip(size, what)
+        at = self.skip(size, what)
         raw = bytes(self._data[at : self.place])
         if raw and raw[-1]:
             raise MessageError(f"{what}: the text at {at} does not end in a zero byte")
@@ -94,139 +100,164 @@ class CdrReader:
     def doubles(self, what: str) -> tuple[float, ...]:
         """Read a sequence of float64."""
         count = self.count(what, 0)
-        if not count:
-            return ()
-        self._align(8)
-        at = self.place
-        self.skip(8 * count, what)
-        return struct.unpack_from(f"{self.order}{count}d", self._data, at)
+        return self._unpack(f"{count}d", 8, 8 * count, what) if count else ()
 
-    def _align(self, size: int) -> None:
-        self.place += -(self.place - HEADER) % size
+    def _unpack(self, kinds: str, alignment: int, size: int, what: str) -> tuple[Any, ...]:
+        self.place += -(self.place - HEADER) % alignment
+        return struct.unpack_from(f"{self.order}{kinds}", self._data, self.skip(size, what))
 
 
 def encode_text(text: str) -> bytes:
     """Return the message of a std_msgs/String."""
     raw = text.encode() + b"\0"
-    return struct.pack(f"<4sI{len(raw)}s", b"\x00\x01\x00\x00", len(raw), raw)
+    return struct.pack(f"<4sI{len(raw)}s", LITTLE, len(raw), raw)
 
 
-class UnknownLayoutError(ValueError):
-    """A definition that is well formed, but whose messages cannot be measured."""
+Message: TypeAlias = tuple[str, str, bytes, int, int]
+"""A `BagMessage` as a plain tuple, whose class would cost more than the rest of it."""
 
 
-_Fields: TypeAlias = "list[tuple[int | _Fields | None, int]]"
-"""Size of a primitive, a type, or None for a string; and the number of them, 0 for a sequence."""
+class MessageSeries(NamedTuple):
+    """Messages of a topic that have the same size, n of them.
 
-
-class MessageLayout:
-    """The layout of a type's messages.
-
-    Args:
-        type: The type, `package/msg/Type`.
-        text: Its definition with all it depends on, in `ros2msg`.
-
-    Raises:
-        UnknownLayoutError: The type has wide strings, which middlewares encode differently.
-        ValueError: The definition is malformed, or a type it uses is missing.
+    Attributes:
+        topic: The topic.
+        type: Its type.
+        log_times: ns since the epoch, shape (n,).
+        publish_times: ns since the epoch, shape (n,).
+        data: In CDR, shape (n, size).
     """
 
-    def __init__(self, type: str, text: str) -> None:
-        root, *others = _SEPARATOR.split(text)
-        self._texts = {_short(type): root}
-        for other in others:
-            head, _, body = other.partition("\n")
-            if not head.startswith("MSG: "):
-                raise ValueError(f"'{head[:60]}' is not 'MSG: package/Type'")
-            self._texts.setdefault(_short(head[5:].strip()), body)
-        self._types: dict[str, _Fields] = {}
-        try:
-            self._fields = self._fields_of(_short(type), ())
-        except RecursionError as error:
-            raise ValueError(f"{type} is nested too deep") from error
+    topic: str
+    type: str
+    log_times: NDArray[np.int64]
+    publish_times: NDArray[np.int64]
+    data: NDArray[np.uint8]
 
-    def check(self, data: bytes) -> None:
-        """Check that a message has the length its values give it, but for padding to 4 bytes.
+    def take(self, chosen: NDArray[Any] | slice) -> "MessageSeries":
+        """Return some of the messages."""
+        times = self.log_times[chosen], self.publish_times[chosen]
+        return MessageSeries(self.topic, self.type, *times, self.data[chosen])
 
-        Raises:
-            MessageError: It is too short or too long, or not plain CDR.
-        """
-        order = ORDERS.get(data[:2])
-        if order is None or len(data) < HEADER:
-            raise MessageError(f"{len(data)} bytes that do not begin with the header of plain CDR")
-        try:
-            end = _walk(self._fields, data, HEADER, "big" if order == ">" else "little")
-        except RecursionError as error:
-            raise MessageError("nested too deep") from error
-        if end > len(data):
-            raise MessageError(f"its values need {end} bytes, but it has {len(data)}")
-        if len(data) - end >= 4:
-            raise MessageError(f"{len(data) - end} bytes follow its last value")
-
-    def _fields_of(self, name: str, within: tuple[str, ...]) -> _Fields:
-        if known := self._types.get(name):
-            return known
-        if name in within or name not in self._texts:
-            reason = "contains itself" if name in within else "is used, but not defined"
-            raise ValueError(f"{name} {reason}")
-        found: _Fields = []
-        for line in map(str.strip, self._texts[name].splitlines()):
-            if not line or line.startswith("#"):
-                continue
-            match = _FIELD.match(line)
-            if match is None or match["size"] == "0":
-                raise ValueError(f"{name}: '{line[:60]}' is not a field")
-            if match["constant"]:
-                continue
-            kind, array = match["type"], match["array"]
-            count = 0 if array else 1
-            if array and match["size"] and "<=" not in array:
-                count = int(match["size"])
-            if kind in ("wstring", "wchar"):
-                raise UnknownLayoutError(f"{name} has a {kind}")
-            if kind == "string" or kind in SIZES:
-                found.append((SIZES.get(kind), count))
-                continue
-            full = kind if "/" in kind else f"{name.partition('/')[0]}/{kind}"
-            inner = self._fields_of(_short(full), (*within, name))
-            # A definition of three hundred types, each of one other, must not take as many steps.
-            found.append(inner[0] if count == len(inner) == 1 else (inner, count))
-        # A struct without fields has one byte, as C has no empty ones.
-        self._types[name] = found or [(1, 1)]
-        return self._types[name]
+    def messages(self) -> list[Message]:
+        """Return them one by one."""
+        times = zip(self.log_times.tolist(), self.publish_times.tolist(), strict=True)
+        rows = zip(self.data, times, strict=True)
+        return [(self.topic, self.type, row.tobytes(), *each) for row, each in rows]
 
 
-def _short(name: str) -> str:
-    """Return `package/Type`, as definitions write it."""
-    parts = name.split("/")
-    return f"{parts[0]}/{parts[-1]}"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 
-def _walk(fields: _Fields, data: bytes, place: int, order: Literal["big", "little"]) -> int:
-    """Return where values end that begin at a place; beyond the message it gives up."""
-    size = len(data)
-    for kind, number in fields:
-        count = number
-        if not number:
-            place += -(place - HEADER) % 4 + 4
-            count = int.from_bytes(data[place - 4 : place], order) if place <= size else 0
-        if type(kind) is int:
-            if count:
-                place += -(place - HEADER) % kind + count * kind
-        else:
-            for _ in range(count):
-                if isinstance(kind, list):
-                    place = _walk(kind, data, place, order)
-                else:
-                    place += -(place - HEADER) % 4 + 4
-                    if place <= size and (text := int.from_bytes(data[place - 4 : place], order)):
-                        place += text
-                        if place <= size and data[place - 1]:
-                            raise MessageError(
-                                f"the text up to byte {place} has no zero at its end"
-                            )
-                if place > size:  # a hostile count must not keep us busy
-                    break
-        if place > size:  # a definition can ask for 2^60 parts in 60 lines
-            break
-    return place
+class RecordedStatus(NamedTuple):
+    """A status of a recorded array.
+
+    Attributes:
+        stamp: Of the array's header, ns since the epoch.
+        level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
+        name: Parts of its name, such as the node and the concern.
+        hardware: Its hardware, such as a joint.
+        values: By their keys.
+    """
+
+    stamp: int
+    level: int
+    name: tuple[str, ...]
+    hardware: str
+    values: dict[str, str]
+
+
+def read_statuses(data: bytes) -> Iterator[RecordedStatus]:
+    """Yield the statuses of a DiagnosticArray, up to where it is malformed.
+
+    Any node publishes on /diagnostics, so a malformed message is no error.
+    """
+    with suppress(MessageError):
+        reader = CdrReader(data)
+        stamp = reader.stamp("stamp")
+        reader.text("frame_id")
+        for _ in range(reader.count("status", 1)):
+            level = data[reader.skip(1, "level")]
+            name, _, hardware = (reader.text(field) for field in ("name", "message", "hardware_id"))
+            pairs = [
+                (reader.text("key"), reader.text("value")) for _ in range(reader.count("values", 8))
+            ]
+            yield RecordedStatus(stamp, level, tuple(name.split(": ")), hardware, dict(pairs))
+
+
+TICK_LOG = "std_msgs/msg/Int64MultiArray"
+"""Type of the tick log's messages."""
+
+TICK_LOG_TEXT = """\
+std_msgs/MultiArrayLayout  layout
+int64[]                    data
+{line}
+MSG: std_msgs/MultiArrayDimension
+string label
+uint32 size
+uint32 stride
+{line}
+MSG: std_msgs/MultiArrayLayout
+std_msgs/MultiArrayDimension[] dim
+uint32 data_offset
+""".format(line="=" * 80)
+"""Definition of the type, for bags that are written without ROS."""
+
+_LABEL = b"stamp [ns], tick since the restart, estimated, CRC-32 of each measurement\0"
+_LABEL += bytes(-len(_LABEL) % 4)
+# Header of CDR, one dimension with label, size and stride, no offset, number of values; values are
+# aligned to 8 behind the header.
+_FRONT = struct.Struct(f"<4sII{len(_LABEL)}sIIII")
+_BEGIN = _FRONT.size + -(_FRONT.size - HEADER) % 8
+_FIXED = 3
+
+
+def _tick_front(count: int) -> bytes:
+    front = _FRONT.pack(LITTLE, 1, len(_LABEL), _LABEL, count, count, 0, count)
+    return front.ljust(_BEGIN, b"\0")
+
+
+def encode_tick(stamp: int, number: int, estimated: bool, messages: Iterable[bytes]) -> bytes:
+    """Return the message of a tick.
+
+    Args:
+        stamp: Time on the observer's clock [ns].
+        number: Of the tick since the restart, from 1.
+        estimated: Whether there are estimates.
+        messages: Measurement messages that it took.
+    """
+    values = [stamp, number, estimated, *map(crc32, messages)]
+    return _tick_front(len(values)) + struct.pack(f"<{len(values)}q", *values)
+
+
+def encode_ticks(values: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return messages of ticks with as many measurements each.
+
+    Args:
+        values: Stamp, number, whether estimated and checksums, a row each, shape (n, 3 + count).
+
+    Returns:
+        Their bytes, shape (n, size).
+    """
+    front = np.frombuffer(_tick_front(values.shape[1]), np.uint8)
+    return np.hstack([np.tile(front, (len(values), 1)), values.astype("<i8").view(np.uint8)])
+
+
+def decode_ticks(messages: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Return the values of messages of one size.
+
+    Args:
+        messages: Their bytes, shape (n, size).
+
+    Returns:
+        A row each: stamp, number, whether estimated, checksums; shape (n, 3 + count).
+
+    Raises:
+        MessageError: They are none of a tick log.
+    """
+    count, rest = divmod(messages.shape[1] - _BEGIN, 8)
+    fits = count >= _FIXED and not rest
+    front = np.frombuffer(_tick_front(count), np.uint8) if fits else ()
+    if not fits or (messages[:, :_BEGIN] != front).any():
+        raise MessageError("expected messages of a tick log, got others of their type")
+    return np.ascontiguousarray(messages[:, _BEGIN:]).view("<i8").astype(np.int64, copy=False)

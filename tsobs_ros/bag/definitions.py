@@ -11,6 +11,8 @@ The messages that make services and actions visible, `package/srv/<Type>_Event` 
 in the place of their definition, and nothing for actions, at which readers fail. Here they get
 the definition they have, put together from the parts of the `.srv` and `.action` files, so that
 readers can decode them; rosbag2 itself does not look at it.
+
+A definition also gives the length of a message, so that messages can be checked.
 """
 
 import json
@@ -19,10 +21,10 @@ import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
-from tsobs_ros.bag.cdr import SIZES
-from tsobs_ros.errors import BagWriteError
+from tsobs_ros.bag.cdr import HEADER, ORDERS
+from tsobs_ros.errors import BagWriteError, MessageError
 
 _SEPARATOR = "=" * 80
 _TYPE_NAME = re.compile(
@@ -32,8 +34,17 @@ _FIELD_TYPE = re.compile(
     r"^[ \t]*([A-Za-z0-9_/]+)(?:\[[^\]]*\])?[ \t]+", flags=re.ASCII | re.MULTILINE
 )
 _IDL_INCLUDE = re.compile(r"^#include\s+[\"<]([A-Za-z0-9_/]+)\.idl[\">]", flags=re.MULTILINE)
+# Bytes of each primitive type but strings.
+_SIZES: Mapping[str, int] = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
+    f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
 # Without wstring: rosbag2 stores a message with one in IDL.
-_PRIMITIVES = {"string", *SIZES}
+_PRIMITIVES = {"string", *_SIZES}
+_FIELD = re.compile(
+    r"(?P<type>[A-Za-z][\w/]*)(?:<=\d+)?(?P<array>\[(?P<bound><=)?(?P<size>\d*)\])?\s+"
+    r"[A-Za-z]\w*\s*(?P<constant>=)?",
+    re.ASCII,
+)
 # Types composed from the parts between the `---` of a .srv or .action file: the type's suffix,
 # and the part's number or a text in which {} is the file's type without suffix.
 _EVENT = (
@@ -212,3 +223,123 @@ def _dependencies(text: str, package: str, language: str) -> set[str]:
         return set(_IDL_INCLUDE.findall(text))
     types = set(_FIELD_TYPE.findall(text)) - _PRIMITIVES
     return {name if "/" in name else f"{package}/{name}" for name in types}
+
+
+class UnknownLayoutError(ValueError):
+    """A definition that is well formed, but whose messages cannot be measured."""
+
+
+_Fields: TypeAlias = "list[tuple[int | _Fields | None, int]]"
+"""Size of a primitive, a type, or None for a string; and the number of them, 0 for a sequence."""
+
+
+class MessageLayout:
+    """The layout of a type's messages.
+
+    Args:
+        type: The type, `package/msg/Type`.
+        text: Its definition with all it depends on, in `ros2msg`.
+
+    Raises:
+        UnknownLayoutError: The type has wide strings, which middlewares encode differently.
+        ValueError: The definition is malformed, or a type it uses is missing.
+    """
+
+    def __init__(self, type: str, text: str) -> None:
+        root, *others = re.split(f"^{_SEPARATOR}\n", text, flags=re.MULTILINE)
+        self._texts = {_short(type): root}
+        for other in others:
+            head, _, body = other.partition("\n")
+            if not head.startswith("MSG: "):
+                raise ValueError(f"'{head[:60]}' is not 'MSG: package/Type'")
+            self._texts.setdefault(_short(head[5:].strip()), body)
+        self._types: dict[str, _Fields] = {}
+        try:
+            self._fields = self._fields_of(_short(type), ())
+        except RecursionError as error:
+            raise ValueError(f"{type} is nested too deep") from error
+
+    def check(self, data: bytes) -> None:
+        """Check that a message has the length its values give it, but for padding to 4 bytes.
+
+        Raises:
+            MessageError: It is too short or too long, or not plain CDR.
+        """
+        order = ORDERS.get(data[:2])
+        if order is None or len(data) < HEADER:
+            raise MessageError(f"{len(data)} bytes that do not begin with the header of plain CDR")
+        try:
+            end = _walk(self._fields, data, HEADER, "big" if order == ">" else "little")
+        except RecursionError as error:
+            raise MessageError("nested too deep") from error
+        if end > len(data):
+            raise MessageError(f"its values need {end} bytes, but it has {len(data)}")
+        if len(data) - end >= 4:
+            raise MessageError(f"{len(data) - end} bytes follow its last value")
+
+    def _fields_of(self, name: str, within: tuple[str, ...]) -> _Fields:
+        if known := self._types.get(name):
+            return known
+        if name in within or name not in self._texts:
+            reason = "contains itself" if name in within else "is used, but not defined"
+            raise ValueError(f"{name} {reason}")
+        found: _Fields = []
+        for line in map(str.strip, self._texts[name].splitlines()):
+            if not line or line.startswith("#"):
+                continue
+            match = _FIELD.match(line)
+            if match is None or match["size"] == "0":
+                raise ValueError(f"{name}: '{line[:60]}' is not a field")
+            if match["constant"]:
+                continue
+            kind, count = match["type"], 1
+            if match["array"]:
+                count = 0 if match["bound"] else int(match["size"] or 0)
+            if kind in ("wstring", "wchar"):
+                raise UnknownLayoutError(f"{name} has a {kind}")
+            if kind in _PRIMITIVES:
+                found.append((_SIZES.get(kind), count))
+                continue
+            full = kind if "/" in kind else f"{name.partition('/')[0]}/{kind}"
+            inner = self._fields_of(_short(full), (*within, name))
+            # A definition of three hundred types, each of one other, must not take as many steps.
+            found.append(inner[0] if count == len(inner) == 1 else (inner, count))
+        # A struct without fields has one byte, as C has no empty ones.
+        self._types[name] = found or [(1, 1)]
+        return self._types[name]
+
+
+def _short(name: str) -> str:
+    """Return `package/Type`, as definitions write it."""
+    parts = name.split("/")
+    return f"{parts[0]}/{parts[-1]}"
+
+
+def _walk(fields: _Fields, data: bytes, place: int, order: Literal["big", "little"]) -> int:
+    """Return where values end that begin at a place; beyond the message it gives up."""
+    size = len(data)
+    for kind, number in fields:
+        count = number
+        if not number:
+            place += -(place - HEADER) % 4 + 4
+            count = int.from_bytes(data[place - 4 : place], order) if place <= size else 0
+        if type(kind) is int:
+            if count:
+                place += -(place - HEADER) % kind + count * kind
+        else:
+            for _ in range(count):
+                if isinstance(kind, list):
+                    place = _walk(kind, data, place, order)
+                else:
+                    place += -(place - HEADER) % 4 + 4
+                    if place <= size and (text := int.from_bytes(data[place - 4 : place], order)):
+                        place += text
+                        if place <= size and data[place - 1]:
+                            raise MessageError(
+                                f"the text up to byte {place} has no zero at its end"
+                            )
+                if place > size:  # a hostile count must not keep us busy
+                    break
+        if place > size:  # a definition can ask for 2^60 parts in 60 lines
+            break
+    return place

@@ -9,7 +9,7 @@ DESIGN = "design"
 """What it runs, a latched std_msgs/String: see `tsobs_ros.design.published`."""
 
 TICKS = "ticks"
-"""Which measurements each tick includes: see `tsobs_ros.bag.tick_log`."""
+"""Which measurements each tick includes: see `tsobs_ros.bag.cdr`."""
 
 STATES, STATE_BOUNDS = "joint_states", "error_bound"
 DISTURBANCE, DISTURBANCE_BOUND = "disturbance", "disturbance_bound"

@@ -18,11 +18,11 @@ from tsobs_ros.checks import Array, Flags
 from tsobs_ros.errors import BagReadError
 
 _STEP = 8192
+_MAX_OTHERS = 32
 
 Read = TypeVar("Read")
 
 Times = NDArray[np.int64]
-
 
 Place = tuple[str, str]
 """Name of an entry, and which of its numbers: `position`, `velocity` or `effort`."""
@@ -57,9 +57,6 @@ class JointSeries:
     def count(self) -> int:
         """The number of messages."""
         return len(self.stamps)
-
-
-_MAX_OTHERS = 32
 
 
 class _Builder:

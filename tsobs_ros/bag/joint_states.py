@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.cdr import HEADER, CdrReader
+from tsobs_ros.bag.cdr import HEADER, LITTLE, CdrReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import MessageError
 from tsobs_ros.series import NANOSECONDS, Stamps
@@ -24,12 +24,14 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 
 _SECONDS = 2**31
 _NO_VALUES = np.zeros((1, 0))
-_HEADER = b"\x00\x01\x00\x00"
 # rclpy.serialize_message() reserves the alignment of empty arrays, and leaves what was there.
 _LARGEST_TAIL = 16
 _MOST_TEMPLATES = 64
 _CONSTANT = HEADER + 8
 """Where what comes after the stamp begins."""
+
+_FIELDS = ["header", "sec", "nanosec", "constant", "position", "velocity", "effort"]
+_FIELDS += ["velocity count", "effort count"]
 
 Places = NDArray[np.intp]
 """Which messages of a sequence, ascending."""
@@ -101,16 +103,11 @@ class _Template:
         pads = [begin - count - 4 for begin, count in zip(begins[1:], counts, strict=True)]
         arrays = f"{lengths[0]}dI{pads[0]}x{lengths[1]}dI{pads[1]}x{lengths[2]}d"
         self._struct = struct.Struct(f"{order}4siI{len(constant)}s{arrays}")
+        doubles = [(f"{order}f8", (length,)) for length in lengths]
         self._dtype = {
-            "names": [
-                *("header", "sec", "nanosec", "constant", "position", "velocity", "effort"),
-                *("velocity count", "effort count"),
-            ],
-            "formats": [
-                *(f"V{HEADER}", f"{order}i4", f"{order}u4", f"V{len(constant)}"),
-                *((f"{order}f8", (length,)) for length in lengths),
-                *(f"{order}u4", f"{order}u4"),
-            ],
+            "names": _FIELDS,
+            "formats": [f"V{HEADER}", f"{order}i4", f"{order}u4", f"V{len(constant)}", *doubles]
+            + [f"{order}u4"] * 2,
             "offsets": [0, HEADER, HEADER + 4, _CONSTANT, *begins, *counts],
         }
         first = 4 + lengths[0]
@@ -119,20 +116,10 @@ class _Template:
 
     def pack(self, stamp: int, *numbers: Sequence[float]) -> bytes:
         """Return the message with position, velocity and effort, as many as the lengths are."""
-        sec, nanosec = divmod(stamp, NANOSECONDS)
         position, velocity, effort = numbers
         _, velocities, efforts = self._lengths
-        return self._struct.pack(
-            self._header,
-            sec,
-            nanosec,
-            self._constant,
-            *position,
-            velocities,
-            *velocity,
-            efforts,
-            *effort,
-        )
+        front = self._header, *divmod(stamp, NANOSECONDS), self._constant
+        return self._struct.pack(*front, *position, velocities, *velocity, efforts, *effort)
 
     def unpack(self, data: bytes) -> JointState | None:
         """Return the message if the bytes, of which there are enough, fit the template."""
@@ -216,9 +203,8 @@ class JointStateEncoder:
             MessageError: The stamp does not fit into a message, or a value is not a number.
         """
         lengths = (len(position), len(velocity), len(effort))
-        template = self._templates.get(lengths) or self._template(lengths)
         try:
-            return template.pack(stamp, position, velocity, effort)
+            return self._template(lengths).pack(stamp, position, velocity, effort)
         except struct.error as error:
             raise MessageError(f"stamp {stamp} ns, {lengths} numbers: {error}") from error
 
@@ -245,14 +231,15 @@ class JointStateEncoder:
         if wrong.any():
             raise MessageError(f"stamp {stamps[wrong][0]} ns: its seconds do not fit into 32 bits")
         lengths = (position.shape[1], velocity.shape[1], effort.shape[1])
-        template = self._templates.get(lengths) or self._template(lengths)
-        return template.pack_rows(stamps, position, velocity, effort)
+        return self._template(lengths).pack_rows(stamps, position, velocity, effort)
 
     def _template(self, lengths: tuple[int, int, int]) -> _Template:
+        if (known := self._templates.get(lengths)) is not None:
+            return known
         constant = _constant(self._frame_id, self._names, lengths[0])
-        template = _Template(_HEADER, constant, lengths, "<", self._names, self._frame_id)
-        self._templates[lengths] = template
-        return template
+        made = _Template(LITTLE, constant, lengths, "<", self._names, self._frame_id)
+        self._templates[lengths] = made
+        return made
 
 
 class JointStateDecoder:
@@ -320,32 +307,18 @@ def joint_names(messages: Iterable[bytes]) -> tuple[str, ...]:
 
 def _constant(frame_id: str, names: tuple[str, ...], positions: int) -> bytes:
     """Return the bytes between the stamp and the positions."""
-    body = bytearray(8)
-
-    def count(number: int) -> None:
-        body.extend(bytes(-len(body) % 4) + struct.pack("<I", number))
-
-    def text(string: str) -> None:
-        raw = string.encode() + b"\0"
-        count(len(raw))
-        body.extend(raw)
-
-    text(frame_id)
-    count(len(names))
-    for name in names:
-        text(name)
-    count(positions)
-    if positions:
-        body.extend(bytes(-len(body) % 8))
-    return bytes(body[8:])
+    body = bytearray()  # what is in front of it is a multiple of 8 long
+    for item in (frame_id, len(names), *names, positions):
+        raw = item.encode() + b"\0" if isinstance(item, str) else b""
+        count = len(raw) if isinstance(item, str) else item
+        body += bytes(-len(body) % 4) + struct.pack("<I", count) + raw
+    return bytes(body + bytes(-len(body) % 8 if positions else 0))
 
 
 def _parse(data: bytes) -> tuple[JointState, _Template]:
     """Read a message field by field; return it and what others like it have in common."""
     reader = CdrReader(data)
-    at = reader.place
-    reader.skip(8, "header.stamp")
-    sec, nanosec = struct.unpack_from(f"{reader.order}iI", data, at)
+    stamp = reader.stamp("header.stamp")
     frame_id = reader.text("header.frame_id")
     names = tuple(reader.text("name") for _ in range(reader.count("name", 4)))
     position = reader.doubles("position")
@@ -353,9 +326,8 @@ def _parse(data: bytes) -> tuple[JointState, _Template]:
     velocity, effort = reader.doubles("velocity"), reader.doubles("effort")
     if reader.left > _LARGEST_TAIL:
         raise MessageError(f"{reader.left} bytes are left at {reader.place}, after the effort")
-    message = JointState(sec * NANOSECONDS + nanosec, names, position, velocity, effort, frame_id)
     lengths = (len(position), len(velocity), len(effort))
     # Padding may hold anything, but is usually the same in the next message.
-    constant = bytes(data[_CONSTANT:begin])
-    header = bytes(data[:HEADER])
-    return message, _Template(header, constant, lengths, reader.order, names, frame_id)
+    header, constant = bytes(data[:HEADER]), bytes(data[_CONSTANT:begin])
+    template = _Template(header, constant, lengths, reader.order, names, frame_id)
+    return JointState(stamp, names, position, velocity, effort, frame_id), template

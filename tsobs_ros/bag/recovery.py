@@ -12,9 +12,13 @@ from typing import IO, Any
 
 from mcap.records import Channel, Footer, Header, McapRecord, Metadata, Schema, Statistics
 
-from tsobs_ros.bag.cdr import MessageLayout, UnknownLayoutError
 from tsobs_ros.bag.container import RecordError, Records, parse_record
-from tsobs_ros.bag.definitions import MessageDefinition, find_definition
+from tsobs_ros.bag.definitions import (
+    MessageDefinition,
+    MessageLayout,
+    UnknownLayoutError,
+    find_definition,
+)
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     TYPE_HASH,

@@ -19,7 +19,6 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Schema
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.cdr import MessageLayout, UnknownLayoutError
 from tsobs_ros.bag.container import (
     INDEX_HEAD,
     MESSAGE,
@@ -30,6 +29,7 @@ from tsobs_ros.bag.container import (
     parse_record,
     read_summary,
 )
+from tsobs_ros.bag.definitions import MessageLayout, UnknownLayoutError
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     FILE_NAME,

@@ -16,11 +16,11 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk
 
 from tsobs_ros import __version__
+from tsobs_ros.bag.cdr import Message, MessageSeries
 from tsobs_ros.bag.container import MESSAGE, RECORD, ROW, Records
 from tsobs_ros.bag.copying import can_stay, pick
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter
-from tsobs_ros.bag.message_series import Message, MessageSeries
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     BagMetadata,

@@ -7,9 +7,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from tsobs_ros.bag.cdr import MessageSeries
 from tsobs_ros.bag.estimate_topics import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, sides
 from tsobs_ros.bag.joint_states import JOINT_STATE
-from tsobs_ros.bag.message_series import MessageSeries
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.campaign.batches import stamps_of

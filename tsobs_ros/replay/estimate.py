@@ -21,16 +21,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.cdr import encode_text
+from tsobs_ros.bag.cdr import (
+    TICK_LOG,
+    TICK_LOG_TEXT,
+    Message,
+    MessageSeries,
+    encode_text,
+    encode_ticks,
+)
 from tsobs_ros.bag.container import MAGIC
 from tsobs_ros.bag.copying import ChunkCopy
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
-from tsobs_ros.bag.message_series import Message, MessageSeries
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.reader import BagMessage
-from tsobs_ros.bag.tick_log import DEFINITION, TICK_LOG, encode_ticks
 from tsobs_ros.bag.writer import BagWriter, whole_bag
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.file import DesignFile
@@ -52,7 +57,7 @@ from tsobs_ros.series import Spool
 
 _OF_BAGS = (".mcap", ".yaml", ".db3")
 _STRING = MessageDefinition(STRING, "string data\n", "")
-_TICK_LOG = MessageDefinition(TICK_LOG, DEFINITION, "")
+_TICK_LOG = MessageDefinition(TICK_LOG, TICK_LOG_TEXT, "")
 
 
 @dataclass(frozen=True)

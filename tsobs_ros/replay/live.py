@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.bag.cdr import decode_ticks
 from tsobs_ros.bag.joint_series import RawMessages, read_blocks
 from tsobs_ros.bag.reader import BagReader
-from tsobs_ros.bag.tick_log import decode_ticks
 from tsobs_ros.errors import BagReadError, MessageError
 from tsobs_ros.series import NANOSECONDS, Spool, Stamps
 

@@ -10,10 +10,10 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
+from tsobs_ros.bag.cdr import MessageSeries
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
-from tsobs_ros.bag.message_series import MessageSeries
 from tsobs_ros.bag.metadata import QosProfile, TopicInfo
 from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.checks import Array

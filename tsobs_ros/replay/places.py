@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.bag.cdr import MessageSeries
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
-from tsobs_ros.bag.message_series import MessageSeries
 from tsobs_ros.checks import Array
 from tsobs_ros.design.signals import Field, Place, Signals, positions
 from tsobs_ros.estimation.records import HEALTH

@@ -11,6 +11,7 @@ from zlib import crc32
 import numpy as np
 
 from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.bag.cdr import TICK_LOG
 from tsobs_ros.bag.copying import ChunkCopy
 from tsobs_ros.bag.joint_series import (
     JointSeries,
@@ -23,7 +24,6 @@ from tsobs_ros.bag.joint_series import (
 from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
-from tsobs_ros.bag.tick_log import TICK_LOG
 from tsobs_ros.checks import Flags
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.request import ArmRequest, TSRequest

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tsobs_ros.bag.diagnostics import RecordedStatus
+from tsobs_ros.bag.cdr import RecordedStatus
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import RejectReason

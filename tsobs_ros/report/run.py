@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.diagnostics import DIAGNOSTICS, RecordedStatus, read_statuses
+from tsobs_ros.bag.cdr import DIAGNOSTICS, RecordedStatus, read_statuses
 from tsobs_ros.bag.joint_series import Place, Wanted, read_blocks
 from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.reader import BagReader

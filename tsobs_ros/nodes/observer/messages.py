@@ -17,8 +17,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Int64MultiArray
 
 from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.bag.cdr import encode_tick
 from tsobs_ros.bag.joint_states import JointStateDecoder
-from tsobs_ros.bag.tick_log import encode_tick
 from tsobs_ros.checks import Array
 from tsobs_ros.design.signals import Place, Signals, positions
 from tsobs_ros.errors import MessageError
