@@ -64,14 +64,13 @@ MAX_MESSAGES = 2**20
 
 RECOVER_HINT = "'tsobs bag recover' makes a whole bag of what it holds"
 
-_CHUNK_INDEX = struct.Struct("<QQQQI")
+_CHUNK_INDEX = struct.Struct("<BQQQQQI")
 _CHUNK_INDEX_REST = 28
 _INDEX_OFFSET = struct.Struct("<HQ")
 _MAX_STATISTICS_SIZE = 2**20
 _FOOTER_SIZE = RECORD.size + 20
 _MAX_HEADER_SIZE = 2**16
 _RUN_SIZE = 1_000_000
-_FIELDS = 5
 _STEP = 2**18
 # More than a robot's schemas and channels take.
 _MAX_DESCRIPTIONS = 2**24
@@ -97,11 +96,7 @@ class Records(NamedTuple):
         begins = np.append(self.rows["begin"] - MESSAGE.size, len(self.data))
         ends = np.append(0, self.rows["begin"] + self.rows["size"])
         for gap in np.flatnonzero(begins != ends).tolist():
-            at = int(ends[gap])
-            while at < begins[gap]:
-                end = at + RECORD.size + RECORD.unpack_from(self.data, at)[1]
-                yield self.data[at:end]
-                at = end
+            yield from _each(self.data[int(ends[gap]) : int(begins[gap])])
 
 
 def split_records(data: bytes) -> Records:
@@ -118,7 +113,8 @@ def split_records(data: bytes) -> Records:
     [20]
     """
     # Memory that nothing is written to costs nothing.
-    found = np.empty((_FIELDS, min(len(data) // MESSAGE.size, MAX_MESSAGES)), np.int64)
+    fields = list(ROW.names or ())[:-1]
+    found = np.empty((len(fields), min(len(data) // MESSAGE.size, MAX_MESSAGES)), np.int64)
     count = native.messages_split(data, found)
     if count < 0:
         many = f", or more than {MAX_MESSAGES} messages" if found.shape[1] == MAX_MESSAGES else ""
@@ -126,8 +122,14 @@ def split_records(data: bytes) -> Records:
     if len(data) - MESSAGE.size * count - int(found[-1, :count].sum()) > _MAX_DESCRIPTIONS:
         raise RecordError(f"more than {_MAX_DESCRIPTIONS} bytes of it are no messages")
     rows = np.zeros(count, ROW)
-    rows.view(np.int64).reshape(-1, _FIELDS + 1)[:, :_FIELDS] = found[:, :count].T
+    for field, values in zip(fields, found, strict=True):
+        rows[field] = values[:count]
     return Records(data, rows)
+
+
+def pieces(data: NDArray[np.uint8], size: int) -> NDArray[np.void]:
+    """Return the `size` bytes that begin at each place of some data, which are not copied."""
+    return np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))
 
 
 def chunk_records(chunk: Chunk) -> bytes:
@@ -268,7 +270,7 @@ def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
             f"{path}: the file has no end: it is still being recorded, was truncated, or its "
             f"recorder was killed; {RECOVER_HINT}"
         )
-    header = parse_record(_first(front[len(MAGIC) :]))
+    header = parse_record(next(_each(front[len(MAGIC) :])))
     footer = parse_record(end[:_FOOTER_SIZE])
     if not isinstance(header, Header):
         raise RecordError("it does not start with a header")
@@ -308,10 +310,7 @@ def parse_summary(data: bytes, rank: int = 0) -> Summary:
     channels: dict[int, Channel] = {}
     spans: list[Span] = []
     statistics: Statistics | None = None
-    at = 0
-    while at < len(data):
-        record = _first(data, at)
-        at += len(record)
+    for record in _each(data):
         if record[0] == Opcode.CHUNK_INDEX:
             spans.append(_chunk_span(record, rank))
         elif record[0] in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
@@ -351,24 +350,26 @@ def parse_record(record: bytes) -> McapRecord:
     return found
 
 
-def _first(data: bytes, at: int = 0) -> bytes:
-    """Return the record that begins at a place."""
-    head = data[at : at + RECORD.size]
-    opcode, length = RECORD.unpack(head.ljust(RECORD.size, b"\0"))
-    if not opcode or length > len(data) - at - RECORD.size:
-        raise RecordError("a record is cut off")
-    return data[at : at + RECORD.size + length]
+def _each(data: bytes) -> Iterator[bytes]:
+    """Yield each of the records that some bytes are."""
+    at = 0
+    while at < len(data):
+        opcode, length = RECORD.unpack(data[at : at + RECORD.size].ljust(RECORD.size, b"\0"))
+        end = at + RECORD.size + length
+        if not opcode or end > len(data):
+            raise RecordError("a record is cut off")
+        yield data[at:end]
+        at = end
 
 
 def _chunk_span(record: bytes, rank: int) -> Span:
     """Return the chunk that a chunk index is of; the library takes ten times as long."""
-    begin = RECORD.size + _CHUNK_INDEX.size
-    if len(record) < begin + _CHUNK_INDEX_REST:
+    padded = record.ljust(_CHUNK_INDEX.size, b"\xff")
+    _, _, start, end, offset, size, index_size = _CHUNK_INDEX.unpack_from(padded)
+    rest = _CHUNK_INDEX.size + index_size
+    if index_size % _INDEX_OFFSET.size or len(record) < rest + _CHUNK_INDEX_REST:
         raise RecordError("an index of a chunk is malformed")
-    start, end, offset, size, index_size = _CHUNK_INDEX.unpack_from(record, RECORD.size)
-    if index_size % _INDEX_OFFSET.size or begin + index_size + _CHUNK_INDEX_REST > len(record):
-        raise RecordError("an index of a chunk is malformed")
-    return Span(start, end, rank, offset, size, True, record[begin : begin + index_size])
+    return Span(start, end, rank, offset, size, True, record[_CHUNK_INDEX.size : rest])
 
 
 def _bare_spans(stream: IO[bytes], rank: int, end: int) -> Iterator[Span]:

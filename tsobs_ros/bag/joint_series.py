@@ -11,9 +11,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.container import ROW, Rows
+from tsobs_ros.bag.container import ROW, Rows, pieces
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
-from tsobs_ros.bag.reader import BagReader, pieces
+from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.errors import BagReadError
 

@@ -11,7 +11,7 @@ from contextlib import redirect_stderr
 from dataclasses import replace
 from heapq import heappop, heappush
 from io import StringIO
-from itertools import chain, pairwise
+from itertools import chain
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -97,15 +97,16 @@ class BagReader:
         if self.path.is_dir():
             self.metadata = self._read_metadata()
             if (storage := self.metadata.storage_identifier) != "mcap":
-                raise BagReadError(
-                    f"{self.path}: storage '{storage}' is not supported, only mcap is"
-                )
+                raise self._error(f"storage '{storage}' is not supported, only mcap is")
             self.files = tuple(self.path / Path(f.path).name for f in self.metadata.files)
         self.topics: dict[str, TopicInfo] = {}
         self.unchecked = 0
         self.summaries = tuple(read_summary(file, rank) for rank, file in enumerate(self.files))
         for summary in self.summaries:
-            self._add_topics(summary)
+            try:
+                self._add_topics(summary)
+            except ValueError as error:
+                raise BagReadError(f"{summary.path}: {error}") from error
         filled = [s.statistics for s in self.summaries if s.statistics.message_count]
         self.start_time = min((each.message_start_time for each in filled), default=None)
         self.end_time = max((each.message_end_time for each in filled), default=None)
@@ -118,6 +119,9 @@ class BagReader:
             if not denied and any(self.path.glob("*.mcap")):
                 raise BagReadError(f"{error}; {RECOVER_HINT}") from error
             raise
+
+    def _error(self, text: str) -> BagReadError:
+        return BagReadError(f"{self.path}: {text}")
 
     @property
     def message_count(self) -> int:
@@ -159,34 +163,42 @@ class BagReader:
             BagReadError: As for `messages`.
         """
         self.require(topics)
-        spans = [
-            span
-            for span in self._spans_with(topics)
-            if (start_ns is None or span.end >= start_ns)
-            and (end_ns is None or span.start < end_ns)
-        ]
-        return self._in_log_order(spans, topics, start_ns, end_ns)
-
-    def _in_log_order(
-        self, spans: list[Span], topics: Sequence[str], start: int | None, end: int | None
-    ) -> Iterator[tuple[Rows, dict[int, bytes]]]:
-        """Yield the messages of spans, each of which is loaded when its first may be due."""
-        spans.sort(key=attrgetter("start", "rank", "offset"))
+        start, end = start_ns or 0, _LAST if end_ns is None else end_ns
+        spans = [s for s in self._spans_with(topics) if s.end >= start and s.start < end]
         numbers = self._numbers(topics)
+        return self.in_log_order(spans, lambda span: self._load(span, numbers, start, end))
+
+    def in_log_order(
+        self,
+        spans: Iterable[Span],
+        load: Callable[[Span], tuple[Rows, bytes]],
+        row_size: int = _OBJECT_SIZE,
+    ) -> Iterator[tuple[Rows, dict[int, bytes]]]:
+        """Yield the messages of some spans in order of log time, with their records by key.
+
+        Args:
+            spans: Parts of the bag.
+            load: Returns the messages of one in order of log time, and the records they are in. It
+                is called when the first of them may be due.
+            row_size: The memory that a message takes beside its data [bytes].
+
+        Raises:
+            BagReadError: Too many spans overlap in time.
+        """
+        spans = sorted(spans, key=attrgetter("start", "rank", "offset"))
         # Messages that are due after the start of the next span, in a heap by the first of them.
         waiting: list[tuple[int, int, Rows]] = []
         records: dict[int, bytes] = {}
         sizes: dict[int, int] = {}
         held = 0
-        for key, (span, following) in enumerate(pairwise(chain[Span | None](spans, (None,)))):
-            assert span is not None
-            rows, data = self._load(span, key, numbers, start, end)
-            horizon = _LAST if following is None else min(following.start, _LAST)
+        for key, span in enumerate(spans):
+            rows, data = load(span)
             if len(rows):
-                records[key] = data
-                heappush(waiting, (int(rows["log_time"][0]), key, rows))
-                sizes[key] = len(data) + _OBJECT_SIZE * len(rows)
+                rows["chunk"] = key
+                records[key], sizes[key] = data, len(data) + row_size * len(rows)
                 held += sizes[key]
+                heappush(waiting, (int(rows["log_time"][0]), key, rows))
+            horizon = min(spans[key + 1].start, _LAST) if key + 1 < len(spans) else _LAST
             due: list[tuple[int, int, Rows]] = []
             spent = []
             while waiting and waiting[0][0] < horizon:
@@ -194,14 +206,11 @@ class BagReader:
                 count = int(np.searchsorted(rows["log_time"], horizon))
                 due.append((spans[one].rank, spans[one].offset, rows[:count]))
                 if count < len(rows):
-                    rest = rows[count:]
-                    heappush(waiting, (int(rest["log_time"][0]), one, rest))
+                    heappush(waiting, (int(rows["log_time"][count]), one, rows[count:]))
                 else:
                     spent.append(one)
-            due.sort(key=itemgetter(0, 1))  # equal times in order of recording
-            if len(due) == 1:  # in order already
-                yield due[0][2], records
-            elif due:
+            if due:
+                due.sort(key=itemgetter(0, 1))  # equal times in order of recording
                 found = np.concatenate([rows for *_, rows in due])
                 yield found[np.argsort(found["log_time"], kind="stable")], records
             for one in spent:
@@ -209,26 +218,16 @@ class BagReader:
                 held -= sizes.pop(one)
             del data
             if held > _MAX_HELD:
-                text = "too many chunks overlap in time to be read in order of log time"
-                raise BagReadError(f"{self.path}: {text}")
+                raise self._error("too many chunks overlap in time to be read in order of log time")
 
     def _load(
-        self,
-        span: Span,
-        key: int,
-        numbers: list[NDArray[np.int64]],
-        start: int | None,
-        end: int | None,
+        self, span: Span, numbers: list[NDArray[np.int64]], start: int, end: int
     ) -> tuple[Rows, bytes]:
         """Return the messages of a span that are wanted, in order of log time, and its records."""
         (data, rows), chunk = self.read(span)
-        rows["channel"], rows["chunk"] = numbers[span.rank][rows["channel"]], key
-        wanted = rows["channel"] >= 0
-        if start is not None:
-            wanted &= rows["log_time"] >= start
-        if end is not None:
-            wanted &= rows["log_time"] < end
-        rows = rows[wanted]
+        rows["channel"] = numbers[span.rank][rows["channel"]]
+        times = rows["log_time"]
+        rows = rows[(rows["channel"] >= 0) & (times >= start) & (times < end)]
         self.unchecked += 0 if chunk and chunk.uncompressed_crc else len(rows)
         return rows[np.argsort(rows["log_time"], kind="stable")], data
 
@@ -301,15 +300,14 @@ class BagReader:
         for span in sorted(spans, key=attrgetter("end", "rank", "offset"), reverse=True):
             if not any(matters(span, topic) for topic in self._topics_of(span) & last.keys()):
                 continue
-            rows, data = self._load(span, 0, numbers, None, time_ns)
+            rows, data = self._load(span, numbers, 0, time_ns)
             for number in np.unique(rows["channel"]).tolist():
                 own = rows[rows["channel"] == number][-depth:]
                 both = [*self._messages(names, own, {0: data}), *last[names[number]]]
                 last[names[number]] = sorted(both, key=itemgetter(3))[-depth:]
             held = (_OBJECT_SIZE + len(m.data) for each in last.values() for m in each)
             if sum(held) > _MAX_HELD:
-                text = "the last messages of the topics are too large to be held"
-                raise BagReadError(f"{self.path}: {text}")
+                raise self._error("the last messages of the topics are too large to be held")
         return sorted(chain.from_iterable(last.values()), key=itemgetter(3))
 
     def decoded(
@@ -326,20 +324,14 @@ class BagReader:
                 type.
         """
         messages = self.messages(topics, start_ns, end_ns)
-        decoders = {
-            name: self._decoder(name) for name in (self.topics if topics is None else topics)
-        }
-        return self._decode(messages, decoders)
-
-    def _decode(
-        self, messages: Iterable[BagMessage], decoders: dict[str, Callable[[bytes], Any]]
-    ) -> Iterator[DecodedMessage]:
+        names = self.topics if topics is None else topics
+        decoders = {name: self._decoder(name) for name in names}
         for topic, type_, data, log_time, publish_time in messages:
             try:
                 message = decoders[topic](data)
             except Exception as error:  # the decoder's errors on wrong bytes are of any kind
                 text = f"the message of {topic} at {log_time} ns is not a {type_}: {error}"
-                raise BagReadError(f"{self.path}: {text}") from error
+                raise self._error(text) from error
             yield DecodedMessage(topic, type_, message, log_time, publish_time)
 
     def _decoder(self, name: str) -> Callable[[bytes], Any]:
@@ -348,37 +340,34 @@ class BagReader:
             from mcap_ros2.decoder import DecoderFactory
         except ModuleNotFoundError as error:
             advice = missing_library(error.name) or error
-            raise BagReadError(f"{self.path}: cannot decode messages: {advice}") from error
+            raise self._error(f"cannot decode messages: {advice}") from error
         definition = self.topics[name].definition
         assert definition is not None
         type_, text, _, encoding = definition
         if len(text) > MAX_BYTES:
-            raise BagReadError(f"{self.path}: the definition of {type_} is too large")
+            raise self._error(f"the definition of {type_} is too large")
         try:
             # The parser also prints what it raises, and with it the hostile text of a bag.
             with redirect_stderr(StringIO()):
                 schema = Schema(id=1, name=type_, encoding=encoding, data=text.encode())
                 decoder = DecoderFactory().decoder_for("cdr", schema)
         except Exception as error:  # a parser's errors on a wrong definition are of any kind
-            reason = f"the definition of {type_} is malformed: {error}"
-            raise BagReadError(f"{self.path}: {reason}") from error
+            raise self._error(f"the definition of {type_} is malformed: {error}") from error
         if decoder is None:
-            reason = f"{type_} is defined in '{encoding}', but only ros2msg can be decoded"
-            raise BagReadError(f"{self.path}: {reason}")
+            text = f"{type_} is defined in '{encoding}', but only ros2msg can be decoded"
+            raise self._error(text)
         return decoder
 
     def require(self, topics: Collection[str]) -> None:
         """Raise `BagReadError` unless the bag has all of some topics."""
         if unknown := sorted(set(topics) - set(self.topics)):
             has = ", ".join(self.topics) or "none"
-            raise BagReadError(f"{self.path}: no topic {', '.join(unknown)}; topics: {has}")
+            raise self._error(f"no topic {', '.join(unknown)}; topics: {has}")
 
     def _spans_with(self, topics: Collection[str]) -> Iterator[Span]:
         topics = frozenset(topics)
-        for summary in self.summaries:
-            for span in summary.spans:
-                if self._topics_of(span) & topics:
-                    yield span
+        spans = chain.from_iterable(summary.spans for summary in self.summaries)
+        return (span for span in spans if self._topics_of(span) & topics)
 
     def _topics_of(self, span: Span) -> set[str]:
         channels = self.summaries[span.rank].channels
@@ -386,42 +375,31 @@ class BagReader:
         return {channels[id_].topic for id_ in ids}
 
     def _add_topics(self, summary: Summary) -> None:
-        file, statistics = summary.path, summary.statistics
+        """Take the topics of a file; raise a ValueError if they are not those of a bag."""
+        statistics = summary.statistics
         if summary.profile != "ros2":
-            raise BagReadError(
-                f"{file}: not a bag of ROS 2: its profile is '{summary.profile}', expected 'ros2'"
-            )
+            profile = f"its profile is '{summary.profile}', expected 'ros2'"
+            raise ValueError(f"not a bag of ROS 2: {profile}")
         if statistics.channel_count > (described := len(summary.channels)):
-            raise BagReadError(
-                f"{file}: the file is damaged: {statistics.channel_count} channels, but "
-                f"{described} in the index; {RECOVER_HINT}"
-            )
+            counts = f"{statistics.channel_count} channels, but {described} in the index"
+            raise ValueError(f"the file is damaged: {counts}; {RECOVER_HINT}")
         offered = OfferedQos()
         texts = {id_: each.data.decode(errors="replace") for id_, each in summary.schemas.items()}
         for channel in summary.channels.values():
-            if channel.message_encoding != "cdr":
-                encoding = channel.message_encoding
-                raise BagReadError(
-                    f"{file}: {channel.topic} is encoded in '{encoding}', not in cdr"
-                )
+            name, encoding = channel.topic, channel.message_encoding
+            if encoding != "cdr":
+                raise ValueError(f"{name} is encoded in '{encoding}', not in cdr")
             if (schema := summary.schemas.get(channel.schema_id)) is None:
-                raise BagReadError(f"{file}: {channel.topic} has no type")
+                raise ValueError(f"{name} has no type")
             try:
                 offers = offered[channel]
             except ValueError as error:
-                raise BagReadError(f"{file}: {channel.topic}: {error}") from error
+                raise ValueError(f"{name}: {error}") from error
             hash_ = channel.metadata.get("topic_type_hash", "")
             definition = MessageDefinition(schema.name, texts[schema.id], hash_, schema.encoding)
-            topic = TopicInfo(channel.topic, schema.name, 0, offers, hash_, definition)
-            known = self.topics.setdefault(topic.name, topic)
+            topic = TopicInfo(name, schema.name, 0, offers, hash_, definition)
+            known = self.topics.setdefault(name, topic)
             if known.type != topic.type:
-                raise BagReadError(
-                    f"{file}: {topic.name} is {topic.type} here, but {known.type} before"
-                )
+                raise ValueError(f"{name} is {topic.type} here, but {known.type} before")
             count = statistics.channel_message_counts.get(channel.id, 0)
-            self.topics[topic.name] = replace(known, count=known.count + count)
-
-
-def pieces(data: NDArray[np.uint8], size: int) -> NDArray[np.void]:
-    """Return the `size` bytes that begin at each place of some data, which are not copied."""
-    return np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))
+            self.topics[name] = replace(known, count=known.count + count)

@@ -3,12 +3,11 @@
 """Summaries of bags: files, times and topics, also of bags that are not finished or damaged."""
 
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
-from itertools import chain, groupby
-from operator import attrgetter
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
@@ -21,9 +20,10 @@ from tsobs_ros.bag.container import (
     INDEX_HEAD,
     MAX_SIZE,
     RECORD,
+    ROW,
     RecordError,
+    Rows,
     Span,
-    Summary,
     chunk_head,
 )
 from tsobs_ros.bag.metadata import BagMetadata, TopicInfo
@@ -32,7 +32,7 @@ from tsobs_ros.bag.recovery import DamagedBag
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.files import open_regular
 
-_FEW_TIMES = 2**16
+_LAST = 2**63 - 2
 
 
 class BagSummary(dict[str, Any]):
@@ -86,18 +86,19 @@ def summarise(bag: str | Path) -> BagSummary:
         reader = BagReader(path)
     except BagReadError as error:
         return _of_damaged(path, error)
-    times, unchecked = _look_into_indexes(reader.summaries)
+    indexes = _Indexes(reader)
     files = [
         {"name": s.path.name, "size": s.path.stat().st_size, "messages": s.statistics.message_count}
         for s in reader.summaries
     ]
-    found = _summary(files, reader.start_time, reader.end_time, reader.metadata)
-    topics = [
-        _topic(topic, times.get(topic.name), found["duration_ns"])
-        for topic in reader.topics.values()
-    ]
-    found |= {"unchecked": unchecked, "topics": topics}
-    return BagSummary(bag=str(path), problem="", **found)
+    topics = [_topic(topic, *indexes.pace(topic)) for topic in reader.topics.values()]
+    return BagSummary(
+        bag=str(path),
+        problem="",
+        **_summary(files, reader.start_time, reader.end_time, reader.metadata),
+        unchecked=indexes.unchecked,
+        topics=topics,
+    )
 
 
 def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
@@ -116,12 +117,13 @@ def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
     found = _summary(files, start, end, damaged.metadata)
     counts = sum((each.kept for each in accounts), Counter[str]())
     topics = [
-        _topic(replace(topic, count=counts[topic.name]), None, found["duration_ns"])
+        _topic(replace(topic, count=counts[topic.name]), found["duration_ns"], None)
         for topic in damaged.topics.values()
     ]
     unchecked = sum(each.unchecked for each in accounts)
-    found |= {"unchecked": unchecked, "topics": topics}
-    return BagSummary(bag=str(path), problem=str(error), **found)
+    return BagSummary(
+        bag=str(path), problem=str(error), **found, unchecked=unchecked, topics=topics
+    )
 
 
 def _summary(
@@ -140,14 +142,13 @@ def _summary(
     }
 
 
-def _topic(topic: TopicInfo, times: "_Times | None", duration: int) -> dict[str, Any]:
-    """Return what there is of a topic.
+def _topic(topic: TopicInfo, span: int, gap: int | None) -> dict[str, Any]:
+    """Return what there is of a topic, from its first to its last message [ns].
 
     Its rate is the mean without the largest gap: that, and the time before the first message, would
     make 200 Hz look like 93.
     """
-    gap, steps = None if times is None else times.gap, topic.count - 1
-    span = duration if times is None else times.last - times.first
+    steps = topic.count - 1
     if steps > 1 and gap:
         steps, span = steps - 1, span - gap
     return {
@@ -162,78 +163,84 @@ def _topic(topic: TopicInfo, times: "_Times | None", duration: int) -> dict[str,
     }
 
 
-class _Times:
-    """The times of a topic: the first, the last, and the largest gap between two."""
+class _Indexes:
+    """What the message indexes of a bag tell without reading a message.
 
-    def __init__(self) -> None:
-        self.first, self.last = 2**64, 0
-        self.gap: int | None = None
-        # Times that those of later chunks may still fall between, and new ones.
-        self._open: NDArray[np.uint64] = np.empty(0, np.uint64)
-        self._added: list[NDArray[np.uint64]] = []
-        self._room = _FEW_TIMES
-
-    def add(self, times: NDArray[np.uint64], start: int) -> None:
-        """Take a chunk's times, in any order; no later chunk starts before this one's start."""
-        self._added.append(times)
-        self._room -= times.size
-        if self._room < 0:
-            self.measure(start)
-
-    def measure(self, start: int = 2**64 - 1) -> None:
-        """Measure the gaps up to the start of a chunk."""
-        self._open = np.sort(np.concatenate((self._open, *self._added)))
-        end = max(1, int(np.searchsorted(self._open, np.uint64(start), side="right")))
-        if end > 1:
-            self.gap = max(self.gap or 0, int(np.diff(self._open[:end]).max()))
-        self.first = min(self.first, int(self._open[0]))
-        self.last = max(self.last, int(self._open[-1]))
-        self._open = self._open[end - 1 :]
-        # Sorting only what has doubled takes n log n, however the chunks overlap.
-        self._added, self._room = [], max(_FEW_TIMES, self._open.size)
-
-
-def _look_into_indexes(summaries: Sequence[Summary]) -> tuple[dict[str, _Times], int]:
-    """Return the times in the indexes of the chunks, without reading any message.
-
-    Topics with fewer than two messages are left out, and those in files without message indexes.
-    The number is that of the unchecked messages.
+    `unchecked` is the number of messages without a checksum.
 
     Raises:
         BagReadError: An index is damaged.
     """
-    found: dict[str, _Times] = {}
-    unknown: set[str] = set()
-    checked: Counter[int] = Counter()
-    unchecked: set[int] = set()
-    spans = sorted(chain.from_iterable(each.spans for each in summaries), key=attrgetter("start"))
-    sizes = [each.path.stat().st_size for each in summaries]
-    # Files seldom overlap, so each is opened about once, and only one is open at a time.
-    for rank, group in groupby(spans, key=attrgetter("rank")):
-        path = summaries[rank].path
-        topics = {id_: channel.topic for id_, channel in summaries[rank].channels.items()}
+
+    def __init__(self, reader: BagReader) -> None:
+        numbers = {name: number for number, name in enumerate(reader.topics)}
+        self._reader, self._numbers = reader, numbers
+        self._topics = [
+            {id_: numbers[channel.topic] for id_, channel in summary.channels.items()}
+            for summary in reader.summaries
+        ]
+        # The topics in chunks without indexes.
+        self._unknown = {
+            number
+            for summary, topics in zip(reader.summaries, self._topics, strict=True)
+            if not all(span.places for span in summary.spans)
+            for number in topics.values()
+        }
+        self._room = [summary.path.stat().st_size for summary in reader.summaries]
+        self._checked = Counter[int]()
+        self._with_unchecked = set[int]()
+        # First and last time of each topic, and its largest gap, once there are any.
+        self._first, self._last, self._gap = np.full((3, len(numbers)), -1)
+        spans = chain.from_iterable(summary.spans for summary in reader.summaries)
+        for rows, _ in reader.in_log_order(spans, self._load, ROW.itemsize):
+            self._measure(rows[np.argsort(rows["channel"], kind="stable")])
+        self.unchecked = sum(
+            reader.summaries[rank].statistics.message_count - self._checked[rank]
+            for rank in self._with_unchecked
+        )
+
+    def pace(self, topic: TopicInfo) -> tuple[int, int | None]:
+        """Return the time from a topic's first to its last message, and its largest gap [ns]."""
+        number = self._numbers[topic.name]
+        if self._gap[number] < 0 or number in self._unknown:
+            start, end = self._reader.start_time, self._reader.end_time
+            return (0 if start is None or end is None else end - start), None
+        return int(self._last[number] - self._first[number]), int(self._gap[number])
+
+    def _load(self, span: Span) -> tuple[Rows, bytes]:
+        """Return the messages that a chunk's indexes state."""
+        path, topics = self._reader.files[span.rank], self._topics[span.rank]
+        parts = [np.zeros(0, ROW)]
         try:
             with open_regular(path) as stream:
-                for span in group:
-                    if not (is_checked := _has_checksum(stream, span)):
-                        unchecked.add(rank)
-                    if not span.places:
-                        unknown.update(topics.values())
-                    for channel, offset in span.index_offsets.items():
-                        times = _index_times(stream, offset)
-                        sizes[rank] -= INDEX_HEAD.size + 2 * times.nbytes
-                        if sizes[rank] < 0:
-                            raise ValueError("the message indexes overlap")
-                        checked[rank] += times.size if is_checked else 0
-                        if channel in topics and times.size:
-                            found.setdefault(topics[channel], _Times()).add(times, span.start)
+                if not (is_checked := _has_checksum(stream, span)):
+                    self._with_unchecked.add(span.rank)
+                for channel, offset in span.index_offsets.items():
+                    times = _index_times(stream, offset)
+                    self._checked[span.rank] += times.size if is_checked else 0
+                    self._room[span.rank] -= INDEX_HEAD.size + 2 * times.nbytes
+                    if self._room[span.rank] < 0:
+                        raise ValueError("the message indexes overlap")
+                    parts.append(np.zeros(times.size if channel in topics else 0, ROW))
+                    parts[-1]["channel"] = topics.get(channel, 0)
+                    parts[-1]["log_time"] = np.minimum(times, _LAST)[: len(parts[-1])]
         except (OSError, ValueError, OverflowError) as error:
             raise BagReadError(f"{path}: {error}") from error
-    for each in found.values():
-        each.measure()
-    known = {t: each for t, each in found.items() if each.gap is not None and t not in unknown}
-    counts = [summaries[rank].statistics.message_count - checked[rank] for rank in unchecked]
-    return known, sum(counts)
+        rows = np.concatenate(parts)
+        return rows[np.argsort(rows["log_time"], kind="stable")], b""
+
+    def _measure(self, rows: Rows) -> None:
+        """Take messages that are sorted by topic and then by time, behind all before."""
+        topics, times = rows["channel"], rows["log_time"]
+        begins = np.flatnonzero(np.diff(topics, prepend=-1))
+        of_begins, ends = topics[begins], np.append(begins[1:], len(rows)) - 1
+        before = np.append(-1, times[:-1])
+        before[begins] = self._last[of_begins]
+        has_one = before >= 0
+        np.maximum.at(self._gap, topics[has_one], times[has_one] - before[has_one])
+        is_new = self._first[of_begins] < 0
+        self._first[of_begins[is_new]] = times[begins[is_new]]
+        self._last[of_begins] = times[ends]
 
 
 def _has_checksum(stream: IO[bytes], span: Span) -> bool:
@@ -254,8 +261,7 @@ def _index_times(stream: IO[bytes], offset: int) -> NDArray[np.uint64]:
         raise ValueError(f"the index states a message index at byte {offset}, but there is none")
     if len(entries := stream.read(size)) != size:
         raise ValueError(f"the message index at byte {offset} is cut off")
-    # A copy, as the other half of the entries is not needed.
-    return np.frombuffer(entries, "<u8")[::2].copy()
+    return np.frombuffer(entries, "<u8")[::2]
 
 
 def _bytes(size: int) -> str:

@@ -17,7 +17,7 @@ from mcap.records import Chunk
 
 from tsobs_ros import __version__
 from tsobs_ros.bag.cdr import Message, MessageSeries
-from tsobs_ros.bag.container import MESSAGE, RECORD, ROW, Records
+from tsobs_ros.bag.container import MESSAGE, RECORD, ROW, Records, pieces
 from tsobs_ros.bag.copying import can_stay, pick
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter
@@ -29,7 +29,6 @@ from tsobs_ros.bag.metadata import (
     TopicInfo,
     write_metadata,
 )
-from tsobs_ros.bag.reader import pieces
 from tsobs_ros.errors import BagWriteError
 from tsobs_ros.files import fsync_folder, written_whole
 
