@@ -7,77 +7,13 @@ another one the records of the wanted messages are picked out, and compressed ag
 taken apart either way.
 """
 
-from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Collection
 
 import numpy as np
-from mcap.records import Channel, Chunk, Schema
 
-from tsobs_ros.bag.container import MESSAGE, RECORD, RecordError, Records, parse_record
 from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.errors import BagReadError
-
-if TYPE_CHECKING:
-    from tsobs_ros.bag.writer import BagWriter
-
-# More than a file of a robot has topics and types.
-_MAX_DESCRIPTIONS = 10_000
-_NO_CHANNEL = -1
-
-
-def can_stay(
-    chunk: Chunk,
-    content: Records,
-    ids: Mapping[int, int],
-    channels: Mapping[int, Channel],
-    schemas: Mapping[int, Schema],
-) -> bool:
-    """Return whether a file may have a chunk of another as it is.
-
-    Args:
-        chunk: The chunk.
-        content: All in it.
-        ids: The file's channel of each channel that is wanted.
-        channels: The file's.
-        schemas: The file's.
-    """
-    times = content.rows["log_time"]
-    if not chunk.uncompressed_crc or not len(times):
-        return False
-    if any(ids.get(id_) != id_ for id_ in np.unique(content.rows["channel"]).tolist()):
-        return False
-    if (chunk.message_start_time, chunk.message_end_time) != (times.min(), times.max()):
-        return False
-    known = [*channels.values(), *schemas.values()]
-    for count, description in enumerate(content.descriptions()):
-        try:
-            if count > _MAX_DESCRIPTIONS or parse_record(description) not in known:
-                return False
-        except RecordError:
-            return False
-    return True
-
-
-def pick(content: Records, ids: Mapping[int, int]) -> Records:
-    """Return the messages of the channels that are wanted, with the channels of another file.
-
-    Args:
-        content: Messages and descriptions.
-        ids: The channel there of each channel that is wanted.
-    """
-    new = np.full(2**16, _NO_CHANNEL)
-    new[list(ids)] = list(ids.values())
-    rows = content.rows[new[content.rows["channel"]] != _NO_CHANNEL]
-    places = zip((rows["begin"] - MESSAGE.size).tolist(), rows["size"].tolist(), strict=True)
-    found = (content.data[begin : begin + MESSAGE.size + size] for begin, size in places)
-    picked = np.frombuffer(bytearray(b"".join(found)), np.uint8)
-    rows["channel"] = new[rows["channel"]]
-    rows["begin"] = np.cumsum(MESSAGE.size + rows["size"]) - rows["size"]
-    for byte in range(2):
-        picked[rows["begin"] - MESSAGE.size + RECORD.size + byte] = (
-            rows["channel"] >> 8 * byte & 255
-        )
-    return Records(picked.tobytes(), rows)
 
 
 class ChunkCopy:
@@ -129,7 +65,7 @@ class ChunkCopy:
                     return False
         return True
 
-    def up_to(self, horizon: float, writer: "BagWriter") -> None:
+    def up_to(self, horizon: float, writer: BagWriter) -> None:
         """Copy the chunks that have messages before a log time [ns], and those in front of them.
 
         Args:

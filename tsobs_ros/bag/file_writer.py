@@ -5,13 +5,13 @@
 Unlike the library's, this writer takes messages as arrays, and whole chunks of another file.
 """
 
-import itertools
 import os
 import struct
 import zlib
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,16 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.container import INDEX_HEAD, MAGIC, MESSAGE, RECORD, Records, Rows
+from tsobs_ros.bag.container import (
+    INDEX_HEAD,
+    MAGIC,
+    MESSAGE,
+    RECORD,
+    RecordError,
+    Records,
+    Rows,
+    parse_record,
+)
 from tsobs_ros.bag.metadata import FileMetadata, TopicInfo, profiles_to_yaml
 
 COMPRESSIONS = "none", "lz4", "zstd"
@@ -43,6 +52,8 @@ _OPCODE = int(Opcode.MESSAGE)
 _BODY_SIZE = MESSAGE.size - RECORD.size
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 _NO_TIME = 2**63
+# More than a file of a robot has topics and types.
+_MAX_DESCRIPTIONS = 10_000
 
 _Entries = Mapping[int, NDArray[np.uint64]]
 """Log time and place of the messages of a chunk, by channel."""
@@ -80,11 +91,7 @@ class FileWriter:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.ids: dict[str, int] = {}
-        # The chunk in progress: its content, whether that describes anything, and the log time and
-        # place of its messages by channel.
-        self._pieces: list[bytes | memoryview] = []
-        self._size, self._describes = 0, False
-        self._entries: dict[int, array[int]] = {}
+        self._begin_chunk()
         self._counts: Counter[int] = Counter()
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
@@ -130,9 +137,12 @@ class FileWriter:
         self._describe(self.channels[id_])
 
     def _describe(self, record: McapRecord) -> None:
-        data = _packed(record)
-        self._pieces.append(data)
-        self._size, self._describes = self._size + len(data), True
+        self._describes = True
+        self._append(_packed(record))
+
+    def _append(self, *parts: bytes | memoryview) -> None:
+        self._pieces += parts
+        self._size += sum(map(len, parts))
         if self._size > self._chunk_size:
             self._finish_chunk()
 
@@ -142,10 +152,9 @@ class FileWriter:
         if (entries := self._entries.get(channel)) is None:
             entries = self._entries[channel] = array("Q")
         entries.extend((log_time, self._size))
-        length = _BODY_SIZE + len(data)
-        head = MESSAGE.pack(_OPCODE, length, channel, 0, log_time, publish_time)
+        head = MESSAGE.pack(_OPCODE, _BODY_SIZE + len(data), channel, 0, log_time, publish_time)
         self._pieces += head, data
-        self._size += RECORD.size + length
+        self._size += MESSAGE.size + len(data)
         if log_time < self._start:
             self._start = log_time
         if log_time > self._end:
@@ -156,24 +165,19 @@ class FileWriter:
 
     def add_records(self, records: Records) -> None:
         """Append messages with nothing between their records, each as `add_message` does."""
-        data = memoryview(records.data)
-        rows = records.rows
+        data, rows = memoryview(records.data), records.rows
         all_begins, all_ends = rows["begin"] - MESSAGE.size, rows["begin"] + rows["size"]
-        first, count = 0, len(rows)
-        while first < count:
+        first = 0
+        while first < len(rows):
             begin = int(all_begins[first])
             # The message that goes beyond the size is the chunk's last.
             full = begin + self._chunk_size - self._size
-            last = min(int(np.searchsorted(all_ends, full, side="right")), count - 1)
+            last = min(int(np.searchsorted(all_ends, full, side="right")), len(rows) - 1)
             own = slice(first, last + 1)
             places = all_begins[own] - begin + self._size
             for channel, each in _entries(rows[own], places).items():
                 self._entries.setdefault(channel, array("Q")).frombytes(each.tobytes())
-            end = int(all_ends[last])
-            self._pieces.append(data[begin:end])
-            self._size += end - begin
-            if self._size > self._chunk_size:
-                self._finish_chunk()
+            self._append(data[begin : int(all_ends[last])])
             first = last + 1
         self._count(rows)
 
@@ -191,8 +195,32 @@ class FileWriter:
                 self._stream.write(b"".join(self._pieces))
                 self._begin_chunk()
         entries = _entries(content.rows, content.rows["begin"] - MESSAGE.size)
-        self._write_chunk(chunk or self._compressed(content.data, entries), entries)
+        self._write_chunk(content.data, entries, chunk)
         self._count(content.rows)
+
+    def can_have(self, chunk: Chunk, content: Records, ids: Mapping[int, int]) -> bool:
+        """Return whether a chunk of another file may be in this one as it is.
+
+        Args:
+            chunk: The chunk.
+            content: All in it.
+            ids: This file's channel of each channel that is wanted.
+        """
+        times = content.rows["log_time"]
+        if not chunk.uncompressed_crc or not len(times):
+            return False
+        if any(ids.get(id_) != id_ for id_ in np.unique(content.rows["channel"]).tolist()):
+            return False
+        if (chunk.message_start_time, chunk.message_end_time) != (times.min(), times.max()):
+            return False
+        known = [*self.channels.values(), *self.schemas.values()]
+        try:
+            return all(
+                place < _MAX_DESCRIPTIONS and parse_record(each) in known
+                for place, each in enumerate(content.descriptions())
+            )
+        except RecordError:
+            return False
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Append metadata, behind all messages so far."""
@@ -225,22 +253,22 @@ class FileWriter:
             metadata_count=len(self._metadata),
             schema_count=len(self.schemas),
         )
-        groups: list[tuple[Opcode, Iterable[McapRecord]]] = [
-            (Opcode.SCHEMA, self.schemas.values()),
-            (Opcode.CHANNEL, self.channels.values()),
-            (Opcode.STATISTICS, [counts]),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, []),
-            (Opcode.METADATA_INDEX, self._metadata),
-        ]
+        groups: dict[Opcode, Iterable[McapRecord]] = {
+            Opcode.SCHEMA: self.schemas.values(),
+            Opcode.CHANNEL: self.channels.values(),
+            Opcode.STATISTICS: [counts],
+            Opcode.CHUNK_INDEX: self._chunks,
+            Opcode.ATTACHMENT_INDEX: [],
+            Opcode.METADATA_INDEX: self._metadata,
+        }
         start = offsets_at = self._stream.tell()
-        summary, offsets = [], []
-        for opcode, records in groups:
+        data = offsets = b""
+        for opcode, records in groups.items():
             group = b"".join(map(_packed, records))
-            offsets.append(_packed(SummaryOffset(opcode, offsets_at, len(group))))
-            summary.append(group)
+            offsets += _packed(SummaryOffset(opcode, offsets_at, len(group)))
+            data += group
             offsets_at += len(group)
-        data = b"".join(summary + offsets)
+        data += offsets
         head = _FOOTER_HEAD.pack(Opcode.FOOTER, 20, start, offsets_at)
         footer = Footer(start, offsets_at, zlib.crc32(head, zlib.crc32(data)))
         self._stream.write(data + _packed(footer) + MAGIC)
@@ -259,7 +287,10 @@ class FileWriter:
             self._end = max(self._end, int(rows["log_time"].max()))
 
     def _begin_chunk(self) -> None:
-        self._pieces, self._size, self._entries, self._describes = [], 0, {}, False
+        # Its content, whether that describes anything, and log time and place of its messages.
+        self._pieces: list[bytes | memoryview] = []
+        self._size, self._describes = 0, False
+        self._entries: dict[int, array[int]] = {}
 
     def _finish_chunk(self) -> None:
         # Without messages descriptions wait: the summary has them too.
@@ -268,37 +299,33 @@ class FileWriter:
                 channel: np.array(each, "<u8").reshape(-1, 2)
                 for channel, each in self._entries.items()
             }
-            self._write_chunk(self._compressed(b"".join(self._pieces), entries), entries)
+            self._write_chunk(b"".join(self._pieces), entries)
             self._begin_chunk()
 
-    def _compressed(self, content: bytes, entries: _Entries) -> Chunk:
-        start = min(int(each[:, 0].min()) for each in entries.values())
-        end = max(int(each[:, 0].max()) for each in entries.values())
-        data, crc = self._compress(content), zlib.crc32(content)
-        return Chunk(self._compression, data, end, start, crc, len(content))
-
-    def _write_chunk(self, chunk: Chunk, entries: _Entries) -> None:
-        """Write a chunk and its message indexes."""
+    def _write_chunk(self, content: bytes, entries: _Entries, chunk: Chunk | None = None) -> None:
+        """Write a chunk, compressed here unless it is there already, and its message indexes."""
+        if chunk is None:
+            start = min(int(each[:, 0].min()) for each in entries.values())
+            end = max(int(each[:, 0].max()) for each in entries.values())
+            data, crc = self._compress(content), zlib.crc32(content)
+            chunk = Chunk(self._compression, data, end, start, crc, len(content))
         record = _packed(chunk)
         at = self._stream.tell()
-        offsets, indexes = {}, []
-        end = indexes_at = at + len(record)
+        offsets, indexes = {}, bytearray()
         for channel, each in entries.items():
-            offsets[channel] = end
+            offsets[channel] = at + len(record) + len(indexes)
             length = INDEX_HEAD.size - RECORD.size + each.nbytes
-            head = INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, length, channel, each.nbytes)
-            indexes.append(head + each.tobytes())
-            end += RECORD.size + length
+            indexes += INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, length, channel, each.nbytes)
+            indexes += each.tobytes()
             self._counts[channel] += len(each)
-        self._stream.write(record)
-        self._stream.write(b"".join(indexes))
+        self._stream.write(record + indexes)
         index = ChunkIndex(
             chunk_length=len(record),
             chunk_start_offset=at,
             compression=chunk.compression,
             compressed_size=len(chunk.data),
             message_end_time=chunk.message_end_time,
-            message_index_length=end - indexes_at,
+            message_index_length=len(indexes),
             message_index_offsets=offsets,
             message_start_time=chunk.message_start_time,
             uncompressed_size=chunk.uncompressed_size,
@@ -306,11 +333,32 @@ class FileWriter:
         self._chunks.append(index)
 
 
+def pick(content: Records, ids: Mapping[int, int]) -> Records:
+    """Return the messages of the channels that are wanted, with the channels of another file.
+
+    Args:
+        content: Messages and descriptions.
+        ids: The channel there of each channel that is wanted.
+    """
+    new = np.full(2**16, -1)
+    new[list(ids)] = list(ids.values())
+    rows = content.rows[new[content.rows["channel"]] >= 0]
+    places = zip((rows["begin"] - MESSAGE.size).tolist(), rows["size"].tolist(), strict=True)
+    found = (content.data[begin : begin + MESSAGE.size + size] for begin, size in places)
+    picked = np.frombuffer(bytearray(b"".join(found)), np.uint8)
+    rows["channel"] = new[rows["channel"]]
+    rows["begin"] = np.cumsum(MESSAGE.size + rows["size"]) - rows["size"]
+    for byte in range(2):
+        at = rows["begin"] - MESSAGE.size + RECORD.size + byte
+        picked[at] = rows["channel"] >> 8 * byte & 255
+    return Records(picked.tobytes(), rows)
+
+
 def _free(wanted: int, taken: Mapping[int, object]) -> int:
     """Return an id that is not taken: the wanted one, if it is any, else the next one."""
     if wanted and wanted not in taken:
         return wanted
-    return next(id_ for id_ in itertools.count(len(taken) + 1) if id_ not in taken)
+    return next(id_ for id_ in count(len(taken) + 1) if id_ not in taken)
 
 
 def _packed(record: McapRecord) -> bytes:

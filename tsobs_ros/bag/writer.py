@@ -3,13 +3,13 @@
 """Writing bags: a folder of MCAP files with a metadata.yaml, as `ros2 bag record -s mcap` does."""
 
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -18,9 +18,8 @@ from mcap.records import Chunk
 from tsobs_ros import __version__
 from tsobs_ros.bag.cdr import Message, MessageSeries
 from tsobs_ros.bag.container import MESSAGE, RECORD, ROW, Records, pieces
-from tsobs_ros.bag.copying import can_stay, pick
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter
+from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter, pick
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     BagMetadata,
@@ -36,7 +35,7 @@ LIBRARY = "tsobs_ros"
 CHUNK_SIZE = 786_432
 
 
-class BagWriter:
+class BagWriter(AbstractContextManager["BagWriter"]):
     """Writes one bag; a context manager that closes it.
 
     All methods but `sync` belong to one thread. Once writing has failed, all further writing does:
@@ -75,7 +74,7 @@ class BagWriter:
         self._on_split, self._splitting = on_split, False
         self._is_limited = bool(max_size or max_duration_ns or on_split)
         self._topics: dict[str, TopicInfo] = {}
-        self._counts: dict[str, int] = {}
+        self._counts = Counter[str]()
         self._finished_files: list[FileMetadata] = []
         self._unsynced: list[FileWriter] = []
         self._on_disk = (0, 0)
@@ -98,7 +97,7 @@ class BagWriter:
     @property
     def message_count(self) -> int:
         """The number of messages written so far."""
-        return sum(self._counts.values())
+        return self._counts.total()
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:
@@ -155,7 +154,6 @@ class BagWriter:
         topic = TopicInfo(name, definition.type, 0, qos, definition.type_hash, definition)
         with self._writing():
             self._file.add_topic(topic, ids or (0, 0))
-        self._counts[name] = 0
         self._topics[name] = topic
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
@@ -175,10 +173,9 @@ class BagWriter:
             self._check_open()
             raise BagWriteError(f"{self.path}: topic {topic} has not been added")
         if not (0 <= log_time_ns < EMPTY_START_NS and 0 <= publish_time_ns < EMPTY_START_NS):
-            raise BagWriteError(
-                f"{self.path}: {topic}: times must be at least 0 and fit 63 bits: log "
-                f"{log_time_ns} ns, publish {publish_time_ns} ns"
-            )
+            times = f"log {log_time_ns} ns, publish {publish_time_ns} ns"
+            rule = "times must be at least 0 and fit 63 bits"
+            raise BagWriteError(f"{self.path}: {topic}: {rule}: {times}")
         if self._is_limited:
             self._make_room(log_time_ns)
         try:
@@ -228,7 +225,7 @@ class BagWriter:
         """
         ids = {id_: self._file.ids.get(topic, 0) for id_, topic in topics.items()}
         file = self._file
-        if chunk and can_stay(chunk, content, ids, file.channels, file.schemas):
+        if chunk and file.can_have(chunk, content, ids):
             self._write_records(content, topics, lambda: file.add_chunk(content, chunk))
             return
         picked = pick(content, ids)
@@ -240,7 +237,6 @@ class BagWriter:
         self, records: Records, topics: Mapping[int, str], write: Callable[[], None]
     ) -> None:
         """Write records at once, or one by one if files have limits or anything is wrong."""
-        found, counts = np.unique(records.rows["channel"], return_counts=True)
         times = (records.rows[name] for name in ("log_time", "publish_time"))
         is_right = all(each.min() >= 0 and each.max() < EMPTY_START_NS for each in times)
         if self._closed or self._is_limited or not is_right or min(topics) <= 0:
@@ -249,8 +245,8 @@ class BagWriter:
             return
         with self._writing():
             write()
-        for id_, count in zip(found.tolist(), counts.tolist(), strict=True):
-            self._counts[topics[id_]] += count
+        for id_, count in zip(*np.unique(records.rows["channel"], return_counts=True), strict=True):
+            self._counts[topics[int(id_)]] += int(count)
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system: it survives a kill.
@@ -330,16 +326,7 @@ class BagWriter:
                     stack.callback(file.close)
                 self._finish()
 
-    def __enter__(self) -> Self:
-        """Return the writer."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the bag, also when an error ends the block: what was written is kept."""
         self.close()
 
@@ -444,8 +431,8 @@ def packed(series: Sequence[tuple[int, MessageSeries]]) -> Records:
         series: Messages, with their channels.
     """
     rows = np.zeros(sum(len(one.data) for _, one in series), ROW)
-    ends = np.cumsum([len(one.data) for _, one in series])
-    for (channel, one), own in zip(series, np.split(rows, ends[:-1]), strict=True):
+    ends = np.cumsum([len(one.data) for _, one in series])[:-1]
+    for (channel, one), own in zip(series, np.split(rows, ends), strict=True):
         own["channel"], own["size"] = channel, one.data.shape[1]
         own["log_time"], own["publish_time"] = one.log_times, one.publish_times
     order = np.argsort(rows["log_time"], kind="stable")
@@ -454,13 +441,13 @@ def packed(series: Sequence[tuple[int, MessageSeries]]) -> Records:
     places = np.empty(len(order), np.int64)
     places[order] = rows["begin"] - MESSAGE.size
     data = np.empty(int(rows["begin"][-1] + rows["size"][-1]), np.uint8)
-    for (channel, one), own_places in zip(series, np.split(places, ends[:-1]), strict=True):
-        times, size = [("log_time", "<u8"), ("publish_time", "<u8")], one.data.shape[1]
-        kind = np.dtype([("head", "u1", (15,)), *times, ("data", "u1", (size,))])
-        made = np.empty(len(one.data), kind)
-        head = MESSAGE.pack(Opcode.MESSAGE, made.itemsize - RECORD.size, max(0, channel), 0, 0, 0)
-        made["head"] = np.frombuffer(head, np.uint8)[:15]
-        made["log_time"], made["publish_time"] = one.log_times, one.publish_times
-        made["data"] = one.data
-        pieces(data, made.itemsize)[own_places] = made.view(f"V{made.itemsize}")
+    for (channel, one), own_places in zip(series, np.split(places, ends), strict=True):
+        count, size = one.data.shape
+        head = MESSAGE.pack(
+            Opcode.MESSAGE, MESSAGE.size - RECORD.size + size, max(0, channel), 0, 0, 0
+        )
+        times = np.stack([one.log_times, one.publish_times], axis=1).astype("<i8").view(np.uint8)
+        front = np.frombuffer(head[:-16], np.uint8)
+        made = np.hstack([np.tile(front, (count, 1)), times, one.data])
+        pieces(data, made.shape[1])[own_places] = made.view(f"V{made.shape[1]}")[:, 0]
     return Records(data.tobytes(), rows)
