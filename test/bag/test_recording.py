@@ -11,11 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader as RosbagsReader
 
-from tsobs_ros.bag import BagReader, BagWriter, QosProfile
+from tsobs_ros.bag import BagReader, QosProfile
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import read_metadata
 from tsobs_ros.bag.recording import (
-    BackgroundSync,
     BufferedMessage,
     Latch,
     LatchedMessages,
@@ -205,16 +204,13 @@ def test_a_snapshot_holds_the_longest_end_that_fits(
 
 def test_syncing_while_a_bag_is_written_split_and_closed_does_no_harm(tmp_path: Path) -> None:
     count = 3_000
-    with BagWriter(tmp_path / "bag", max_duration_ns=count // 20) as writer:
-        background = BackgroundSync(writer.sync, period=0.0)
+    with Recording(tmp_path / "bag", max_duration_ns=count // 20, sync_period=0.0) as writer:
         for time in range(count):
             topic = f"/t{time // 100}"
             writer.add_topic(topic, "std_msgs/msg/String")
             writer.write(topic, b"data", time, time)
             if time % 10 == 0:
                 writer.flush()
-    background.stop()
-    assert background.error is None
     reader = BagReader(tmp_path / "bag")
     assert [m.log_time for m in reader.messages()] == list(range(count))
     assert reader.metadata is not None

@@ -71,10 +71,6 @@ class ChunkCopy:
         Args:
             horizon: The log time [ns].
             writer: The bag to copy to, which has the topics.
-
-        Raises:
-            BagReadError: A chunk is damaged.
-            BagWriteError: The bag cannot be written.
         """
         while self._next < len(self.spans) and self._starts[self._next] < horizon:
             span = self.spans[self._next]

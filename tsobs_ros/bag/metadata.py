@@ -137,11 +137,7 @@ class OfferedQos:
         self._bytes_left = MAX_BYTES
 
     def __getitem__(self, channel: Channel) -> tuple[QosProfile, ...]:
-        """Return the offers of a channel.
-
-        Raises:
-            ValueError: Its text is not a YAML list of QoS profiles, or there are too many of them.
-        """
+        """Return the offers of a channel."""
         text = channel.metadata.get("offered_qos_profiles", "")
         if text not in self._known:
             self._bytes_left -= len(text)
@@ -290,12 +286,7 @@ class BagMetadata:
 
     @classmethod
     def from_map(cls, information: object) -> "BagMetadata":
-        """Return the metadata that the content of the root key states.
-
-        Raises:
-            ValueError: It is of another version than 9, a key is missing, or a value makes no
-                sense.
-        """
+        """Return the metadata that the content of the root key states."""
         version = information.get("version") if isinstance(information, dict) else None
         if version != VERSION:
             raise ValueError(f"version is {version}, only {VERSION} is supported")
@@ -326,11 +317,7 @@ class BagMetadata:
 
     @classmethod
     def from_yaml(cls, text: str) -> "BagMetadata":
-        """Return the metadata that an MCAP file carries.
-
-        Raises:
-            ValueError: The text is not YAML or not the metadata of a bag.
-        """
+        """Return the metadata that an MCAP file carries."""
         return cls.from_map(load_yaml(text))
 
 

@@ -142,10 +142,6 @@ class BagReader:
             topics: Only those of these topics; of all by default.
             start_ns: Only those at or after this log time, ns since the epoch.
             end_ns: Only those before this log time, ns since the epoch.
-
-        Raises:
-            BagReadError: The bag has no such topic, or a file is damaged; the latter is raised
-                where the damage is reached.
         """
         names = list(self.topics if topics is None else topics)
         parts = self.rows(names, start_ns, end_ns)
@@ -158,9 +154,6 @@ class BagReader:
 
         The channels of rows are the places of their topics in the names that are given. With them
         come the records that they are in, by their keys.
-
-        Raises:
-            BagReadError: As for `messages`.
         """
         self.require(topics)
         start, end = start_ns or 0, _LAST if end_ns is None else end_ns
@@ -181,9 +174,6 @@ class BagReader:
             load: Returns the messages of one in order of log time, and the records they are in. It
                 is called when the first of them may be due.
             row_size: The memory that a message takes beside its data [bytes].
-
-        Raises:
-            BagReadError: Too many spans overlap in time.
         """
         spans = sorted(spans, key=attrgetter("start", "rank", "offset"))
         # Messages that are due after the start of the next span, in a heap by the first of them.
@@ -251,11 +241,7 @@ class BagReader:
             yield new(BagMessage, (*named[topic], data, log_time, publish_time))
 
     def read(self, span: Span) -> tuple[Records, Chunk | None]:
-        """Return what a part of a file holds, and the chunk that it is.
-
-        Raises:
-            BagReadError: It is damaged, or its channels or log times are not as the file states.
-        """
+        """Return what a part of a file holds, and the chunk that it is."""
         path, known = self.files[span.rank], self.summaries[span.rank].channels
         try:
             with open_regular(path) as stream:
@@ -316,13 +302,7 @@ class BagReader:
         start_ns: int | None = None,
         end_ns: int | None = None,
     ) -> Iterator[DecodedMessage]:
-        """Yield the messages as `messages` does, decoded by the definitions in the bag.
-
-        Raises:
-            BagReadError: As for `messages`; or a definition is missing or not in the `ros2msg`
-                language, or `mcap-ros2-support` is not installed, or a message does not fit its
-                type.
-        """
+        """Yield the messages as `messages` does, decoded by the definitions in the bag."""
         messages = self.messages(topics, start_ns, end_ns)
         names = self.topics if topics is None else topics
         decoders = {name: self._decoder(name) for name in names}

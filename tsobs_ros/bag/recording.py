@@ -9,8 +9,8 @@ into a recording, a snapshot of the last minute and what follows a pause make se
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable
 from contextlib import ExitStack
+from operator import attrgetter
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any, NamedTuple
@@ -62,10 +62,9 @@ class Recording(BagWriter):
         bytes: The bytes of these messages.
         discarded: The number of messages that arrived during pauses.
         snapshot: The buffer of the last seconds; None if everything is written.
-        background: The thread that syncs the disk.
 
     Raises:
-        BagWriteError: The folder exists or cannot be created.
+        BagWriteError: As `BagWriter`; or the disk has failed to sync.
     """
 
     def __init__(
@@ -83,9 +82,28 @@ class Recording(BagWriter):
         self.snapshot = snapshot
         self._repeats = repeat_latched > 0
         self._latched = LatchedMessages(max(1, repeat_latched))
-        self._has_unlogged = False
         self._pending: deque[BufferedMessage] = deque()
-        self.background = BackgroundSync(self.sync, sync_period)
+        self._sync_failure: BagWriteError | None = None
+        self._synced_at = time.monotonic()
+        self._stopping = Event()
+        # A disk may take seconds over it.
+        self._syncing = Thread(target=self._sync_often, args=(sync_period,), daemon=True)
+        self._syncing.start()
+
+    @property
+    def sync_age(self) -> float:
+        """The time since the last sync of the disk that succeeded was begun [s]."""
+        return time.monotonic() - self._synced_at
+
+    def _sync_often(self, period: float) -> None:
+        while not self._stopping.wait(period):
+            called_at = time.monotonic()
+            try:
+                self.sync()
+            except BagWriteError as error:
+                self._sync_failure = error
+                return
+            self._synced_at = called_at
 
     def record(self, message: BufferedMessage, latch: Latch | None = None) -> None:
         """Write a message of a registered topic, or keep it for a snapshot.
@@ -93,14 +111,9 @@ class Recording(BagWriter):
         Args:
             message: The message.
             latch: Its publisher's, if it is latched.
-
-        Raises:
-            BagWriteError: The bag cannot be written.
         """
-        if self._has_unlogged:
-            self._has_unlogged = False
-            for hidden in self._latched.log(message.log_time_ns):
-                self._store(hidden)
+        for hidden in self._latched.log(message.log_time_ns):
+            self._store(hidden)
         if latch is not None:
             self._latched.keep(message, latch)
         self._store(message)
@@ -115,7 +128,6 @@ class Recording(BagWriter):
         self.discarded += 1
         if latch is not None:
             self._latched.keep(message._replace(log_time_ns=-1), latch)
-            self._has_unlogged = True
 
     def take_snapshot(self) -> int:
         """Have the buffer written by the next calls of `write_pending`; return its length.
@@ -131,34 +143,23 @@ class Recording(BagWriter):
         return len(self._pending) - before
 
     def write_pending(self) -> bool:
-        """Write some of a snapshot, and return whether there is more.
-
-        Raises:
-            BagWriteError: The bag cannot be written.
-        """
+        """Write some of a snapshot, and return whether there is more."""
         for _ in range(min(len(self._pending), _SNAPSHOT_SLICE)):
             self.write(*self._pending.popleft())
         return bool(self._pending)
 
     def flush(self) -> None:
-        """Hand everything written so far to the operating system: it survives a kill.
-
-        Raises:
-            BagWriteError: The bag cannot be written, or the disk failed to sync.
-        """
+        """Hand everything written so far to the operating system: it survives a kill."""
         super().flush()
-        if self.background.error is not None:
-            raise self.background.error
+        if self._sync_failure is not None:
+            raise self._sync_failure
 
     def close(self) -> None:
-        """Finish the bag; safe to call twice.
-
-        Raises:
-            BagWriteError: The bag cannot be finished; it can be recovered as far as flushed.
-        """
+        """Finish the bag; safe to call twice."""
         with ExitStack() as stack:
             stack.callback(super().close)
-            stack.callback(self.background.stop)
+            stack.callback(self._syncing.join)
+            stack.callback(self._stopping.set)
             while self.write_pending():
                 pass
 
@@ -191,12 +192,14 @@ class LatchedMessages:
 
     def __init__(self, depth: int) -> None:
         self._depth = depth
+        self._has_unlogged = False
         # The messages of a topic, with their publishers' counts of them.
         self._topics: dict[str, list[tuple[BufferedMessage, int | None]]] = {}
 
     def keep(self, message: BufferedMessage, latch: Latch) -> None:
         """Keep a message, and drop what it replaces."""
         number, depth = latch.number, self._depth
+        self._has_unlogged |= message.log_time_ns < 0
         kept = self._topics.setdefault(message.topic, [])
         kept.append((message, number))
         surplus = len(kept) - depth * min(latch.publishers, _MAX_PUBLISHERS)
@@ -217,17 +220,18 @@ class LatchedMessages:
         """
         kept = (message for each in self._topics.values() for message, _ in each)
         found = [m._replace(log_time_ns=log_time_ns) for m in kept if m.log_time_ns < log_time_ns]
-        return sorted(found, key=lambda message: message.publish_time_ns)
+        return sorted(found, key=attrgetter("publish_time_ns"))
 
     def log(self, log_time_ns: int) -> list[BufferedMessage]:
         """Return what was not logged, in order of publication; it is now logged at a time [ns]."""
-        found = []
-        for kept in self._topics.values():
+        found: list[BufferedMessage] = []
+        for kept in self._topics.values() if self._has_unlogged else ():
             for place, (message, number) in enumerate(kept):
                 if message.log_time_ns < 0:
-                    kept[place] = (message._replace(log_time_ns=log_time_ns), number)
-                    found.append(kept[place][0])
-        return sorted(found, key=lambda message: message.publish_time_ns)
+                    found.append(message._replace(log_time_ns=log_time_ns))
+                    kept[place] = (found[-1], number)
+        self._has_unlogged = False
+        return sorted(found, key=attrgetter("publish_time_ns"))
 
 
 class SnapshotBuffer:
@@ -276,43 +280,3 @@ class SnapshotBuffer:
         messages, self._messages = self._messages, deque()
         self.size = 0
         return messages
-
-
-class BackgroundSync:
-    """Calls `BagWriter.sync` again and again in a thread, as a disk may take seconds over it.
-
-    Args:
-        sync: What to call; a BagWriteError it raises ends the calls.
-        period: Pause between two calls [s].
-
-    Attributes:
-        error: The error that ended the calls, if one did.
-    """
-
-    def __init__(self, sync: Callable[[], None], period: float) -> None:
-        self.error: BagWriteError | None = None
-        self._sync, self._period = sync, period
-        self._synced_at = time.monotonic()
-        self._stopping = Event()
-        self._thread = Thread(target=self._run, name="bag sync", daemon=True)
-        self._thread.start()
-
-    @property
-    def age(self) -> float:
-        """The time since the last call that succeeded was made [s]."""
-        return time.monotonic() - self._synced_at
-
-    def stop(self) -> None:
-        """End the calls and wait for the one in progress; safe to call twice."""
-        self._stopping.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        while not self._stopping.wait(self._period):
-            called_at = time.monotonic()
-            try:
-                self._sync()
-            except BagWriteError as error:
-                self.error = error
-                return
-            self._synced_at = called_at

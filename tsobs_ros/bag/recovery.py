@@ -7,12 +7,13 @@ from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
 from mcap.records import Channel, Footer, Header, McapRecord, Metadata, Schema, Statistics
 
-from tsobs_ros.bag.container import RecordError, Records, parse_record
+from tsobs_ros.bag.container import Records
 from tsobs_ros.bag.definitions import (
     MessageDefinition,
     MessageLayout,
@@ -94,12 +95,9 @@ class FileRecovery:
 
     def as_mapping(self) -> dict[str, Any]:
         """Return plain data."""
-        return vars(self) | {
-            "missing": self.missing,
-            "excess": self.excess,
-            "damage": [vars(part) for part in self.damage],
-            "bytes_damaged": sum(part.size for part in self.damage),
-        }
+        parts, size = [vars(part) for part in self.damage], sum(part.size for part in self.damage)
+        computed = {"missing": self.missing, "excess": self.excess}
+        return vars(self) | computed | {"damage": parts, "bytes_damaged": size}
 
     def lines(self) -> list[str]:
         """Return lines for people."""
@@ -209,7 +207,15 @@ class DamagedFile:
         try:
             with open_regular(path) as stream:
                 self.account.bytes_read = stream.seek(0, 2)
-                self._find_descriptions(self._walker(stream), progress)
+                walker = self._walker(stream)
+                self.account.damage = walker.damage
+                if summary := walker.summary:
+                    stated = summary.schemas.values(), summary.channels.values()
+                    for record in (*chain.from_iterable(stated), summary.statistics):
+                        self._describe(record)
+                for part in walker.parts(progress):
+                    for described in part.described():
+                        self._describe(described)
         except OSError as error:
             self.account.error = error.strerror or str(error)
         # One text of a type, however many channels have it.
@@ -227,19 +233,6 @@ class DamagedFile:
     def _walker(self, stream: IO[bytes]) -> FileWalker:
         return FileWalker(stream, self.account.bytes_read, bad=self._bad, **self._options)
 
-    def _find_descriptions(self, walker: FileWalker, progress: Progress) -> None:
-        self.account.damage = walker.damage
-        if summary := walker.summary:
-            for record in (*summary.schemas.values(), *summary.channels.values()):
-                self._describe(record)
-            self._describe(summary.statistics)
-        for part in walker.parts(progress):
-            if part.content is not None:
-                for description in _descriptions(part.content):
-                    self._describe(description)
-            elif part.record is not None:
-                self._describe(part.record)
-
     def messages(
         self, progress: Progress = lambda _: None
     ) -> Iterator[tuple[str, bytes, int, int]]:
@@ -247,9 +240,6 @@ class DamagedFile:
 
         Args:
             progress: Called with the number of bytes that were read since the last call.
-
-        Raises:
-            BagReadError: The file has changed since it was opened.
         """
         account = self.account
         for id_, count in self._counts.items():
@@ -261,8 +251,8 @@ class DamagedFile:
             for part in walker.parts(progress):
                 if part.content is None:
                     continue
-                for description in _descriptions(part.content):
-                    for id_ in self._contradicted(description):
+                for described in part.described():
+                    for id_ in self._contradicted(described):
                         self.topics.pop(id_, None)
                         self.reasons[id_] = f"of channel {id_}, which is described as two topics"
                 counted = account.kept.total()
@@ -287,7 +277,7 @@ class DamagedFile:
                 if account.end_ns is None or log_time > account.end_ns:
                     account.end_ns = log_time
 
-    def _contradicted(self, record: McapRecord) -> Iterator[int]:
+    def _contradicted(self, record: McapRecord | None) -> Iterator[int]:
         """Yield the channels that a chunk describes as others: it may be of another file."""
         match record:
             case Channel() if known := self.channels.get(record.id):
@@ -299,7 +289,7 @@ class DamagedFile:
             case Schema() if (schema := self.schemas.get(record.id)) and schema.name != record.name:
                 yield from (i for i, c in self.channels.items() if c.schema_id == schema.id)
 
-    def _describe(self, record: McapRecord) -> None:
+    def _describe(self, record: McapRecord | None) -> None:
         # The first of two records with one id is kept.
         match record:
             case Header() if self.profile is None:
@@ -329,16 +319,6 @@ class DamagedFile:
             return None
         hash_ = channel.metadata.get("topic_type_hash", "")
         return found._replace(type_hash=hash_ if TYPE_HASH.fullmatch(hash_) else "")
-
-
-def _descriptions(content: Records) -> Iterator[McapRecord]:
-    """Yield the first description of each schema and channel in a part of a file."""
-    seen = set()
-    for description in content.descriptions():
-        if (key := description[:1] + description[9:11]) not in seen:
-            seen.add(key)
-            with suppress(RecordError):
-                yield parse_record(description)
 
 
 def _is_sound(schema: Schema) -> bool:

@@ -23,10 +23,8 @@ from tsobs_ros.bag.container import (
     INDEX_HEAD,
     MESSAGE,
     RECOVER_HINT,
-    RecordError,
     Records,
     Summary,
-    parse_record,
     read_summary,
 )
 from tsobs_ros.bag.definitions import MessageLayout, UnknownLayoutError
@@ -179,11 +177,11 @@ def _check_folder(bag: Path, errors: _Findings) -> tuple[BagMetadata | None, lis
         text = str(error).removeprefix(f"{bag / FILE_NAME}: ")
         errors.add(FILE_NAME, text if FILE_NAME in present else "there is none")
         return None, unlisted
-    stated = read_yaml(bag / FILE_NAME, error=BagReadError)
+    stated = read_yaml(bag / FILE_NAME, error=BagReadError)[ROOT_KEY]
+    actual = {**metadata.to_map(), "storage_identifier": "mcap"}
     for key in ("starting_time", "duration", "message_count", "storage_identifier"):
-        actual = {**metadata.to_map(), "storage_identifier": "mcap"}[key]
-        errors.expect(FILE_NAME, key, stated[ROOT_KEY].get(key), actual)
-    for entry in stated[ROOT_KEY]["topics_with_message_count"]:
+        errors.expect(FILE_NAME, key, stated.get(key), actual[key])
+    for entry in stated["topics_with_message_count"]:
         topic = entry["topic_metadata"]
         what = f"serialization_format of {topic['name']}"
         errors.expect(FILE_NAME, what, topic["serialization_format"], "cdr")
@@ -204,9 +202,11 @@ def _check_folder(bag: Path, errors: _Findings) -> tuple[BagMetadata | None, lis
 def _compare(metadata: BagMetadata, files: dict[str, "_File"], errors: _Findings) -> None:
     """Compare metadata.yaml with the content of the files."""
     topics = {topic.name: topic for topic in metadata.topics}
-    found = {file.path: files.get(Path(file.path).name) for file in metadata.files}
+    counts, is_complete = Counter[str](), True
     for stated in metadata.files:
-        if (file := found[stated.path]) is None:
+        file = files.get(Path(stated.path).name)
+        is_complete &= file is not None and file.is_complete
+        if file is None:
             continue
         if file.is_complete:
             times = (file.start, file.end - file.start) if file.counts else (EMPTY_START_NS, 0)
@@ -214,6 +214,7 @@ def _compare(metadata: BagMetadata, files: dict[str, "_File"], errors: _Findings
             numbers = stated.start_ns, stated.duration_ns, stated.message_count
             errors.expect(FILE_NAME, what, numbers, (*times, file.counts.total()))
         for channel in file.channels.values():
+            counts[channel.topic] += file.counts[channel.id]
             place = f"{file.path.name}: {channel.topic}"
             if (topic := topics.get(channel.topic)) is None:
                 errors.add(place, f"is not in {FILE_NAME}")
@@ -226,15 +227,8 @@ def _compare(metadata: BagMetadata, files: dict[str, "_File"], errors: _Findings
             if file.qos.get(channel.id) not in (None, topic.qos_profiles):
                 text = f"its QoS is not the one in {FILE_NAME}: some readers give no messages then"
                 errors.add(place, text)
-    complete = [file for file in found.values() if file and file.is_complete]
-    if len(complete) == len(metadata.files):
-        counts: Counter[str] = Counter()
-        for file in complete:
-            for channel in file.channels.values():
-                counts[channel.topic] += file.counts[channel.id]
-        for topic in metadata.topics:
-            what = f"message_count of {topic.name}"
-            errors.expect(FILE_NAME, what, topic.count, counts[topic.name])
+    for topic in metadata.topics if is_complete else ():
+        errors.expect(FILE_NAME, f"message_count of {topic.name}", topic.count, counts[topic.name])
 
 
 class _File:
@@ -245,18 +239,16 @@ class _File:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.qos: dict[int, object] = {}
-        self.counts: Counter[int] = Counter()
-        self.start = 2**64
-        self.end = 0
+        self.counts = Counter[int]()
+        self.start, self.end = 2**64, 0
         self.is_complete = False
         self.unchecked = 0
-        self._errors = errors
-        self._remarks = remarks
+        self._errors, self._remarks = errors, remarks
         self._is_trusted = is_trusted
         self._layouts: dict[int, MessageLayout] = {}
         self._layout_room = _MAX_LAYOUTS
-        self._topics: set[str] = set()
         self._offered = OfferedQos()
+        self._topics = set[str]()
         # What the summary should state of each chunk: its place, size, times and index offsets.
         self._chunks: dict[int, tuple[int, int, int, dict[int, int]]] = {}
         self._last = 0
@@ -286,7 +278,7 @@ class _File:
         self.is_complete = not walker.damage
         self._check_summary(summary)
         if self.unchecked:
-            self._remark(f"{self.unchecked} {UNCHECKED}")
+            self._remarks.add(self.path.name, f"{self.unchecked} {UNCHECKED}")
 
     def _check_data(self, stream: IO[bytes], end: int, stated: int) -> None:
         """Check the checksum of a file up to a place."""
@@ -299,29 +291,27 @@ class _File:
             self.unchecked = 0
 
     def _check_part(self, stream: IO[bytes], part: Part) -> None:
+        for record in part.described():
+            if record is None:
+                self._error(f"at byte {part.at}: a record in it is malformed", rule="record")
+            else:
+                self._describe(record)
         if part.content is not None:
-            for description in part.content.descriptions():
-                try:
-                    self._describe(parse_record(description))
-                except RecordError:
-                    text = f"a record of kind {description[0]:#04x} in it is malformed"
-                    self._error(f"at byte {part.at}: {text}", rule="record")
             self._check_messages(part.content)
             self.unchecked += 0 if part.is_checked else len(part.content.rows)
             if isinstance(part.record, Chunk):
                 self._check_chunk(part, part.record, part.content)
-        elif part.record is not None:
-            self._describe(part.record)
-        else:
+        elif part.record is None:
             stream.seek(part.at)
-            if (data := stream.read(INDEX_HEAD.size))[0] == Opcode.MESSAGE_INDEX:
-                self._check_index(part.at, data, stream.read(part.size - len(data)))
+            if (data := stream.read(part.size))[0] == Opcode.MESSAGE_INDEX:
+                self._check_index(part.at, data)
 
     def _check_chunk(self, part: Part, chunk: Chunk, content: Records) -> None:
         times = content.rows["log_time"].view("u8")
         stated = chunk.message_start_time, chunk.message_end_time
         actual = (int(times.min()), int(times.max())) if len(times) else (0, 0)
-        self._expect(f"the log times of the chunk at byte {part.at}", stated, actual)
+        what = f"the log times of the chunk at byte {part.at}"
+        self._expect(what, stated, actual)
         self._check_indexed()
         self._chunks[part.at], self._last = (part.size, *stated, {}), part.at
         entries = np.stack((times.view("i8"), content.rows["begin"] - MESSAGE.size), axis=1)
@@ -332,8 +322,9 @@ class _File:
         for id_ in self._entries or ():
             self._error(f"the chunk at byte {self._last} has no message index of channel {id_}")
 
-    def _check_index(self, at: int, head: bytes, entries: bytes) -> None:
-        _, _, channel, size = INDEX_HEAD.unpack(head)
+    def _check_index(self, at: int, data: bytes) -> None:
+        _, _, channel, size = INDEX_HEAD.unpack_from(data)
+        entries = data[INDEX_HEAD.size :]
         if self._entries is None:
             return  # its chunk is damaged
         if not self._chunks or size != len(entries) or size % 16:
@@ -348,14 +339,16 @@ class _File:
 
     def _describe(self, record: McapRecord) -> None:
         """Check a schema or channel, unless it is a repeated one."""
-        kind: Any = {Schema: self.schemas, Channel: self.channels}.get(type(record))
-        if kind is None:
-            return
-        described: Any = record
-        if (known := kind.setdefault(described.id, record)) != record:
-            self._error(f"two descriptions have the id {described.id}", rule="id")
-        elif known is record:
-            (self._check_schema if isinstance(record, Schema) else self._check_channel)(described)
+        match record:
+            case Schema() if self._is_new(record, self.schemas):
+                self._check_schema(record)
+            case Channel() if self._is_new(record, self.channels):
+                self._check_channel(record)
+
+    def _is_new(self, record: Any, known: dict[int, Any]) -> bool:
+        if record.id in known and known[record.id] != record:
+            self._error(f"two descriptions have the id {record.id}", rule="id")
+        return known.setdefault(record.id, record) is record
 
     def _check_schema(self, schema: Schema) -> None:
         if not _TYPE_NAME.fullmatch(schema.name):
@@ -371,7 +364,7 @@ class _File:
                 raise UnknownLayoutError(f"{schema.name} is one of too many definitions")
             self._layouts[schema.id] = MessageLayout(schema.name, schema.data.decode())
         except UnknownLayoutError as reason:
-            self._remark(f"{reason}: its messages are not looked into")
+            self._remarks.add(self.path.name, f"{reason}: its messages are not looked into")
         except ValueError as error:  # not UTF-8 is a ValueError as well
             self._error(f"the definition of {schema.name} is malformed: {error}")
 
@@ -450,9 +443,6 @@ class _File:
 
     def _error(self, text: str, topic: str = "", rule: str = "") -> None:
         self._errors.add(f"{self.path.name}: {topic}" if topic else self.path.name, text, rule)
-
-    def _remark(self, text: str) -> None:
-        self._remarks.add(self.path.name, text)
 
 
 def _in_order(entries: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -87,6 +87,17 @@ class Part(NamedTuple):
     content: Records | None = None
     is_checked: bool = False
 
+    def described(self) -> Iterator[McapRecord | None]:
+        """Yield the record, or those between messages, each once; None for a malformed one."""
+        if self.content is None:
+            yield from [self.record] if self.record is not None else []
+            return
+        for description in dict.fromkeys(self.content.descriptions()):
+            try:
+                yield parse_record(description)
+            except RecordError:
+                yield None
+
 
 @dataclass
 class Damage:
@@ -227,11 +238,7 @@ class FileWalker:
         return Part(at, size, replace(chunk, data=b""), content, is_checked), end
 
     def _content(self, chunk: Chunk) -> Records:
-        """Return what a chunk holds.
-
-        Raises:
-            RecordError: It is damaged, or too much for a file of this size.
-        """
+        """Return what a chunk holds."""
         self._bytes_left -= min(chunk.uncompressed_size, MAX_SIZE) if chunk.compression else 0
         if self._bytes_left >= 0:
             content = split_records(chunk_records(chunk))
@@ -278,11 +285,7 @@ class FileWalker:
         return kept, self._lose(at, reason, following)
 
     def _read_other(self, at: int) -> Part:
-        """Return the record at an offset, which is no chunk.
-
-        Raises:
-            RecordError: There is none.
-        """
+        """Return the record at an offset, which is no chunk."""
         head = self._bytes(at, INDEX_HEAD.size)
         if len(head) < RECORD.size:
             raise RecordError("a record is cut off")

@@ -51,7 +51,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             of that message, ns; the messages that it writes come first in the file.
 
     Raises:
-        BagWriteError: The folder exists or cannot be created, or the compression is unknown.
+        BagWriteError: The folder exists or cannot be created, or the compression is unknown. All
+            methods raise it if the bag is closed or cannot be written.
     """
 
     def __init__(
@@ -137,10 +138,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             qos_profiles: What its publishers offer.
             definition: Its definition; the installed one by default.
             ids: Channel and schema that it has in the file, if they are free.
-
-        Raises:
-            BagWriteError: The type is not installed, the topic has another type already, or the
-                bag is closed or cannot be written.
         """
         self._check_open()
         if (known := self._topics.get(name)) is not None:
@@ -164,10 +161,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             data: The message in CDR, with its encapsulation header, as it came off the wire.
             log_time_ns: When it was received, ns since the epoch.
             publish_time_ns: When it was published, ns since the epoch.
-
-        Raises:
-            BagWriteError: The topic is not registered, a time cannot be stored, or the bag is
-                closed or cannot be written.
         """
         if self._closed or self._failure or topic not in self._topics:
             self._check_open()
@@ -185,11 +178,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._counts[topic] += 1
 
     def write_all(self, messages: Iterable[Message]) -> None:
-        """Append messages: topic, type, data, log time and publish time of each.
-
-        Raises:
-            BagWriteError: As for `write`.
-        """
+        """Append messages: topic, type, data, log time and publish time of each."""
         for topic, _, data, log_time_ns, publish_time_ns in messages:
             self.write(topic, data, log_time_ns, publish_time_ns)
 
@@ -198,9 +187,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
         Args:
             series: Messages of registered topics.
-
-        Raises:
-            BagWriteError: As for `write`.
         """
         if series := [one for one in series if len(one.data)]:
             ids = [self._file.ids.get(one.topic, -place) for place, one in enumerate(series)]
@@ -219,9 +205,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             content: What is in the chunk.
             chunk: The chunk; None for messages outside of any.
             topics: Those to copy, all registered, by their channels.
-
-        Raises:
-            BagWriteError: As for `write`.
         """
         ids = {id_: self._file.ids.get(topic, 0) for id_, topic in topics.items()}
         file = self._file
@@ -249,11 +232,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self._counts[topics[int(id_)]] += int(count)
 
     def flush(self) -> None:
-        """Hand everything written so far to the operating system: it survives a kill.
-
-        Raises:
-            BagWriteError: The bag cannot be written.
-        """
+        """Hand everything written so far to the operating system: it survives a kill."""
         self._check_open()
         with self._writing():
             self._file.flush()
@@ -262,9 +241,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """Start another file, unless the current one is empty; a kill cannot harm that one.
 
         The metadata.yaml in the folder names it after the next `sync` or `close`.
-
-        Raises:
-            BagWriteError: The bag is closed or cannot be written.
         """
         self._check_open()
         if self._file.message_count == 0:
@@ -291,9 +267,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
         May run in another thread than the rest, as a disk can be slow; does nothing once the bag is
         closed.
-
-        Raises:
-            BagWriteError: The disk failed.
         """
         with self._disk:
             if self._closed:
@@ -311,11 +284,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 self._write_metadata(metadata)
 
     def close(self) -> None:
-        """Finish the bag: index, metadata, everything forced to the disk; safe to call twice.
-
-        Raises:
-            BagWriteError: The bag cannot be written; it can be recovered as far as flushed.
-        """
+        """Finish the bag: index, metadata, everything forced to the disk; safe to call twice."""
         with self._disk:
             if self._closed:
                 return

@@ -125,7 +125,7 @@ class Recorder(ManagedNode[RecorderParameters]):
             missing=self._finder.missing if self.configured else (),
             free_disk=_free_disk(self.path),
             minimum_free_disk=self.parameters.minimum_free_disk,
-            sync_age=recording.background.age,
+            sync_age=recording.sync_age,
             sync_period=self.parameters.sync_period,
             snapshot=recording.snapshot,
         )
