@@ -8,11 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tsobs_ros.estimation.events import (
-    Event,
-    EventKind,
-    EventLog,
-)
+from tsobs_ros.estimation.events import Event, EventKind, EventLog
 from tsobs_ros.estimation.health import Level, judged
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 
@@ -188,6 +184,6 @@ def test_whatever_happens_there_is_no_flood_and_it_can_be_repeated(data: st.Data
         assert sum(each.kind is kind for each in runs[0]) <= 5 + 3
 
 
-@pytest.mark.parametrize("estimate", [GOOD, GOOD._replace(basis=Basis.OUTSIDE, noise_scale=2.25)])
-def test_health_survives_as_numbers(estimate: Estimate) -> None:
+def test_health_survives_as_numbers() -> None:
+    estimate = GOOD._replace(basis=Basis.OUTSIDE, noise_scale=2.25)
     assert Estimate.of_health(BEGIN, estimate.health) == estimate

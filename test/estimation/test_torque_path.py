@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The path of a torque to the motor: observers take what arrives there, and when it does."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +16,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.records import Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.methods import METHODS, make_estimator
+from tsobs_ros.methods import METHODS
 from tsobs_ros.model.torque_path import TorquePath
 
 PROPERTY = settings(max_examples=12)
@@ -30,19 +28,16 @@ BEGIN = 10**9
 RUN = ts.simulate(DESIGN, duration=3.0, seed=4)
 # It changes at every sample, so that each of them counts.
 TORQUE = RUN.torque + np.random.default_rng(5).normal(0.0, 0.5, len(RUN.torque))
-SMALL = {"rtol": 0.0, "atol": 1e-12}
 
 
 def design_with(torque: TorquePath, design: Design = DESIGN) -> Design:
     return replace(design, request=replace(design.arm_request, torque=torque))
 
 
-def estimates(torque: TorquePath, u: Array, method: str = "certified", keep: Any = ...) -> Any:
-    """Return estimates of the run, or of a part of it, with other torques."""
+def estimates(torque: TorquePath, u: Array, method: str) -> ts.Estimates:
+    """Return estimates of the run with other torques."""
     settings = ts.ObserverSettings(method=method)
-    return ts.estimate(
-        design_with(torque), RUN.time[keep], RUN.angle[keep], u[keep], settings=settings
-    )
+    return ts.estimate(design_with(torque), RUN.time, RUN.angle, u, settings=settings)
 
 
 def shifted(u: Array, periods: int) -> Array:
@@ -50,54 +45,17 @@ def shifted(u: Array, periods: int) -> Array:
     return np.concatenate([np.full(periods, u[0]), u])[: len(u)]
 
 
-@PROPERTY
-@given(gain=st.floats(0.2, 3.0), offset=st.floats(-3.0, 3.0))
-def test_gain_and_offset_are_those_of_the_torques_themselves(gain: float, offset: float) -> None:
-    one = estimates(TorquePath(gain, offset), TORQUE)
-    other = estimates(TorquePath(), gain * TORQUE + offset)
-    np.testing.assert_array_equal(one.state, other.state)
-    np.testing.assert_array_equal(one.state_bound, other.state_bound)
-
-
-@PROPERTY
-@given(periods=st.integers(1, 20), share=st.sampled_from([0.0, 0.25, 0.5]))
-def test_a_delay_is_that_of_the_torques_themselves(periods: int, share: float) -> None:
-    """Of a part of a period, the step of the torque is within it: its mean counts."""
-    delay = (periods - share) * PERIOD
-    late, early = shifted(TORQUE, periods), shifted(TORQUE, periods - 1)
-    one = estimates(TorquePath(delay=delay), TORQUE)
-    other = estimates(TorquePath(), (1.0 - share) * late + share * early)
-    np.testing.assert_allclose(one.state, other.state, **SMALL)
-    np.testing.assert_allclose(one.state_bound, other.state_bound, **SMALL)
-
-
 @pytest.mark.parametrize("method", METHODS)
-def test_it_is_the_same_for_every_method(method: str) -> None:
-    torque = TorquePath(0.8, 0.3, 2.0 * PERIOD)
-    one = estimates(torque, TORQUE, method)
-    other = estimates(TorquePath(), 0.8 * shifted(TORQUE, 2) + 0.3, method)
-    np.testing.assert_allclose(one.state, other.state, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("periods", [0.6, 3, 7])
-def test_in_a_gap_torques_arrive_that_were_commanded_before_it(periods: float) -> None:
-    """As they would for an observer that is told so at every period of the gap."""
-    torque, keep = TorquePath(delay=periods * PERIOD), np.r_[0:200, 220:240]
-    gapped = estimates(torque, TORQUE, "ekf", keep)
-    held = TORQUE.copy()
-    held[200:220] = held[199]
-    whole = math.ceil(periods)
-    late = shifted(held, whole)
-    arriving = late + (whole - periods) * (shifted(held, whole - 1) - late)
-    observer = make_estimator(DESIGN, ts.ObserverSettings(method="ekf"))
-    state, states = observer.initial(), []
-    for index in range(240):
-        if index:
-            state = observer.predict(state, arriving[index - 1 : index], PERIOD)
-        if index in keep:
-            state, _ = observer.correct(state, RUN.angle[index : index + 1])
-            states.append(observer.readout(state).state)
-    np.testing.assert_allclose(gapped.state, states, rtol=0.0, atol=1e-9)
+@pytest.mark.parametrize("share", [0.0, 0.25])
+def test_gain_offset_and_delay_are_those_of_the_torques_themselves(
+    method: str, share: float
+) -> None:
+    """Of a part of a period, the step of the torque is within it: its mean counts."""
+    late, early = shifted(TORQUE, 2), shifted(TORQUE, 1)
+    one = estimates(TorquePath(0.8, 0.3, (2.0 - share) * PERIOD), TORQUE, method)
+    other = estimates(TorquePath(), 0.8 * ((1.0 - share) * late + share * early) + 0.3, method)
+    for name in ("state", "state_bound"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-9, atol=1e-9)
 
 
 def tracker_of(design: Design, stamps: Sequence[int]) -> Tracker:
@@ -122,20 +80,6 @@ def test_arrival_in_any_order_gives_the_same_bits(order: list[int], periods: flo
         assert other_row is not None
         assert one_row.state.tobytes() == other_row.state.tobytes()
         assert one_row.state_bound.tobytes() == other_row.state_bound.tobytes()
-
-
-def test_step_by_step_it_is_what_a_tracker_does() -> None:
-    design = design_with(TorquePath(0.9, 0.2, 1.5 * PERIOD))
-    observer, tracker = design.supervised(), tracker_of(design, range(60))
-    state = observer.initial()
-    for index in range(60):
-        state, _ = observer.correct(state, RUN.angle[index : index + 1])
-        if index < 59:
-            state = observer.predict(state, TORQUE[index : index + 1], PERIOD)
-    assert tracker.state is not None
-    np.testing.assert_array_equal(
-        observer.readout(state).state, observer.readout(tracker.state).state
-    )
 
 
 def test_while_estimates_are_read_torques_go_on_arriving() -> None:
@@ -186,38 +130,6 @@ def test_limits_are_those_of_the_torque_in_messages() -> None:
     assert {reasons[index] for index in wrong} == {RejectReason.IMPLAUSIBLE_TORQUE}
 
 
-def test_samples_of_two_sensors_each_bring_a_torque() -> None:
-    """As many are remembered as come in a delay, whichever output they are of."""
-    torque, count = TorquePath(delay=4.3 * PERIOD), 60
-    tracker, plain = (ts.make_tracker(design_with(each, BOTH)) for each in (torque, TorquePath()))
-    half, late = NANOSECONDS // 2, round(4.3 * NANOSECONDS)
-    rng = np.random.default_rng(0)
-    u = rng.normal(0.0, 1.0, 2 * count)
-    y = np.array([[0.0, np.nan], [np.nan, 0.0]])
-    for index in range(2 * count):
-        sample = y[index % 2], u[index : index + 1]
-        tracker.offer(Measurement(BEGIN + index * half, *sample), 10**18)
-    # The same torques, each in a message of its own when it arrives.
-    events = [(index * half, y[index % 2], None) for index in range(2 * count)]
-    events += [(index * half + late, np.full(2, np.nan), index) for index in range(2 * count)]
-    state, now, held = plain.estimator.initial(), 0, u[:1]
-    for stamp, sample, command in sorted(events, key=lambda each: each[0]):
-        if stamp > (2 * count - 1) * half:
-            break
-        state = plain.estimator.predict(state, held, (stamp - now) / 1e9)
-        now = stamp
-        if command is None:
-            state, _ = plain.estimator.correct(state, sample)
-        else:
-            held = u[command : command + 1]
-    assert tracker.state is not None
-    np.testing.assert_allclose(
-        plain.estimator.readout(state).state,
-        tracker.estimator.readout(tracker.state).state,
-        atol=2e-4,
-    )
-
-
 @pytest.mark.parametrize("design", [DESIGN, BOTH], ids=["link angle", "both encoders"])
 def test_an_observer_with_the_path_is_as_accurate_as_one_without_need_of_it(design: Design) -> None:
     """And one that lacks it is several times worse."""
@@ -226,12 +138,12 @@ def test_an_observer_with_the_path_is_as_accurate_as_one_without_need_of_it(desi
 
     def error(plant: Design, observer: Design) -> Array:
         found = []
-        for seed in range(10):
-            run = ts.simulate(plant, duration=20.0, seed=seed)
+        for seed in range(3):
+            run = ts.simulate(plant, duration=16.0, seed=seed)
             said = ts.estimate(observer, run.time, run.angle, run.torque)
             found.append((said.state - run.state)[run.time > 8.0])
         return np.sqrt((np.array(found) ** 2).mean(axis=(0, 1)))
 
     plain = error(design, design)
     assert np.exp(np.log(error(true, true) / plain).mean()) < 1.05
-    assert np.exp(np.log(error(true, design) / plain).mean()) > 2.0
+    assert (error(true, design) / plain).max() > 5.0

@@ -3,7 +3,7 @@
 """Estimates are a function of the measurements and the stamp, however and whenever they came."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any
 
@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.estimator import Estimator, certified_estimator
-from tsobs_ros.estimation.options import CertifiedGain, SupervisionOptions, TorqueLimits
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.options import TorqueLimits
 from tsobs_ros.estimation.records import REASONS, Estimate, Innovation, Measurement, RejectReason
-from tsobs_ros.estimation.tracker import Outcomes, Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -34,28 +34,14 @@ JUDGED = (RejectReason.IMPLAUSIBLE_TORQUE, RejectReason.UNKNOWN_INPUT, RejectRea
 
 
 @cache
-def estimator_of(kind: str) -> Estimator:
-    """Return the node's observer from its start.
-
-    A settled one hands over to the certified gain after the first regular step.
-    """
-    if kind != "settled":
-        return DESIGN.supervised()
-    settled = certified_estimator(
-        DESIGN.request.flow,
-        DESIGN.request.measurement_covariance,
-        DESIGN.covariance_bound,
-        CertifiedGain(DESIGN.K, DESIGN.covariance_bound),
-        settle_time=0.0,
-    )
-    settled.supervise(SupervisionOptions())
-    settled.limit_torque(DESIGN.arm_request.torque_limits())
-    return settled
+def estimator() -> Estimator:
+    """Return the node's observer, which hands over to the certified gain soon."""
+    return DESIGN.supervised(settle_time=0.05)
 
 
-def tracker(kind: str = "unsettled", **options: Any) -> Tracker:
+def tracker(**options: Any) -> Tracker:
     """Return a new tracker of an observer."""
-    return Tracker(estimator_of(kind), TrackerOptions(x_max=X_MAX, **options))
+    return Tracker(estimator(), TrackerOptions(x_max=X_MAX, **options))
 
 
 RUN = simulate(SCENARIOS["noise"], [4], 3.0)
@@ -82,23 +68,6 @@ def finite(estimate: Estimate) -> bool:
 
 def offer_all(tracker: Tracker, measurements: Iterable[Measurement]) -> list[Any]:
     return [tracker.offer(m, END) for m in measurements]
-
-
-def offer_batch(tracker: Tracker, batch: Sequence[Measurement]) -> Outcomes:
-    stamps, y, u = (np.array(column) for column in zip(*batch, strict=True))
-    return tracker.offer_many(stamps, y, u, END)
-
-
-def steps_of(tracker: Tracker) -> int:
-    """Return how many measurements were stepped through, rewinds included."""
-    return int(tracker.memory["generation"][0])
-
-
-def books(tracker: Tracker) -> list[Any]:
-    """Return all counts."""
-    rejected = sorted((reason.value, count) for reason, count in tracker.rejected.items())
-    counts = (tracker.used, tracker.rewinds, tracker.forgotten, tracker.restarts, tracker.failures)
-    return [*counts, rejected, tracker.events, tracker.newest]
 
 
 def probes(tracker: Tracker) -> list[Any]:
@@ -141,17 +110,17 @@ def test_late_samples_change_no_bit_while_hypotheses_compete(batch: int) -> None
     stamps = BEGIN + PERIOD * np.arange(count)
     results, seen = [], set()
     for order in (np.arange(count), np.arange(count).reshape(-1, 20)[:, ::-1].ravel()):
-        one = Tracker(ADAPTIVE.supervised(), TrackerOptions(X_MAX))
+        one = Tracker(ADAPTIVE.supervised(0.5), TrackerOptions(X_MAX))
         for part in np.split(order, range(batch, count, batch)):
             one.offer_many(stamps[part], y[part], u[part], END)
             assert one.state is not None
             seen |= {*np.flatnonzero(one.state.records["hypotheses"]["live"][0]).tolist()}
-        results.append((probes(one), one.state.records.tobytes(), books(one)[5:]))
+        results.append((probes(one), one.state.records.tobytes(), one.rejected))
     assert len(seen) > 8  # standing ones, and forks
     assert results[0] == results[1]
-    whole = Tracker(ADAPTIVE.supervised(), TrackerOptions(X_MAX))
+    whole = Tracker(ADAPTIVE.supervised(0.5), TrackerOptions(X_MAX))
     rows = whole.follow(stamps, y, u)
-    observed = ADAPTIVE.supervised().observe(y[np.newaxis], u[np.newaxis])
+    observed = ADAPTIVE.supervised(0.5).observe(y[np.newaxis], u[np.newaxis])
     for name in ("state", "state_bound"):
         assert rows[name].tobytes() == observed[name].tobytes()
     assert probes(whole) == results[0][0]
@@ -166,14 +135,13 @@ JUNK: dict[RejectReason, Callable[[Measurement], Measurement]] = {
 }
 
 
-@pytest.mark.parametrize("kind", ["unsettled", "settled"])
 @PROPERTY
 @given(schedule=schedules(), most=st.sampled_from([1, 12]), data=st.data())
 def test_batches_in_any_order_give_the_estimates_of_arrival_in_order(
-    kind: str, schedule: tuple[list[Measurement], list[Measurement]], most: int, data: st.DataObject
+    schedule: tuple[list[Measurement], list[Measurement]], most: int, data: st.DataObject
 ) -> None:
     kept, arrived = schedule
-    together, in_order = tracker(kind), tracker(kind)
+    together, in_order = tracker(), tracker()
     expected: Counter[RejectReason] = Counter()
     late = steps = place = 0
     while place < len(arrived):
@@ -185,7 +153,8 @@ def test_batches_in_any_order_give_the_estimates_of_arrival_in_order(
         kinds = st.sampled_from([*JUNK][: 5 if known else 4])
         junk = data.draw(st.lists(st.tuples(kinds, st.sampled_from(good)), max_size=4))
         batch = data.draw(st.permutations([*good, *(JUNK[reason](m) for reason, m in junk)]))
-        outcomes = offer_batch(together, batch)
+        stamps, y, u = (np.array(column) for column in zip(*batch, strict=True))
+        outcomes = together.offer_many(stamps, y, u, END)
         expected.update(reason for reason, _ in junk)
         found = Counter(REASONS[code] for code in outcomes.codes)
         assert all(found[reason] == n for reason, n in Counter(r for r, _ in junk).items())
@@ -201,7 +170,7 @@ def test_batches_in_any_order_give_the_estimates_of_arrival_in_order(
     assert (together.used, together.rewinds) == (in_order.used, late)
     assert (together.failures, together.restarts) == (0, 0)
     # One pass over what is newer than the oldest of a batch.
-    assert steps_of(together) == steps
+    assert together.memory["generation"][0] == steps
 
 
 def test_the_domain_is_left_where_the_angle_is_too_large() -> None:

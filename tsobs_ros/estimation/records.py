@@ -58,20 +58,7 @@ CORRECTING = (USED, IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT)
 
 
 class Basis(enum.IntEnum):
-    """What the published bounds rest on.
-
-    Attributes:
-        CERTIFIED: The certificate, times the noise's scale.
-        LEARNT: The same for the estimate's own error, which the certificate covers, and the learnt
-            parameters' uncertainty, which it does not.
-        COVARIANCE: The covariance along the estimate.
-        STARTING: The same, after a start.
-        GAP: The same, after a gap in measurements or torque.
-        JUMP: The same, after a jump of the sensor.
-        CONTRADICTED: Nothing: the innovations contradict what the bounds assume.
-        HYPOTHESIS: The covariance of another hypothesis about the arm or its sensor.
-        OUTSIDE: Nothing: the link angle is outside of the certificate's domain.
-    """
+    """What the published bounds rest on; `health.STATUSES` says what each means."""
 
     CERTIFIED = 0
     LEARNT = 1
@@ -85,13 +72,7 @@ class Basis(enum.IntEnum):
 
 
 class Learning(enum.IntEnum):
-    """What the learning of parameters does.
-
-    Attributes:
-        NONE: There is nothing to learn.
-        STARTING: It waits until the estimate has settled after a start.
-        ACTIVE: It goes on.
-    """
+    """What the learning of parameters does; `health.STATUSES` says what each means."""
 
     NONE = 0
     STARTING = 1
@@ -99,17 +80,7 @@ class Learning(enum.IntEnum):
 
 
 class Hypothesis(enum.IntEnum):
-    """What the estimate takes the arm and its sensor for.
-
-    Attributes:
-        AS_DESIGNED: What the design says.
-        FORCE: An arm whose motor has an unknown torque, of a hundredth of its weight and more.
-        IMPERFECT: An arm that moves in other ways than the model.
-        LOUD: A sensor with white noise that is larger than designed.
-        COLOURED_NOISE: A sensor with noise that is alike from sample to sample.
-        DRIFT: A sensor that moves away, or is wrong for a while.
-        TONE: A sensor that oscillates.
-    """
+    """What the estimate takes the arm and its sensor for; `health.STATUSES` says more."""
 
     AS_DESIGNED = 0
     FORCE = 1
