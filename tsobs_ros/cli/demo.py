@@ -4,7 +4,6 @@
 
 import argparse
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -23,7 +22,7 @@ from tsobs_ros.bag.estimate_topics import (
     TRUE_DISTURBANCE,
     TRUE_STATES,
 )
-from tsobs_ros.cli.common import Commands, add_command, positive
+from tsobs_ros.cli.common import Commands, add_command, note, positive
 from tsobs_ros.cli.report import report_on
 from tsobs_ros.errors import NodeError
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -76,18 +75,15 @@ def run(options: argparse.Namespace) -> int:
         # Any domain from 1 to 101 keeps clear of the ports that outgoing connections use.
         options.domain_id = 1 + os.getpid() % 101
     options.design = options.design or config_path(SHIPPED_DESIGN)
-    print(
+    note(
         f"plant, observer, visualizer and recorder on ROS_DOMAIN_ID={options.domain_id} for "
-        f"{options.duration:g} s",
-        file=sys.stderr,
+        f"{options.duration:g} s"
     )
-    with tqdm(
-        total=options.duration, unit="s", bar_format="{l_bar}{bar}| {n:.1f}/{total:.1f} s"
-    ) as bar:
+    look = "{l_bar}{bar}| {n:.1f}/{total:.1f} s"
+    with tqdm(total=options.duration, unit="s", bar_format=look) as bar:
         bag = _record(output, options, bar)
-    exit_code = report_on(
-        bag, output, as_json=options.json, notes={"seed of the simulator": str(options.seed)}
-    )
+    notes = {"seed of the simulator": str(options.seed)}
+    exit_code = report_on(bag, output, as_json=options.json, notes=notes)
     if not options.json:
         print(
             f"\nthe bag is {bag}: ros2 bag play, Foxglove and PlotJuggler open it\n"
@@ -126,9 +122,13 @@ def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
         recorder = start("recorder", {"output": bag.resolve(), "topics": topics})
         drawn = start("visualizer", {})
         own = [each for each in RECORDED_TOPICS if "/observer/" in each or each == MARKERS]
-        own = [re.escape(topic) + r" \[" for topic in own]
         others = [observer, recorder, drawn]
-        _until(lambda: recorder.has_printed(*own), others, "the recorder to be ready")
+
+        def is_ready() -> bool:
+            printed = recorder.printed()
+            return all(f"{topic} [" in printed for topic in own)
+
+        _until(is_ready, others, "the recorder to be ready")
         plant = start(
             "plant_simulator",
             {
@@ -142,7 +142,7 @@ def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
                 "mismatch.gravity_torque": options.gravity,
             },
         )
-        _until(lambda: plant.has_printed("started"), [*others, plant], "the plant to start")
+        _until(lambda: "started" in plant.printed(), [*others, plant], "the plant to start")
         started = time.monotonic()
 
         def has_finished() -> bool:
@@ -172,8 +172,7 @@ class _NodeProcess:
         environment: Mapping[str, str],
         log: Path,
     ) -> None:
-        self.name = name
-        self.log = log
+        self.name, self.log = name, log
         arguments = [sys.executable, "-m", "tsobs_ros.executables", name, "--ros-args"]
         for key, value in parameters.items():
             arguments += ["-p", f"{key}:={value}"]
@@ -197,12 +196,8 @@ class _NodeProcess:
     def running(self) -> bool:
         return self._process.poll() is None
 
-    @property
     def printed(self) -> str:
         return self.log.read_text(encoding="utf-8", errors="replace")
-
-    def has_printed(self, *patterns: str) -> bool:
-        return all(re.search(pattern, self.printed) for pattern in patterns)
 
     def stop(self) -> None:
         """End the process cleanly, by force only if that fails."""
@@ -218,7 +213,7 @@ class _NodeProcess:
     def require_success(self) -> None:
         """Raise `NodeError` with the end of its log unless it ended with exit code 0."""
         if self._process.poll():
-            last = self.printed.strip().splitlines()[-5:]
+            last = self.printed().strip().splitlines()[-5:]
             raise NodeError(
                 f"{self.name} ended with exit code {self._process.returncode}: "
                 + " | ".join(last or ["no output"])

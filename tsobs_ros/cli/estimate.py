@@ -221,17 +221,6 @@ def _about(source: "Source", observers: "Sequence[Observer]") -> list[str]:
     return [f"{text} for {', '.join(names)}" if several else text for text, names in lines.items()]
 
 
-def _about_outputs(run: "Run", joints: Sequence[str]) -> list[str]:
-    """Return a line on what was not used of each output, of those of which there was any."""
-    lines = []
-    for joint, outputs in run.outputs().items():
-        whose = f"{joint}: " if len(joints) > 1 else ""
-        for name, counts in outputs.items():
-            if parts := [f"{n:,} {what}" for what, n in counts.items() if n]:
-                lines.append(f"{whose}{name}: {' and '.join(parts)}")
-    return lines
-
-
 def _result(
     source: "Source",
     runs: "list[Run]",
@@ -247,7 +236,7 @@ def _result(
     begin, end = source.span
     duration = float(end - begin) * 1e-9
     # At most one of several observers was the live one.
-    agreements = [one for one in (run.agreement() for run in runs) if one is not None]
+    agreements = filter(None, (run.agreement() for run in runs))
     agreement = max(agreements, key=lambda one: one.reproduced, default=None)
     lines = [
         f"{source.path}: {source.count:,} measurements of {', '.join(source.joints)} "
@@ -260,11 +249,19 @@ def _result(
             f"{run.observer.name:<{width}}  {run.estimates:,} estimates from "
             f"{run.loop.used:,} measurements; rejected: {rejected or 'none'}"
         )
-        lines += [f"{'':<{width}}  {line}" for line in _about_outputs(run, source.joints)]
-        if run.observer.settings.method == "certified":
-            for joint, health in run.health().items():
-                whose = f"{joint}: " if len(source.joints) > 1 else ""
-                lines += [f"{'':<{width}}  {whose}{line}" for line in health.lines()]
+        certified = run.observer.settings.method == "certified"
+        health = {joint: one.lines() for joint, one in run.health().items()} if certified else {}
+        unused = {
+            joint: [
+                f"{name}: {' and '.join(f'{n:,} {what}' for what, n in counts.items() if n)}"
+                for name, counts in outputs.items()
+                if any(counts.values())
+            ]
+            for joint, outputs in run.outputs().items()
+        }
+        for joint, own in [*unused.items(), *health.items()]:
+            whose = f"{joint}: " if len(source.joints) > 1 else ""
+            lines += [f"{'':<{width}}  {whose}{line}" for line in own]
     lines += remarks
     lines += [] if agreement is None else [agreement.text()]
     if len(runs) == 1:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -35,19 +36,13 @@ _LEVELS = ("OK", "WARN", "ERROR", "STALE")
 
 def picture(snapshot: Snapshot) -> RenderableType:
     """Return a snapshot as tables."""
-    parts: list[RenderableType] = [_heading(snapshot)]
-    if snapshot.positions:
-        parts += ["", _estimates(snapshot)]
-    if snapshot.disturbances:
-        parts += ["", _sensors(snapshot)]
-    further = _further(snapshot)
-    if further.row_count:
-        parts += ["", further]
-    return Group(*parts, "", _statuses(snapshot))
+    tables = [_estimates(snapshot), _sensors(snapshot), _further(snapshot)]
+    parts = [part for table in tables if table.row_count for part in ("", table)]
+    return Group(_heading(snapshot), *parts, "", _statuses(snapshot))
 
 
 def _heading(snapshot: Snapshot) -> Text:
-    text = Text().append(printable(snapshot.observer), "bold")
+    text = _text(snapshot.observer, "bold")
     state = snapshot.statuses.get("state")
     if state is not None:
         text.append("  ").append(printable(state.message), _STYLES[state.level])
@@ -57,9 +52,8 @@ def _heading(snapshot: Snapshot) -> Text:
         text.append(f"  no estimate for {snapshot.age:.0f} s", _STYLES[2])
     if snapshot.problem:
         text.append(f"\n{printable(snapshot.problem)}", _STYLES[1])
-    rates = [
-        f"{name} {snapshot.rates[key]:.1f}" for key, name in _RATES.items() if key in snapshot.rates
-    ]
+    found = snapshot.rates
+    rates = [f"{name} {found[key]:.1f}" for key, name in _RATES.items() if key in found]
     return text.append(f"\nmessages a second: {', '.join(rates)}" if rates else "", "dim")
 
 
@@ -68,23 +62,22 @@ def _estimates(snapshot: Snapshot) -> Table:
     kinds = [(f"position{unit[0]}", snapshot.positions)]
     if snapshot.velocities:
         kinds.append((f"velocity{unit[1]}", snapshot.velocities))
-    is_known = any(not math.isnan(each.truth) for each in snapshot.positions.values())
-    titles = [title for name, _ in kinds for title in (name, "±1σ", *["error"] * is_known)]
+    known = _is_known(snapshot.positions)
+    titles = [title for name, _ in kinds for title in (name, "±1σ", *["error"] * known)]
     table = _table("estimate", *titles)
     for name in snapshot.positions:
-        cells = [_cells(quantities.get(name), is_known) for _, quantities in kinds]
+        cells = [_cells(quantities.get(name), known) for _, quantities in kinds]
         table.add_row(_text(name), *chain.from_iterable(cells))
     return table
 
 
 def _sensors(snapshot: Snapshot) -> Table:
-    unit = " [rad]" if snapshot.in_radians else ""
-    is_known = any(not math.isnan(each.truth) for each in snapshot.disturbances.values())
-    table = _table("sensor", f"disturbance{unit}", "±1σ", *["error"] * is_known, "innovation")
+    unit, known = " [rad]" * snapshot.in_radians, _is_known(snapshot.disturbances)
+    table = _table("sensor", f"disturbance{unit}", "±1σ", *["error"] * known, "innovation")
     table.add_column("fault")
     for name, each in snapshot.disturbances.items():
         innovation = _number(snapshot.innovations.get(name))
-        table.add_row(_text(name), *_cells(each, is_known), innovation, _fault(snapshot, name))
+        table.add_row(_text(name), *_cells(each, known), innovation, _fault(snapshot, name))
     return table
 
 
@@ -96,9 +89,8 @@ def _further(snapshot: Snapshot) -> Table:
         ("learnt change", snapshot.parameters),
     ):
         for name, each in quantities.items():
-            bound = _number(each.bound, sign=False).plain
-            truth = "" if math.isnan(each.truth) else f"  true {_number(each.truth).plain}"
-            value = f"{_number(each.value).plain} ± {bound}{truth}"
+            truth = "" if math.isnan(each.truth) else f"  true {_number(each.truth)}"
+            value = f"{_number(each.value)} ± {_number(each.bound, sign=False)}{truth}"
             table.add_row(_text(title, "dim"), _text(name), value)
     for name, number in snapshot.health.items():
         if name.rpartition("/")[2] in ("noise_scale", "coloured_power"):
@@ -107,36 +99,33 @@ def _further(snapshot: Snapshot) -> Table:
 
 
 def _statuses(snapshot: Snapshot) -> RenderableType:
-    """Return what is not well, and what is rejected and measured besides."""
+    """Return what is not well, and what is rejected and measured."""
     table = Table.grid(padding=(0, 2))
     for name, status in snapshot.statuses.items():
         concern = name.rpartition(": ")[2]
         shown_above = name == "state" or (snapshot.disturbances and "sensor fault" in concern)
         if not shown_above and (status.level or concern in _ALWAYS):
+            level = _text(_LEVELS[status.level], _STYLES[status.level])
             words = [status.message, *_details(status, concern)]
-            table.add_row(
-                _text(_LEVELS[status.level], _STYLES[status.level]),
-                _text(name),
-                _text("; ".join(filter(None, words))),
-            )
+            table.add_row(level, _text(name), _text("; ".join(filter(None, words))))
     return table
 
 
 def _details(status: Status, concern: str) -> list[str]:
     """Return the values of a status that people watch."""
     values = status.values
-    if concern == "measurements":
-        totals = f"{values.get('used', '?')} of {values.get('received', '?')} used"
-        rejected = [
-            f"{key.removeprefix('rejected: ')} {count}"
-            for key, count in values.items()
-            if key.startswith("rejected: ") and count != "0"
-        ]
-        return [totals + (f", rejected: {', '.join(rejected)}" if rejected else "")]
     if concern == "timing":
         wanted = ("achieved rate [Hz]", "tick time p99 [ms]", "latency p99 [ms]")
         return [f"{key} {values[key]}" for key in wanted if key in values]
-    return []
+    if concern != "measurements":
+        return []
+    rejected = ", ".join(
+        f"{key.removeprefix('rejected: ')} {count}"
+        for key, count in values.items()
+        if key.startswith("rejected: ") and count != "0"
+    )
+    used = f"{values.get('used', '?')} of {values.get('received', '?')} used"
+    return [f"{used}, rejected: {rejected}" if rejected else used]
 
 
 def _fault(snapshot: Snapshot, entry: str) -> Text:
@@ -144,10 +133,9 @@ def _fault(snapshot: Snapshot, entry: str) -> Text:
     joint, _, output = entry.partition("/")
     of = f"sensor fault of {output or entry}"
     names = (f"{joint}: {of}", f"{joint}: sensor fault", of, "sensor fault")
-    found = [snapshot.statuses[name] for name in names if name in snapshot.statuses]
-    if not found:
+    status = next((snapshot.statuses[n] for n in names if n in snapshot.statuses), None)
+    if status is None:
         return _text("?", "dim")
-    status = found[0]
     sizes = [value for key, value in status.values.items() if key.startswith("magnitude")]
     words = [_LEVELS[status.level], status.message]
     if status.message != "none":
@@ -156,13 +144,16 @@ def _fault(snapshot: Snapshot, entry: str) -> Text:
 
 
 def _table(first: str, *titles: str) -> Table:
-    from rich.table import Table
-
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style="dim")
     table.add_column(first, overflow="fold")
     for title in titles:
         table.add_column(Text(title), justify="right", no_wrap=True)
     return table
+
+
+def _is_known(quantities: Mapping[str, Quantity]) -> bool:
+    """Return whether the truth of one of them is known."""
+    return any(not math.isnan(each.truth) for each in quantities.values())
 
 
 def _text(text: str, style: str = "") -> Text:

@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
                 "same ROS_DOMAIN_ID, and called so?"
             )
         if options.json:
-            show(as_mapping(taken), "", as_json=True)
+            show(_plain(taken), "", as_json=True)
         else:
             console.print(picture(taken))
         return 0
@@ -75,14 +75,12 @@ def run(options: argparse.Namespace) -> int:
 
 def _once(options: argparse.Namespace) -> tuple[Snapshot | None, int]:
     """Return a snapshot with all that an observer publishes, or what there is, and an exit code."""
-    taken: list[Snapshot] = []
-    deadline = time.monotonic() + options.timeout
-    first = math.inf
+    taken: Snapshot | None = None
+    deadline, first = time.monotonic() + options.timeout, math.inf
 
     def keep(snapshot: Snapshot) -> bool:
-        nonlocal first
-        now = time.monotonic()
-        taken[:] = [snapshot]
+        nonlocal taken, first
+        now, taken = time.monotonic(), snapshot
         if snapshot.positions:
             first = min(first, now)
         state = snapshot.statuses.get("state")
@@ -91,7 +89,7 @@ def _once(options: argparse.Namespace) -> tuple[Snapshot | None, int]:
         return not (is_silent or is_whole or now > deadline)
 
     failed = _watch(options, keep)
-    return (taken[0] if taken else None), failed
+    return taken, failed
 
 
 def _watch(options: argparse.Namespace, take: Callable[[Snapshot], bool]) -> int:
@@ -101,13 +99,7 @@ def _watch(options: argparse.Namespace, take: Callable[[Snapshot], bool]) -> int
     return runtime.run(lambda: Watcher(options.observer, options.period, take), args=[])
 
 
-def as_mapping(snapshot: Snapshot) -> dict[str, Any]:
-    """Return a snapshot as plain data."""
-    plain = snapshot._asdict()
-    for key, value in plain.items():
-        if isinstance(value, dict):
-            plain[key] = {
-                name: each._asdict() if hasattr(each, "_asdict") else each
-                for name, each in value.items()
-            }
-    return plain
+def _plain(value: Any) -> Any:
+    """Return a record, or a mapping of them, as plain data."""
+    value = value._asdict() if hasattr(value, "_asdict") else value
+    return {k: _plain(v) for k, v in value.items()} if isinstance(value, dict) else value
