@@ -27,13 +27,12 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -271,27 +270,22 @@ class Finished(NamedTuple):
 
 
 class RosProcess:
-    """A child process whose output is collected line by line."""
+    """A child process; its output goes to files in a folder of its own."""
 
-    def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
+    def __init__(
+        self, command: Sequence[str], environment: Mapping[str, str], folder: Path
+    ) -> None:
         self.command = list(command)
-        self._process = subprocess.Popen(
-            self.command,
-            env={**environment, "PYTHONUNBUFFERED": "1"},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        self._lines: list[tuple[str, str]] = []
-        self._changed = threading.Condition()
-        self._readers = [
-            threading.Thread(target=self._read, args=(name, stream), daemon=True)
-            for name, stream in (("out", self._process.stdout), ("err", self._process.stderr))
-        ]
-        for reader in self._readers:
-            reader.start()
+        self._streams = [folder / "stdout", folder / "stderr"]
+        with self._streams[0].open("wb") as out, self._streams[1].open("wb") as err:
+            self._process = subprocess.Popen(
+                self.command,
+                env={**environment, "PYTHONUNBUFFERED": "1"},
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                start_new_session=True,
+            )
 
     @property
     def pid(self) -> int:
@@ -301,26 +295,21 @@ class RosProcess:
     @property
     def output(self) -> str:
         """Everything printed so far, on both streams."""
-        with self._changed:
-            return "".join(line for _, line in self._lines)
+        return "".join(each.read_text("utf-8", "replace") for each in self._streams)
 
     def wait_for_line(self, pattern: str, timeout: float = 20.0) -> str:
         """Wait until a line of either stream matches the regular expression, and return it."""
         deadline = time.monotonic() + timeout
-        seen = 0
-        with self._changed:
-            while True:
-                for _, line in self._lines[seen:]:
-                    if re.search(pattern, line):
+        while True:
+            ended, late = self._process.poll() is not None, time.monotonic() > deadline
+            for stream in self._streams:
+                for line in stream.read_text("utf-8", "replace").splitlines(keepends=True):
+                    if re.search(pattern, line) and (ended or line.endswith("\n")):
                         return line
-                seen = len(self._lines)
-                remaining = deadline - time.monotonic()
-                ended = not any(reader.is_alive() for reader in self._readers)
-                if remaining <= 0.0 or ended:
-                    why = "it ended" if ended else f"{timeout:g} s passed"
-                    printed = "".join(line for _, line in self._lines)
-                    raise AssertionError(f"no line matches {pattern!r} ({why}):\n{printed}")
-                self._changed.wait(min(remaining, 0.2))
+            if ended or late:
+                why = "it ended" if ended else f"{timeout:g} s passed"
+                raise AssertionError(f"no line matches {pattern!r} ({why}):\n{self.output}")
+            time.sleep(0.02)
 
     def signal(self, number: int) -> None:
         """Send a signal."""
@@ -334,28 +323,14 @@ class RosProcess:
             raise AssertionError(
                 f"{self.command} still runs after {timeout:g} s:\n{self.output}"
             ) from None
-        for reader in self._readers:
-            reader.join(timeout)
-        streams = {
-            name: "".join(line for stream, line in self._lines if stream == name)
-            for name in ("out", "err")
-        }
-        return Finished(self._process.returncode, streams["out"], streams["err"])
+        out, err = (each.read_text("utf-8", "replace") for each in self._streams)
+        return Finished(self._process.returncode, out, err)
 
     def kill(self) -> None:
         """End the process and its children at once."""
         if self._process.poll() is None:
             os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
-        for reader in self._readers:
-            reader.join()
-
-    def _read(self, name: str, stream: IO[str]) -> None:
-        with stream:
-            for line in stream:
-                with self._changed:
-                    self._lines.append((name, line))
-                    self._changed.notify_all()
 
 
 def executable(name: str) -> list[str]:
@@ -376,7 +351,9 @@ def tsobs() -> list[str]:
 
 
 @pytest.fixture
-def ros_process(ros: Ros) -> Iterator[Callable[..., RosProcess]]:
+def ros_process(
+    ros: Ros, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Callable[..., RosProcess]]:
     """Start executables on this test's domain; whatever is left is killed after the test.
 
     `prefix` is a command that runs the executable, such as a shell that sets limits first.
@@ -403,7 +380,9 @@ def ros_process(ros: Ros) -> Iterator[Callable[..., RosProcess]]:
         base = executable(command) if isinstance(command, str) else list(command)
         ros_part = ["--ros-args", *ros_arguments] if ros_arguments else []
         process = RosProcess(
-            [*prefix, *base, *arguments, *ros_part], {**ros.environment, **(environment or {})}
+            [*prefix, *base, *arguments, *ros_part],
+            {**ros.environment, **(environment or {})},
+            tmp_path_factory.mktemp("process"),
         )
         started.append(process)
         return process
