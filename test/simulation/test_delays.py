@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.request import ArmRequest, Output
-from tsobs_ros.errors import ModelError
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.torque_path import TorquePath
-from tsobs_ros.plants import scenario_of
 from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import BiasStep, Multisine, Sine
+from tsobs_ros.simulation.signals import BiasStep
 
 PERIOD = 0.005
 QUIET = Scenario(
@@ -32,7 +29,7 @@ def later(commands: Array, periods: int) -> Array:
     return np.concatenate([first, commands], axis=1)[:, : commands.shape[1]]
 
 
-@pytest.mark.parametrize("periods", [0.0, 0.3, 1.0, 1.5, 20.0])
+@pytest.mark.parametrize("periods", [0.3, 1.0, 20.0])
 def test_a_command_reaches_the_motor_by_the_mean_over_a_period(periods: float) -> None:
     torque = TorquePath(0.7, 0.4, periods * PERIOD)
     moved = Plant(replace(QUIET, torque=torque), [1, 2]).run(120, COMMANDS)
@@ -61,7 +58,7 @@ def fine(delay: float, samples: int, scenario: Scenario) -> Array:
     return np.asarray(run.physical[np.maximum(places, 0)][:, [0, 2]])
 
 
-@pytest.mark.parametrize("delay", [0.002, 0.005, 0.013, 0.1])
+@pytest.mark.parametrize("delay", [0.002, 0.013])
 def test_an_angle_is_measured_as_it_was(delay: float) -> None:
     outputs = (
         SimulatedOutput("link_angle", Sensor(noise_std=0.0), (BiasStep(0.1, 0.0),), delay),
@@ -79,33 +76,3 @@ def test_an_angle_is_measured_as_it_was(delay: float) -> None:
     # Before the first sample it moved as at the first.
     start = run.physical[0]
     np.testing.assert_allclose(seen[0, :2], start[[0, 2]] - delay * start[[1, 3]], atol=1e-12)
-
-
-def test_samples_are_the_same_one_by_one_and_of_a_batch() -> None:
-    request = ArmRequest(
-        outputs=(Output("motor_angle", 0.001, delay=0.0173), Output("link_angle", 0.01)),
-        torque=TorquePath(0.9, 0.1, 0.0117),
-    )
-    scenario = replace(scenario_of(request), excitation=Multisine())
-    batch = Plant(scenario, [3, 4, 5]).run(60)
-    alone = Plant(scenario, 4)
-    for index in range(60):
-        sample = alone.step()
-        assert sample.measurement.tobytes() == batch.measurements[1, index].tobytes()
-        assert sample.physical.tobytes() == batch.physical[1, index].tobytes()
-
-
-def test_a_plant_without_delays_is_the_one_it_was() -> None:
-    """A delay of nothing moves no bit, and neither does the same path in other words."""
-    scenario = replace(QUIET, excitation=Sine(2.0, 3.0))
-    plain = Plant(scenario).run(50)
-    other = Plant(replace(scenario, torque=TorquePath(1.0, 0.0, 0.0))).run(50)
-    assert plain.physical.tobytes() == other.physical.tobytes()
-
-
-def test_velocities_and_negative_delays_are_refused() -> None:
-    late = SimulatedOutput("motor_velocity", delay=0.001)
-    with pytest.raises(ModelError, match=r"outputs\[0\].delay: expected 0 for motor_velocity"):
-        Scenario(outputs=(late,))
-    with pytest.raises(ModelError, match="delay: expected a finite number of at least 0"):
-        replace(late, delay=-1.0)

@@ -57,10 +57,11 @@ def test_energy_of_the_undriven_arm_stays_over_a_minute(angle: float) -> None:
     assert abs(energy(moved(ARM, start, 0.0, 60.0)) / energy(start) - 1.0) < 1e-6
 
 
-@pytest.mark.parametrize("arm", [ARM, DAMPED])
-def test_agrees_with_a_solver_of_order_eight(arm: ElasticJointArm) -> None:
-    expected = exact(lambda _, x: nominal(arm, x), 5.0)
-    np.testing.assert_allclose(moved(arm, START, 0.7, 5.0), expected, rtol=0.0, atol=1e-9)
+@pytest.mark.parametrize("rate", [200.0, 300.0])
+def test_agrees_with_a_solver_of_order_eight(rate: float) -> None:
+    expected = exact(lambda _, x: nominal(DAMPED, x), 5.0)
+    ours = moved(DAMPED, START, 0.7, 5.0, rate=rate)
+    np.testing.assert_allclose(ours, expected, rtol=0.0, atol=1e-9)
 
 
 def test_friction_agrees_with_its_formula() -> None:
@@ -73,16 +74,3 @@ def test_friction_agrees_with_its_formula() -> None:
 
     ours = moved(ARM, START, 0.7, 5.0, friction=Friction(0.2, 0.1, 0.3, 0.15))
     np.testing.assert_allclose(ours, exact(rate, 5.0, "LSODA"), rtol=0.0, atol=1e-6)
-
-
-@pytest.mark.parametrize("rate", [200.0, 1000.0, 300.0])
-def test_equals_the_textbooks_step_of_at_most_a_millisecond(rate: float) -> None:
-    steps = np.ceil(1000.0 / rate - 1e-9)
-    x, h = DAMPED.from_physical(START), 1.0 / rate / steps
-    for _ in range(int(steps)):
-        a = DAMPED.derivative(x, [0.7])
-        b = DAMPED.derivative(x + 0.5 * h * a, [0.7])
-        c = DAMPED.derivative(x + 0.5 * h * b, [0.7])
-        x = x + h / 6.0 * (a + 2.0 * (b + c) + DAMPED.derivative(x + h * c, [0.7]))
-    ours = moved(DAMPED, START, 0.7, 1.0 / rate, rate=rate)
-    np.testing.assert_allclose(ours, DAMPED.to_physical(x), rtol=0.0, atol=1e-15)

