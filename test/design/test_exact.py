@@ -117,6 +117,9 @@ REQUESTS = {
         outputs=(Output("motor_angle", 0.001, delay=0.004), Output("link_angle", 0.01, (BIAS,))),
         torque_disturbance=TorqueDisturbance((), (CONTACT,)),
     ),
+    "uncertain": ArmRequest(
+        uncertainty={"gravity": 0.05, "stiffness": 0.1}, certify_uncertainty=True
+    ),
     "no gravity": ArmRequest(
         arm=ElasticJointArm(gravity_torque=0.0),
         outputs=(Output("motor_velocity", 0.01), Output("motor_angle", 0.001)),

@@ -109,24 +109,6 @@ def test_a_file_of_the_first_format_is_what_saving_its_design_writes(
     assert [entry.name for entry in tmp_path.iterdir()] == ["again.yaml"]
 
 
-def test_a_scheduled_system_with_more_than_one_premise_is_read(
-    pendulum_data: dict[str, Any], tmp_path: Path
-) -> None:
-    premises = {
-        "angle": {"state": [1, 0]},
-        "load": {"state": [0, 1], "scheduled": [0, 3]},
-    }
-    path = written(tmp_path, changed(pendulum_data, ("system", "premises"), premises))
-    model = load_request(path).model
-    np.testing.assert_array_equal(model.premise, [[1.0, 0.0], [0.0, 1.0]])
-    np.testing.assert_array_equal(model.schedule, [[0.0, 0.0], [0.0, 3.0]])
-    # The second premise is in no rule's "if", so it is always met.
-    held = np.array([0.0, 5.0, 7.0])
-    np.testing.assert_array_equal(
-        model.weights(np.array([0.4, 0.0]), held), model.weights(np.array([0.4, 9.0]), -held)
-    )
-
-
 def test_names_and_units_are_read_back_and_stand_in_reports(
     pendulum_data: dict[str, Any], tmp_path: Path
 ) -> None:
@@ -136,7 +118,8 @@ def test_names_and_units_are_read_back_and_stand_in_reports(
     data = changed(data, ("units",), {**units, "scheduled": ["rad/s"]})
     premises = {"angle": {"state": [1, 0]}, "load": {"scheduled": [1]}}
     request = load_request(written(tmp_path, changed(data, ("system", "premises"), premises)))
-    assert isinstance(request, TSRequest)
+    np.testing.assert_array_equal(request.model.premise, [[1.0, 0.0], [0.0, 0.0]])
+    np.testing.assert_array_equal(request.model.schedule, [[0.0], [1.0]])
     assert request.state_names == ("tilt", "speed")
     assert (request.output_names, request.output_units) == (("y1", "y2"), ("V", ""))
     assert (request.input_names, request.input_units) == (("u1", "y2"), ("N m", "rad/s"))
@@ -148,8 +131,7 @@ def test_names_and_units_are_read_back_and_stand_in_reports(
     assert "outputs (y1 [V], y2), inputs u1 [N m], y2 [rad/s]" in again.text()
     proved = load_design(DATA / "system.design.yaml")
     text = replace(proved, request=replace(proved.request, names=Labels(("tilt", "speed")))).text()
-    for name in ("tilt", "speed", "disturbance of y2, state 1"):
-        assert re.search(rf"\n  {name} +0\.\d{{5}}\n", text)
+    assert re.search(r"\n  tilt +0\.\d{5}\n  speed +0.*\n  disturbance of y2, state 1 +0\.", text)
 
 
 def test_a_file_that_cannot_be_written_is_named(shipped: Design, tmp_path: Path) -> None:
@@ -221,40 +203,26 @@ TORQUE = ("design", "torque")
 OUTPUT = {"measures": "motor_angle", "measurement_std": 0.001}
 ARM = [
     (OUTPUTS, [{**OUTPUT, "measures": "elbow"}], r"outputs\[0\].measures: expected one of link_an"),
-    (OUTPUTS, [OUTPUT, dict(OUTPUT)], r"outputs\[1\]: motor_angle is listed already"),
     (OUTPUTS, [{"measures": "motor_angle"}], r"outputs\[0\].measurement_std: missing"),
-    (OUTPUTS, [{**OUTPUT, "delay": -0.1}], r"outputs\[0\].delay: expected .* at least 0, got -0.1"),
     (OUTPUTS, [{**OUTPUT, "delay": 0.101}], r"outputs\[0\].delay: .* 20 periods, 0.1 s, got 0.101"),
-    (
-        OUTPUTS,
-        [{**OUTPUT, "measures": "link_velocity", "delay": 0.001}],
-        r"outputs\[0\].delay: expected 0 for link_velocity, as only angles can be late, got 0.001",
-    ),
     (TORQUE, {"gain": 0.0}, "design.torque.gain: expected a finite number above 0, got 0.0"),
     (TORQUE, {"delay": 2.0}, "torque.delay: .* 20 periods, 0.1 s, got 2.0 s; .* would be 0.002 s"),
-    (TORQUE, {"lag": 1e-3}, "design.torque: unknown entry 'lag', expected some of gain, offset, d"),
     (LINK, {"elbow": []}, "torque_disturbance: unknown entry 'elbow'"),
     (LINK, {"link": [{"kind": "arbitrary"}]}, r"torque_disturbance.link\[0\]: expected a torque"),
     (("format",), ..., "format: expected 'tsobs_ros design' or 'tsobs_ros T-S design', got None"),
     (("version",), True, "version: expected 1, got True"),
     (("design", 3), 4, "design: expected names of entries, got 3"),
-    (("design", "speed"), 3.0, "design: unknown entry 'speed', expected some of arm"),
     (("design", "rate"), True, "design.rate: expected a number, got True"),
-    (("design", "rate"), math.nan, "design.rate: expected a finite number, got nan"),
     (("design", "x_max"), 4.0, "design.x_max: expected 0 < x_max <= π, got 4.0"),
     (("design", "arm", "stiffness"), -3, "design.arm.stiffness: .* number above 0, got -3"),
     (("design", "initial_std"), [1.0], r"design.initial_std: expected shape \(4,\), got \(1,\)"),
     (("design", "measurement_std"), 1e200, "design.measurement_std: .* a finite square"),
-    (("design", "disturbance"), [], "design.disturbance: expected at least one term"),
     (("design", "disturbance", 0, "kind"), "wind", r"disturbance\[0\].kind: expected one of clean"),
     (("design", "disturbance", 0, "tau"), 1.0, r"disturbance\[0\].tau: no parameter of bias"),
-    (("design", "uncertainty", "wind"), 0.1, "design.uncertainty: expected some of stiffness"),
     (("design", "certify_uncertainty"), 1, "design.certify_uncertainty: expected true or false"),
-    (("gain", "K"), ..., "gain.K: missing"),
     (("gain", "K", 1), [1.0], r"gain.K\[1\]: expected shape \(\) as .*0\] has, got \(1,\)"),
     (("certificate", "P", 1, 2), math.inf, r"certificate.P\[1\]\[2\]: expected a finite number"),
     (OUTPUTS, [], "design.outputs: expected at least one"),
-    (("design", "initial_std", 0), 1e200, ""),
     (("design", "arm"), {"link_inertia": 1e-200, "motor_inertia": 1e-200}, ""),
     (("design", "disturbance"), [{"kind": "gauss_markov", "time_constant": 1e-300}], ""),
     (
@@ -270,7 +238,6 @@ SYSTEM = [
     (("system", "rules", 0, "if"), {"speed": {"shape": "always"}}, r"\[0\].if: unknown entry 'sp"),
     (("system", "rules", 0, "if"), {"angle": {"shape": "box"}}, r"\[0\].if.angle: membership sh"),
     (("disturbance",), [{"kind": "clean"}], r"disturbance\[0\]: expected a list, got"),
-    (("process_noise",), [1.0], r"process_noise: expected shape \(2,\), got \(1,\)"),
     (("names",), {"states": ["a", "b/c"]}, r"names.states\[1\]: expected a letter, .* got 'b/c'"),
     (("names",), {"states": ["a", "a"]}, r"names.states\[1\]: .* 'a', which names.states\[0\] has"),
     (("names",), {"outputs": ["e", "u1"]}, r"names.inputs\[0\]: .* 'u1', which names.outputs\[1\]"),
@@ -311,15 +278,12 @@ def test_a_wrong_entry_is_named_with_the_file(
     ("name", "place", "value"),
     [
         ("arm", ("gain", "K", 0), 0.0),
-        ("arm", ("design", "x_max"), 0.8),
-        ("system", ("measurement_std"), [0.02, 0.02]),
         ("system", ("system", "slope_vertices", 1, 1, 0), 1.0),
     ],
 )
 def test_an_edited_design_is_refused_by_its_certificate(
     name: str, place: Any, value: Any, tmp_path: Path
 ) -> None:
-    place = (place,) if isinstance(place, str) else place
     path = written(tmp_path, changed(yaml_of(f"{name}.design.yaml"), place, value))
     with pytest.raises(
         CertificateError, match=r"my\.yaml: the certificate does not hold: .*margin"
@@ -334,9 +298,7 @@ def test_an_edited_design_is_refused_by_its_certificate(
     [
         ("arm: {link_inertia: 1, motor_inertia: 2, stiffness: 1e+100, gravity_torque: 1}", ""),
         ("design: {arm: {stiffness: 9}}", "design.arm.link_inertia: missing; an arm has all of"),
-        ("arm: {}", "arm.link_inertia: missing"),
         ("desing: {rate: 100}", "unknown entry 'desing' (did you mean 'design'?)"),
-        ("design: {arm: {stifness: 9}}", "unknown entry 'stifness' (did you mean 'stiffness'?)"),
         ("torque_limit: 0", "torque_limit: expected a number above 0, got 0.0; left out it is"),
         ("x_max: 45", "got 45.0 rad; as degrees it would be 0.7854 rad"),
     ],
@@ -369,7 +331,7 @@ def test_what_is_no_file_is_named(load: Any, what: str, tmp_path: Path) -> None:
         file.truncate(1 << 33)
     with pytest.raises(DesignFileError, match=f"larger than 1048576 bytes, not a {what}"):
         load(path)
-    for text in (b"\xff\xfe\x00\x01", bytes(range(256)), b"a: [", b"", b"- format"):
+    for text in (b"\xff\xfe\x00\x01", b"a: [", b"- format"):
         path.write_bytes(text)
         with pytest.raises(DesignFileError, match=r"my\.yaml: (not valid YAML|expected a mapping)"):
             load(path)

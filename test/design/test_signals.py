@@ -13,15 +13,9 @@ from tsobs_ros.resources import config_path
 @pytest.mark.parametrize(
     ("measured", "places"),
     [
-        (["link_velocity"], [("elbow", "velocity")]),
-        (["link_angle"], [("elbow", "position")]),
         (["motor_angle"], [("elbow", "position")]),
         (["motor_velocity", "motor_angle"], [("elbow", "velocity"), ("elbow", "position")]),
         (["motor_angle", "link_angle"], [("elbow_motor", "position"), ("elbow", "position")]),
-        (
-            ["link_angle", "link_velocity", "motor_velocity"],
-            [("elbow", "position"), ("elbow", "velocity"), ("elbow_motor", "velocity")],
-        ),
     ],
 )
 def test_outputs_of_one_side_are_the_joints_and_of_both_sides_the_motor_has_its_own_entry(

@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
@@ -21,17 +19,10 @@ from tsobs_ros.errors import DesignError, DetectabilityError, ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 
 Array = NDArray[np.float64]
-PROPERTY = settings(max_examples=12)
 
 
 def tone(frequency: float) -> tuple[DisturbanceTerm, ...]:
     return (DisturbanceTerm("sinusoid", {"frequency": frequency}),)
-
-
-def relative_eigenvalues(covariance: Array, P: Array) -> Array:
-    """Return the eigenvalues of X⁻¹Σ."""
-    root = np.linalg.cholesky(P)
-    return np.asarray(np.linalg.eigvalsh(root.T @ covariance @ root))
 
 
 def test_the_shipped_design_can_be_made_again(shipped: Design) -> None:
@@ -55,8 +46,8 @@ def test_on_a_single_slope_the_bound_is_the_riccati_solution() -> None:
             noise,
             request.measurement_covariance,
         )
-        ratios = relative_eigenvalues(kalman, design.P)
-        assert ratios == pytest.approx(np.ones(5), abs=tolerance)
+        root = np.linalg.cholesky(design.P)
+        np.testing.assert_allclose(root.T @ kalman @ root, np.eye(5), atol=tolerance)
 
 
 def test_a_faster_decay_than_any_gain_gives_is_refused() -> None:
@@ -74,18 +65,6 @@ def test_a_stiff_arm_has_a_design() -> None:
     assert design.bound_std[0] < 0.01
 
 
-@PROPERTY
-@given(
-    st.floats(-3.0, 2.0), st.floats(-3.0, 2.0), st.floats(-1.0, 5.0), st.floats(-2.0, 3.0),
-    st.floats(0.02, 1.55),
-)  # fmt: skip
-def test_no_arm_is_refused_for_its_size(
-    j1: float, j2: float, k: float, mgl: float, x_max: float
-) -> None:
-    arm = ElasticJointArm(10.0**j1, 10.0**j2, 10.0**k, 10.0**mgl)
-    assert find_obstacles(ArmRequest(arm=arm, x_max=x_max)) == []
-
-
 def test_an_impossible_design_names_mode_slope_and_help() -> None:
     with pytest.raises(DetectabilityError) as caught:
         require_detectable(ArmRequest(x_max=math.pi / 2))
@@ -101,25 +80,8 @@ def test_the_domain_advised_is_clear_of_every_obstacle() -> None:
     terms = (DisturbanceTerm("bias"), *tone(1.0))
     with pytest.raises(DetectabilityError, match=r"x_max below 1\.213 rad") as caught:
         require_detectable(ArmRequest(disturbance=terms, x_max=1.6))
-    assert "c = 0 (|q1| = 90.0 deg)" in str(caught.value)
     assert "c = 0.35 (|q1| = 69.5 deg)" in str(caught.value)
     assert find_obstacles(ArmRequest(disturbance=terms, x_max=1.21)) == []
-
-
-@PROPERTY
-@given(st.floats(0.5, 6.0))
-def test_a_tone_is_refused_exactly_in_the_arms_blind_bands(frequency: float) -> None:
-    """Bands of the arm's own frequencies over the domain, from the quartic's two roots in ω²."""
-
-    def own(slope: float) -> Array:
-        middle, product = 15.0 + 10.0 * slope, 50.0 * slope
-        root = math.sqrt(middle**2 / 4.0 - product)
-        return np.sqrt([middle / 2.0 - root, middle / 2.0 + root])
-
-    bands = np.stack([own(math.cos(0.75)), own(1.0)])
-    assume(np.abs(bands - frequency).min() > 1e-6)
-    blind = bool(((bands[0] < frequency) & (frequency < bands[1])).any())
-    assert bool(find_obstacles(ArmRequest(disturbance=tone(frequency)))) == blind
 
 
 @pytest.mark.parametrize(

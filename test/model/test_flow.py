@@ -127,7 +127,6 @@ def test_flow_and_noise_are_those_of_matrix_exponentials(flow: ArmFlow, fraction
     ("arm", "rate"),
     [
         (ElasticJointArm(1e-3, 1e-4, 100.0), 25.0),
-        (ElasticJointArm(0.1, link_damping=100.0), 25.0),
         (ElasticJointArm(link_damping=1e5), 200.0),
         (ElasticJointArm(), 0.1),
     ],
@@ -154,40 +153,21 @@ def test_the_flow_over_a_step_long_for_the_arm_is_the_matrix_exponential(
 
 def test_prediction_is_of_second_order(predicted: Any) -> None:
     """Halving the period quarters the error against an accurate solution of the equations."""
-    rng = np.random.default_rng(0)
-    arm = ElasticJointArm(*rng.uniform(0.5, 2.0, 2), *rng.uniform(5.0, 20.0, 2), 0.3, 0.2)
-    model = bias() + sinusoid(3.0)
-    x = np.concatenate([rng.uniform(-1.0, 1.0, 4), [0.1, 0.2, -0.1]])
-    u, horizon = rng.uniform(-5.0, 5.0, 1), 0.4
+    arm, model, u = ElasticJointArm(0.7, 1.3, 12.0, 9.0, 0.3, 0.2), sinusoid(3.0), np.array([2.0])
+    x, errors = np.array([0.5, -0.3, 8.0, 0.7, 0.2, -0.1]), []
 
     def rate(_: float, z: Array) -> Array:
         return np.concatenate([arm.derivative(z[:4], u), model.S @ z[4:]])
 
-    exact = solve_ivp(rate, (0.0, horizon), x, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
-    errors = []
-    for count in (20, 40, 80):
-        flow = ArmFlow(arm, model, ProcessNoise(), horizon / count)
-        z = x
-        for _ in range(count):
-            z = predicted(flow, z, u, flow.period)
+    exact = solve_ivp(rate, (0.0, 0.4), x, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    for period in (0.02, 0.01, 0.005):
+        flow, z = ArmFlow(arm, model, ProcessNoise(), period), x
+        for _ in range(round(0.4 / period)):
+            z = predicted(flow, z, u, period)
         errors.append(float(np.linalg.norm(z - exact)))
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.03)
     assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.03)
     assert errors[2] < 2e-3
-
-
-@PROPERTY
-@given(st.data(), FLOWS, st.integers(0, 4), st.floats(0.05, 0.95))
-def test_a_long_prediction_is_nominal_steps_and_a_last_one(
-    predicted: Any, data: st.DataObject, flow: ArmFlow, whole: int, fraction: float
-) -> None:
-    x, u = draw_state(data, flow), np.array([1.0])
-    duration = (whole + fraction) * flow.period
-    durations, stepped = cut(flow, duration), x
-    for each in durations:
-        stepped = predicted(flow, stepped, u, each)
-    np.testing.assert_allclose(predicted(flow, x, u, duration), stepped, rtol=1e-10, atol=1e-10)
-    assert sum(durations) == pytest.approx(duration, rel=1e-13)
 
 
 @settings(PROPERTY, max_examples=20)
@@ -233,7 +213,7 @@ def test_the_error_after_a_step_is_one_of_the_certified_error_systems(
 
 
 @PROPERTY
-@given(st.data(), FLOWS, st.sampled_from([0.4, 1.0, 1.7, 3.0]))
+@given(st.data(), FLOWS, st.sampled_from([0.4, 1.0, 1.2, 1.7, 3.0, 4.9]))
 def test_the_covariance_follows_the_steps_own_jacobian(
     predicted: Any, data: st.DataObject, flow: ArmFlow, periods: float
 ) -> None:
@@ -244,6 +224,7 @@ def test_the_covariance_follows_the_steps_own_jacobian(
     covariance = root @ root.T
     duration = periods * flow.period
     _, spread = predicted(flow, state, u, duration, covariance)
+    assert sum(cut(flow, duration)) == pytest.approx(duration, rel=1e-13)
     for length in cut(flow, duration):
         numeric = slope_by_differences(predicted, flow, state, u, length)
         before = kick(flow, math.cos(state[0]), length)
@@ -316,17 +297,9 @@ def test_what_each_map_reads_of_the_augmented_state() -> None:
         (np.stack([flow.motor_torque, flow.link_torque]), [4.0, 5.0 + 6.0]),
     ):
         np.testing.assert_allclose(found @ state, expected, rtol=1e-14)
-    known = ArmFlow(arm, model, ProcessNoise(), 0.005, outputs)
-    assert known.torque_map.shape == (0, 7)
-
-
-def test_slopes_of_the_augmented_state() -> None:
-    flow = flow_of(ElasticJointArm(), disturbance=bias() + sinusoid(3.0))
-    np.testing.assert_allclose(flow.to_physical(np.arange(7.0)), [0.0, 1.0, 0.2, 0.3])
-    A = flow.arm.slope_matrix(0.3)
-    assert (flow.augmented(A) == block_diag(A, flow.disturbance.S)).all()
-    for x_max, lowest in ((0.5, math.cos(0.5)), (math.pi / 2, 0.0), (7.0, -1.0)):
-        assert slope_range(x_max) == (pytest.approx(lowest, abs=1e-15), 1.0)
+    physical = np.concatenate([[0.1, 0.2, 0.3, 0.4], state[4:]])
+    np.testing.assert_allclose(flow.to_physical(state), physical[:4])
+    assert ArmFlow(arm, model, ProcessNoise(), 0.005, outputs).torque_map.shape == (0, 7)
 
 
 def test_uncertain_parameters_have_corners_of_their_own() -> None:
@@ -343,6 +316,3 @@ def test_uncertain_parameters_have_corners_of_their_own() -> None:
     assert [each.where for each in flow_of(ElasticJointArm(gravity_torque=0.0)).vertices(0, 1)] == [
         "no gravity"
     ]
-    names = ["stiffness", "link_damping", "motor_damping", "link_inverse_inertia"]
-    with pytest.raises(ModelError, match="expected at most 3 uncertain parameters besides gravity"):
-        _ = arm_uncertainty(arm, dict.fromkeys(names, 0.1)).linear_places

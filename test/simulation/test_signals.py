@@ -98,7 +98,6 @@ def test_senseless_numbers_are_refused_by_name(make: Callable[[], object], compl
         (NoTorque(), lambda t: 0.0),
         (Constant(-1.5), lambda t: -1.5),
         (Sine(2.0, 3.0), lambda t: 2.0 * math.sin(3.0 * t)),
-        (Multisine(1.5, 2.0, 9.0, 1), lambda t: 1.5 * math.sin(2.0 * t)),
         (Square(2.0, math.pi / 1.1), lambda t: 2.0 if t % 2.2 < 1.1 else -2.0),
         (Chirp(1.0, 1.0, 3.0, 100.0), lambda t: math.sin(t + 0.01 * t * t)),
         # A chirp begins again after a sweep.
@@ -119,8 +118,8 @@ def test_signals_may_be_too_large_for_a_sine() -> None:
 def test_multisine_has_the_stated_power_and_a_moderate_crest() -> None:
     signal = Multisine(amplitude=2.0, lowest=0.5, highest=6.0, tones=12)  # period 4π
     torque = signal.values(np.arange(4000) * (4 * math.pi / 4000))
-    assert np.sqrt(np.mean(torque**2)) == pytest.approx(2.0 / math.sqrt(2.0), rel=1e-6)
-    assert np.abs(torque).max() < 2.5 * np.sqrt(np.mean(torque**2))
+    assert torque.std() == pytest.approx(2.0 / math.sqrt(2.0), rel=1e-6)
+    assert np.abs(torque).max() < 2.5 * torque.std()
 
 
 @pytest.mark.parametrize("kinds", [EXCITATIONS, KINDS])
