@@ -5,7 +5,7 @@
 `certified` and `riccati` are what the node runs, with either gain; `fixed` does not learn. The
 rivals are two EKFs with a gate and a reset: `ekf_gated` with the nominal arm, and
 `ekf_gated_augmented` with stiffness and gravity as states. `ekf_plain`, `ekf_augmented` and
-`ekf_true`, which knows the true arm, have no gate. PO and PIO have the best θ of a grid for each
+`ekf_true`, which has the true arm, have no gate. PO and PIO have the best θ of a grid for each
 scenario and window.
 """
 

@@ -110,7 +110,7 @@ _LOOSE = ("correlated_0.8", "correlated_0.9", "correlated_0.97", "stiff_correlat
 _LOOSE_INSIDE_BAR = 0.95
 
 _UNTOLD = ("late_10ms", "late_20ms", "payload")
-"""Scenarios in which bounds may fail if they are said to be none."""
+"""Scenarios in which bounds may fail if they are not claimed."""
 
 _WRONG_EFFORTS = tuple(name for name in HARD if name.startswith("wrong_effort"))
 _HONEST_BAR = 0.999

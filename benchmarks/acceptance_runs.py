@@ -4,7 +4,7 @@
 
 Errors are those of the estimate at a sample, after its correction if it was not lost, in design
 coordinates. PO and PIO hold a sample until the next one, so theirs is the estimate before it. A
-lost sample is lost with its torque: ours knows that, and the others hold the torque before it.
+lost sample is lost with its torque; ours accounts for that, the others hold the torque before it.
 """
 
 from collections.abc import Callable
@@ -56,7 +56,7 @@ class Found(NamedTuple):
         bounds: 1σ of them.
         thetas: Relative changes of stiffness and gravity, shape (runs, samples, k).
         theta_bounds: 1σ of them.
-        rows: All that ours says, as `campaign.batches.Observed.rows`.
+        rows: All results of ours, as `campaign.batches.Observed.rows`.
         events: What the supervision counted in each run.
     """
 
@@ -143,7 +143,7 @@ def kalman(
     Args:
         design: Model, noise and start.
         runs: What it measures.
-        arm: The arm that it knows; the nominal one if None.
+        arm: The filter's model; the nominal arm if None.
         learns: Whether stiffness and gravity are states.
         gated: Whether it has a gate.
     """
@@ -244,7 +244,7 @@ def outcome(scenario: Scenario, runs: Trajectories, found: Found) -> Outcome:
 def _worth(
     rows: Rows, kept: NDArray[np.bool_], full: NDArray[np.bool_], times: Array
 ) -> dict[str, Array]:
-    """Return what an outcome says about claims, by the names of its fields."""
+    """Return the claims of an outcome, by the names of its fields."""
     claims, every = rows["claimed"][:, full] == 1.0, kept.all(axis=2)
     foreign = rows["hypothesis"] != Hypothesis.AS_DESIGNED
     longest = np.zeros(len(foreign))

@@ -36,7 +36,7 @@ class _Estimates(NamedTuple):
 
 
 def _estimate(estimator: Estimator, runs: Trajectories) -> _Estimates:
-    """Return what an estimator knows of each run just before each sample."""
+    """Return the estimates of each run just before each sample."""
     shape = (*runs.measurements.shape[:2], 5)
     values, bounds = np.empty(shape), np.empty(shape)
     state = estimator.initial(shape[:1])

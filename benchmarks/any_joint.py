@@ -3,8 +3,8 @@
 """Encoders on either side and unknown torques: what is demanded of them, on simulated runs.
 
 The arm is the default one. `ours` is what the node runs; `gated EKF` has the same states, a gate
-and a reset, and `EKF` has no gate. All know the arm; nobody knows friction and contact. The
-demands on contacts are of the node's tracker and fault monitors at 200 ticks a second.
+and a reset, and `EKF` has no gate. All have the arm's parameters, none has friction or contact. The
+demands on contacts are of the node's tracker and fault monitors at 200 ticks per second.
 """
 
 import sys

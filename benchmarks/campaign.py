@@ -4,7 +4,7 @@
 
 The observer is the one the node runs. The parts are CPU time on one thread; next to them stands
 what NumPy's generators take for the random numbers alone, as a measure of the machine. The whole
-is `tsobs campaign` as a process of its own, on one thread and on all cores: elapsed time from its
+is `tsobs campaign` as a separate process, on one thread and on all cores: elapsed time from its
 start to the tables, also without what a campaign of no length takes, and its largest memory.
 """
 
@@ -38,7 +38,7 @@ sys.exit(code)
 
 
 def _parts(campaign: Campaign) -> dict[str, float]:
-    """Return the median CPU time of each part [ns a sample]."""
+    """Return the median CPU time of each part [ns per sample]."""
     design = campaign.file.design
     generator, normal = np.random.Generator(np.random.Philox(0)), np.empty(12 * 256)
     times: dict[str, list[float]] = {}
@@ -102,7 +102,7 @@ def main() -> None:
     duration = campaign.entries.duration
     lines = [
         f"{options.runs} runs of {duration:g} s\n",
-        *(f"{name:24s}{spent:8.0f} ns a sample" for name, spent in parts.items()),
+        *(f"{name:24s}{spent:8.0f} ns per sample" for name, spent in parts.items()),
         *(
             f"{one['threads']:g} threads: {one['elapsed_s']:.1f} s, of one run "
             f"{one['of_one_run_s']:.1f} s; {_RUNS} runs would take {one['scaled_s']:.0f} s; "

@@ -11,7 +11,7 @@ At the design's own rate all that is repeated with a sensor that is s times as n
 noise as designed and s times as large, and errors of N(0, s²X) at the start.
 
 Printed is the largest eigenvalue of X⁻¹cov(e)/s² just before a sample. The largest eigenvalue of a
-sample covariance leans upwards: if cov(e) were X itself, it would lie where the first line says.
+sample covariance leans upwards: if cov(e) were X itself, the first line would be its expectation.
 """
 
 from dataclasses import replace
@@ -152,7 +152,7 @@ def main() -> None:
     made.add_argument("--scales", type=at_least(1.0), nargs="*", default=[1.5, 3.0], metavar="S")
     options = made.parse_args()
     if options.runs < 100:
-        made.error("runs: expected at least 100, fewer say nothing")
+        made.error("runs: expected at least 100 for a meaningful covariance")
     request = design_of(options).request
     if [term["kind"] for term in request.disturbance] != ["bias"]:
         made.error("design: expected one whose disturbance is a bias, which is what is simulated")
@@ -170,7 +170,7 @@ def main() -> None:
     for rate, scale in cases:
         design = synthesise(replace(request, rate=rate))
         for name, motion in _MOTIONS.items():
-            # Seeds of its own for each campaign, so that chance does not repeat itself.
+            # Different seeds in each campaign, for independent samples.
             found = _campaign(design, motion, scale, options.runs, seed)
             seed += options.runs
             pairs = zip(found.largest, found.deviation, strict=True)

@@ -69,7 +69,7 @@ def at_least(least: float, kind: type[float] = float) -> Callable[[str], float]:
 def claim_domain() -> int:
     """Return a ROS domain that is this process's until it ends.
 
-    Nobody else on this machine has it who claims domains by the same locks, as the tests do.
+    No other process has it that claims domains by the same locks, as the tests do.
     """
     folder = Path(tempfile.gettempdir()) / f"tsobs_ros_test_domains_{os.getuid()}"
     folder.mkdir(exist_ok=True)
@@ -114,7 +114,7 @@ def timed(action: Callable[[], object]) -> float:
 
 
 def machine() -> dict[str, Any]:
-    """Return what numbers depend on besides the code."""
+    """Return the versions and the processor, on which numbers depend."""
     import numpy as np
 
     model = platform.processor() or platform.machine()

@@ -197,7 +197,7 @@ def main() -> None:
         )
     costs = [one["cost_mean_us"] for one in results.values()]
     lines.append(
-        f"\nthe monitor takes {min(costs):.1f} to {max(costs):.1f} µs a sample, mean of each case"
+        f"\nthe monitor takes {min(costs):.1f} to {max(costs):.1f} µs per sample, mean of each case"
     )
     show({"seeds": options.seeds, "cases": results}, "\n".join(lines), options.json)
 

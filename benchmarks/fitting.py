@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fits of joints whose numbers are known, from a data sheet that is 30 % wrong everywhere.
 
-Each truth is recorded for half a minute with its encoders while many tones move it, and fitted.
+Each joint is simulated for half a minute, moved by many tones, and fitted to its encoders.
 Then an observer of the fitted request, with the motor's encoder alone, observes another motion,
 beside observers of the request that has the true numbers and of the sheet's. N is the root mean
 square of the states' errors by the states' own deviations.

@@ -4,7 +4,7 @@
 
     python benchmarks/fuzz_bounds.py
 
-Each bag is small for the work it asks for. Each command runs in a process of its own, which is
+Each bag is small for the work it causes. Each command runs in a separate process, which is
 ended if it exceeds the bounds of docs/security.md.
 """
 
@@ -41,7 +41,7 @@ def seconds_of(file: Path) -> float:
 
 
 def run(command: str, bag: Path, patience: float = 600.0) -> tuple[float, float, int, str]:
-    """Run a command in a process of its own.
+    """Run a command in a separate process.
 
     Args:
         command: One of `COMMANDS`; `read` reads all messages, and the last ones of each topic.
@@ -53,7 +53,7 @@ def run(command: str, bag: Path, patience: float = 600.0) -> tuple[float, float,
     """
     code = [sys.executable, __file__, "--one", command, str(bag), "--patience", str(patience)]
     try:
-        # What waits for ever needs no processor time.
+        # A process that waits without end takes no processor time.
         done = subprocess.run(
             code, capture_output=True, text=True, check=False, timeout=20.0 * patience
         )

@@ -291,7 +291,7 @@ def fuzz(inputs: int, seed: int, note: Callable[[str], object]) -> tuple[Counter
             subject = targets[number % len(targets)]
             note(f"{seed} {number} {subject.name}\n")
             begun = time.monotonic()
-            faulthandler.dump_traceback_later(_PATIENCE, exit=True)  # C hears no signal
+            faulthandler.dump_traceback_later(_PATIENCE, exit=True)  # C handles no signal
             results[attack(subject, random.Random(f"{seed} {number}"))] += 1
             longest = max(longest, time.monotonic() - begun)
     finally:
@@ -300,7 +300,7 @@ def fuzz(inputs: int, seed: int, note: Callable[[str], object]) -> tuple[Counter
 
 
 def main() -> None:
-    """Fuzz and say what became of the inputs."""
+    """Fuzz, and print the outcomes of the inputs."""
     made = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     made.add_argument("--inputs", type=at_least(1, int), default=100_000)
     made.add_argument("--seed", type=at_least(0, int), default=1)

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Share of one core that the observer takes as a process over DDS, beside a bare rclpy timer.
 
-Each case has a sensor in a process of its own, at the observer's rate; with a listener, yet
-another process takes all that the observer publishes, without one nobody does. The reference, in
+Each case has a sensor in a separate process, at the observer's rate; with a listener, another
+process takes all that the observer publishes. The reference, in
 the same run, is a node with nothing but an empty timer of that rate, spun by rclpy. User and system
 time come from /proc/<pid>/stat, so all threads of the middleware are in. The design is made for the
 rate, and its gain is the certified one before the first turn.

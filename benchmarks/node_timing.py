@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """How punctual the observer is: 1 kHz for a minute, and how long a measurement waits at 500 Hz.
 
-The sensor is a process of its own, at the observer's rate, and another one takes everything that
+The sensor is a separate process, at the observer's rate, and another one takes everything that
 the observer publishes. On time is a tick that came within a period of its due time; others are left
 out by the node, and missing in the estimates' stamps. The lag is the time from an estimate's stamp
 to its arrival at the listener, in the first and in the last fifth of the run.
 
 The first two seconds of listening are left out: discovery holds the observer up once.
 
-The latency is what the node says of itself in diagnostics, second by second: from the middleware's
+The latency is the node's own, from diagnostics, per second: from the middleware's
 received stamp of a measurement to the moment when the first estimate that uses it has been sent on
 all topics. With `publish_on: tick` that includes the wait for the tick, up to a period.
 """

@@ -268,7 +268,7 @@ def _worst(design: Design, turns: int) -> dict[str, float]:
 
 
 def _batch(design: Design, runs: Trajectories, arms: int, turns: int) -> dict[str, float]:
-    """Return the arm-steps a second of whole runs, on one core and on all; medians."""
+    """Return the arm-steps per second of whole runs, on one core and on all; medians."""
     estimator, cores = design.supervised(), len(os.sched_getaffinity(0))
     copies = -(-arms // len(runs.states))
     y = np.tile(runs.measurements, (copies, 1, 1))[:arms]

@@ -178,8 +178,8 @@ def main() -> None:
             f"  {results['times_real_time']:.0f} × real time; "
             f"{results['times_real_time_with_recorded_estimates']:.0f} × where the bag has a live "
             "observer's estimates, which are reproduced",
-            *(f"  {name:<36}{each:6.1f} µs a sample" for name, each in parts.items()),
-            f"  {'together':<36}{sum(parts.values()):6.1f} µs a sample",
+            *(f"  {name:<36}{each:6.1f} µs per sample" for name, each in parts.items()),
+            f"  {'together':<36}{sum(parts.values()):6.1f} µs per sample",
         ]
     )
     show(results, text, options.json)

@@ -3,9 +3,9 @@
 """How punctually the player publishes a bag of 1 kHz, and what it costs, at several rates.
 
 The player runs as it is installed, except that it also keeps how late each message was published.
-Another process receives everything, and the middleware's stamps tell when each message left the
-player and when it arrived; those errors are relative to the most punctual message, as the two
-processes do not know each other's steady time.
+Another process receives everything, and the middleware stamps the times at which each message left
+the player and arrived; those errors are relative to the most punctual message, as the two
+processes do not share a steady clock.
 """
 
 import json

@@ -44,7 +44,7 @@ class Joint(NamedTuple):
     """A joint and its drive.
 
     Attributes:
-        arm: What the design knows.
+        arm: The design's.
         coulomb: Friction of the motor [N m].
         gains: Of the drive's controller, on angle and speed.
         most: Largest torque of the drive [N m].
@@ -75,7 +75,7 @@ class Case(NamedTuple):
 
     Attributes:
         joint: Name of `JOINTS`.
-        hits: In a second.
+        hits: Per second.
         side: Of the encoder.
         sigma: 1σ of the encoder, and of the design's [rad].
         rate: [Hz].

@@ -3,7 +3,7 @@
 """What the recorder loses at full rate, what it costs, and what a kill takes from the bag.
 
 The recorder runs as it is installed, and other processes publish raw messages of 156 bytes as fast
-as asked for, each with its number in it. What is lost is told twice: by the recorder's own count,
+as asked for, each with its number in it. Losses are counted twice: by the recorder itself,
 and by comparing every message in the bag with the one that was sent. In the last part the recorder
 is killed, and what is in its file is compared in the same way.
 """
@@ -138,7 +138,7 @@ def _intact(stored: list[tuple[str, bytes]], last: int) -> int:
 
 
 def _killed(seconds: float, folder: Path, domain: int) -> dict[str, Any]:
-    """Kill the recorder and tell what its file holds."""
+    """Kill the recorder and return the content of its file."""
     recorder, sources, bag = _start(_LOADS[0], seconds + _SURVIVAL, folder, domain)
     time.sleep(seconds)
     killed_ns = time.time_ns()

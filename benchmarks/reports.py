@@ -61,7 +61,7 @@ def _shifted(data: bytes, later: int) -> bytes:
 
 
 def report(bag: Path, output: Path) -> dict[str, Any]:
-    """Report on a bag in a process of its own, and return what it took."""
+    """Report on a bag in a separate process, and return its time and memory."""
     begun = time.monotonic()
     command = ["report", str(bag), "--output", str(output), "--json"]
     child = subprocess.Popen(

@@ -9,7 +9,7 @@ traceback or an error in the output, and with a recorder's bag closed. Every
 deviation is printed with its output.
 
 A signal that comes before an executable has its handlers in place, in the interpreter's own
-start-up, ends the process as it ends any: such signals are told apart by the process's signal mask
+start-up, ends the process as it ends any: such signals are recognised by the process's signal mask
 in /proc just before they are sent, and counted by themselves.
 """
 

@@ -3,7 +3,7 @@
 """Memory, CPU and tick time of the observer over ten minutes at 1 kHz, one sample in fifty bad.
 
 The observer and the sensor are processes; what is measured comes from /proc and from the observer's
-own diagnostics. Writes soak.csv and soak.png, and says whether anything grows.
+own diagnostics. Writes soak.csv and soak.png, and reports whether anything grows.
 """
 
 import csv
@@ -42,7 +42,7 @@ _COLUMNS = (
 
 
 class _Monitor:
-    """Reads what the observer says of itself, and hears all else that it publishes."""
+    """Reads the observer's diagnostics, and receives all else that it publishes."""
 
     def __init__(self, domain: int) -> None:
         from diagnostic_msgs.msg import DiagnosticArray
@@ -149,7 +149,7 @@ def _draw(rows: Sequence[Sequence[float]], path: Path) -> None:
 
 
 def _sensor(rate: float, share: float) -> None:
-    """Publish what the sensor of a simulated arm says, and bad input among it, for ever."""
+    """Publish measurements of a simulated arm, and bad input among them, without end."""
     from dataclasses import replace
 
     import numpy as np
