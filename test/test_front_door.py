@@ -68,11 +68,9 @@ def test_a_simulation_is_reproducible_and_in_physical_units(design: Design) -> N
     moved = np.cumsum((run.state[1:, 1::2] + run.state[:-1, 1::2]) / 2 * 0.005, axis=0)
     assert moved == pytest.approx(run.state[1:, 0::2] - run.state[0, 0::2], abs=1e-3)
 
-
-def test_a_disturbance_is_named_or_passed() -> None:
     for disturbance in ({"bias_step": {"amplitude": 0.2, "start": 0.5}}, (BiasStep(0.2, 0.5),)):
-        run = ts.simulate(duration=1.0, disturbance=disturbance)
-        assert run.disturbance.tolist() == [0.0] * 100 + [0.2] * 101
+        disturbed = ts.simulate(duration=1.0, disturbance=disturbance).disturbance
+        assert disturbed.tolist() == [0.0] * 100 + [0.2] * 101
 
 
 def test_a_ts_system_is_simulated_and_estimated_by_its_design() -> None:
@@ -101,11 +99,21 @@ def test_a_ts_system_is_simulated_and_estimated_by_its_design() -> None:
         ({"torque": [1.0, 2.0]}, r"torque: expected shape \(201,\) or \(201, 1\).*got \(2,\)"),
         ({"torque_disturbance": {"elbow": "ramp"}}, "torque_disturbance: expected some of motor"),
         ({"payload": {"mass": 1.0, "inertia": 0.1}}, "payload: expected some of mass, distance"),
+        ({"time": [0.0, np.nan]}, r"time\[1\]: expected finite seconds"),
+        ({"time": [], "angle": []}, r"time: expected shape \(n,\) with n > 0, got \(0,\)"),
+        ({"angle": [0, 0, 0]}, r"angle: expected shape .* there are 2 times, got \(3,\)"),
+        ({"torque": [0], "time": [0.0, 0.1]}, r"torque: .* there are 2 times, got \(1,\)"),
+        ({"angle": ["a", "b"]}, "angle: expected real numbers"),
     ],
 )
-def test_a_wrong_simulation_is_refused(options, match) -> None:
+def test_what_makes_no_sense_is_refused(design: Design, options, match) -> None:
+    def call() -> None:
+        if {"time", "angle"}.isdisjoint(options):
+            ts.simulate(**{"duration": 1.0, **options})
+        ts.estimate(design, **{"time": [0.0, 0.1], "angle": [0, 0], "torque": 0, **options})
+
     with pytest.raises(ts.TsobsError, match=match):
-        ts.simulate(**{"duration": 1.0, **options})
+        call()
 
 
 def test_estimates_from_arrays_are_those_of_a_tracker(design: Design) -> None:
@@ -156,21 +164,6 @@ def test_bad_measurements_are_rejected_and_counted(design: Design) -> None:
     assert np.array_equal(estimates.innovation_time, time[used])
     # The row of a lost measurement is a prediction.
     assert np.isfinite(estimates.state[50]).all()
-
-
-@pytest.mark.parametrize(
-    ("time", "angle", "torque", "match"),
-    [
-        ([0.0, np.nan], [0, 0], 0, r"time\[1\]: expected finite seconds"),
-        ([], [], 0, r"time: expected shape \(n,\) with n > 0, got \(0,\)"),
-        ([0.0, 0.1], [0, 0, 0], 0, r"angle: expected shape .* there are 2 times, got \(3,\)"),
-        ([0.0, 0.1], [0, 0], [0], r"torque: expected shape .* there are 2 times, got \(1,\)"),
-        ([0.0, 0.1], ["a", "b"], 0, "angle: expected real numbers"),
-    ],
-)
-def test_arrays_that_do_not_fit_are_refused(design: Design, time, angle, torque, match) -> None:
-    with pytest.raises(ts.TsobsError, match=match):
-        ts.estimate(design, time, angle, torque)
 
 
 def test_paths_may_be_text(tmp_path: Path, design: Design) -> None:

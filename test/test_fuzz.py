@@ -12,7 +12,7 @@ from types import ModuleType
 
 import pytest
 
-INPUTS = 150
+INPUTS = 60
 
 
 @pytest.fixture(scope="module")
@@ -33,16 +33,16 @@ def test_hostile_files_are_read_or_refused(name: str, bench: ModuleType, tmp_pat
 
 
 def test_hostile_records_are_refused_or_stepped(benchmark: Callable[[str], ModuleType]) -> None:
-    results, _ = benchmark("fuzz_core").fuzz(1000, 1, lambda text: None)
+    results, _ = benchmark("fuzz_core").fuzz(300, 1, lambda text: None)
 
-    assert sum(results.values()) == 1000
-    assert min(results[name] for name in ("refused", "stepped")) > 10
+    assert sum(results.values()) == 300
+    assert min(results[name] for name in ("refused", "stepped")) > 5
 
 
 @pytest.mark.parametrize(
     ("name", "command"),
     [
-        ("metadata: 80 MB", "read"),
+        pytest.param("metadata: 80 MB", "read", marks=pytest.mark.slow),
         ("metadata: base 60", "verify"),
         ("metadata: pipe", "info"),
         ("metadata: device", "recover"),
@@ -52,7 +52,7 @@ def test_hostile_records_are_refused_or_stepped(benchmark: Callable[[str], Modul
         ("sparse: 20 GB, chunk", "recover"),
         ("summary: one chunk", "read"),
         ("summary: one message index", "info"),
-        ("summary: channels", "read"),
+        pytest.param("summary: channels", "read", marks=pytest.mark.slow),
         pytest.param("many chunks that overlap", "read", marks=pytest.mark.slow),
         ("type of 300 levels", "verify"),
         ("pipe", "info"),

@@ -23,11 +23,11 @@ def install(location: Path) -> None:
         shutil.copy(ROOT / "tsobs_ros" / name, location / "tsobs_ros")
 
 
-def config(folder: Path) -> Path:
+def config(folder: Path) -> str:
     folder.mkdir(parents=True)
     path = folder / "some.yaml"
     path.write_text("some: thing\n")
-    return path
+    return str(path)
 
 
 def found(site: Path, **environment: str) -> str:
@@ -49,25 +49,20 @@ def found(site: Path, **environment: str) -> str:
 def test_the_prefix_that_holds_the_code_is_searched(tmp_path: Path, site: str) -> None:
     install(tmp_path / "prefix" / site)
     path = config(tmp_path / "prefix" / "share" / "tsobs_ros" / "config")
-    other = config(tmp_path / "other" / "share" / "tsobs_ros" / "config")
+    config(tmp_path / "other" / "share" / "tsobs_ros" / "config")  # may be of another version
 
-    # The environment's prefix may hold another version.
-    assert found(tmp_path / "prefix" / site, AMENT_PREFIX_PATH=str(other.parents[3])) == str(path)
+    assert found(tmp_path / "prefix" / site, AMENT_PREFIX_PATH=str(tmp_path / "other")) == path
 
 
-def test_a_checkout_finds_its_own_files(tmp_path: Path) -> None:
+def test_a_checkout_finds_its_own_files_and_others_those_of_ament(tmp_path: Path) -> None:
     install(tmp_path / "checkout")
+    share = tmp_path / "prefix" / "share" / "tsobs_ros" / "config"
+    of_ament, prefixes = config(share), f"/none:{tmp_path / 'prefix'}"
+    assert found(tmp_path / "checkout", AMENT_PREFIX_PATH=prefixes) == of_ament
+
     (tmp_path / "checkout" / "package.xml").touch()
-    path = config(tmp_path / "checkout" / "config")
-
-    assert found(tmp_path / "checkout") == str(path)
-
-
-def test_the_ament_prefixes_are_searched(tmp_path: Path) -> None:
-    install(tmp_path / "somewhere")
-    path = config(tmp_path / "prefix" / "share" / "tsobs_ros" / "config")
-
-    assert found(tmp_path / "somewhere", AMENT_PREFIX_PATH=f"/none:{path.parents[3]}") == str(path)
+    own = config(tmp_path / "checkout" / "config")
+    assert found(tmp_path / "checkout", AMENT_PREFIX_PATH=prefixes) == own
 
 
 def test_a_missing_file_is_an_error_that_names_the_others() -> None:

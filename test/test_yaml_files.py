@@ -4,7 +4,7 @@
 
 import pytest
 import yaml
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tsobs_ros.yaml_files import load_yaml
@@ -16,6 +16,7 @@ PLAIN = st.recursive(
 )
 
 
+@settings(max_examples=30)
 @given(PLAIN)
 @example({"%TAG": "%TAG"})
 def test_plain_data_comes_back(data: object) -> None:

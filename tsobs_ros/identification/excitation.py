@@ -329,7 +329,7 @@ def excite(
             could be measured, or the duration is too short for the slowest frequency.
 
     >>> import tsobs_ros as ts
-    >>> motion = ts.excite(ts.ArmRequest(rate=50.0), duration=20.0, candidates=4)
+    >>> motion = ts.excite(ts.ArmRequest(rate=50.0), duration=20.0, candidates=1)
     >>> motion.number("stiffness").std < motion.number("stiffness").prior_std
     True
     >>> motion.time.shape, bool(abs(motion.torque).max() <= motion.limits.torque)
