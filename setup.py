@@ -157,6 +157,7 @@ setup(
         "test": [
             "bayesian-filters",
             "hypothesis",
+            "markdown-it-py",
             "mcap-ros2-support",
             "mypy>=2.4,<3",
             "playwright",

@@ -92,3 +92,14 @@ def test_an_executable_exists_and_is_documented(name: str, target: str) -> None:
     assert callable(getattr(import_module(module), function))
     pages = text("README.md") + text("docs/nodes.md")
     assert re.search(rf"\b{name}\b", pages), f"README.md and docs/nodes.md do not mention {name}"
+
+
+def test_what_the_architecture_names_exists() -> None:
+    named = set(re.findall(r"`([\w/]+(?:/|\.py|\.[ch]))`", text("docs/architecture.md")))
+    tree = re.findall(
+        r"^  ((?:[\w/]+(?:/|\.py)(?:, +)?)+)", text("docs/architecture.md"), re.MULTILINE
+    )
+    named |= {name for line in tree for name in line.split(", ")}
+
+    assert len(named) > 60
+    assert [n for n in named if not any((ROOT / f / n).exists() for f in (".", "tsobs_ros"))] == []

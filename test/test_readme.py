@@ -16,7 +16,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -25,6 +24,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pytest
+from markdown_it import MarkdownIt
 from yaml import safe_load
 
 import tsobs_ros as ts
@@ -128,25 +128,11 @@ class Block(NamedTuple):
 
 def blocks(page: Path) -> list[Block]:
     """Return a page's fenced and indented blocks, in order."""
-    found: list[Block] = []
-    lines: list[str] = []
-    fence: str | None = None
-    before = ""
-    for line in [*page.read_text(encoding="utf-8").splitlines(), "end"]:
-        if fence is None and line.startswith("    ") and (lines or not before):
-            lines.append(line)
-        elif fence is None and lines and not line:
-            lines.append("")
-        elif line.startswith("```") or (fence is None and lines):
-            if lines:
-                text = textwrap.dedent("\n".join(lines)).strip() + "\n"
-                found.append(Block(fence or language(text), text))
-            lines, is_open = [], fence is not None
-            fence = line[3:] if line.startswith("```") and not is_open else None
-        elif fence is not None:
-            lines.append(line)
-        before = line
-    return found
+    return [
+        Block(token.info or language(token.content), token.content)
+        for token in MarkdownIt().parse(page.read_text(encoding="utf-8"))
+        if token.type in ("fence", "code_block")
+    ]
 
 
 def language(text: str) -> str:
