@@ -9,6 +9,7 @@ those who built it with colcon, so the advice names the libraries.
 import sys
 import sysconfig
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -115,11 +116,7 @@ def printable(text: str, newline: str = r"\n") -> str:
 def missing_library(name: str | None) -> str | None:
     """Return that a module is missing and how to install it, as it fits this Python.
 
-    Args:
-        name: Name of the module, as a ModuleNotFoundError has it.
-
-    Returns:
-        One line; None if the module is not the core and belongs to no library of the package.
+    None if the module is not the core and belongs to no library of the package.
     """
     if name == CORE:
         fault = "is built from other C sources" if CORE in sys.modules else "is not built"
@@ -127,10 +124,15 @@ def missing_library(name: str | None) -> str | None:
             f"{CORE} {fault}: in the folder with setup.py, "
             f"{sys.executable} -m pip install -e . (or colcon build); it takes a C compiler"
         )
+    from importlib.metadata import PackageNotFoundError, version  # which takes long to import
+
     module = (name or "").partition(".")[0]
     if module not in LIBRARIES:
         return None
-    libraries = [*_pinned_numpy(), *LIBRARIES[module]]
+    libraries = list(LIBRARIES[module])
+    with suppress(PackageNotFoundError):
+        if version("numpy").startswith("1."):  # that ROS and libraries of the system were built for
+            libraries.insert(0, "numpy<2")
     names = " ".join(f"'{each}'" if set(each) & set("[<>") else each for each in libraries)
     missing = f"{module} is not installed: " + "source ROS 2 Jazzy, or " * (module == "rclpy")
     install = f"-m pip install {names}"
@@ -144,13 +146,3 @@ def missing_library(name: str | None) -> str | None:
         f"{missing}in the workspace, {sys.executable} -m venv --system-site-packages .venv && "
         f"{python} {install} && {python} -m colcon build"
     )
-
-
-def _pinned_numpy() -> list[str]:
-    """Return what keeps NumPy 1.x if ROS and the libraries of the system were built for it."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return ["numpy<2"] if version("numpy").startswith("1.") else []
-    except PackageNotFoundError:
-        return []

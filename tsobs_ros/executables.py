@@ -48,16 +48,12 @@ def run(name: str) -> int:
     try:
         module = import_module(f"tsobs_ros.nodes.{name}")
         runtime = import_module("tsobs_ros.nodes.runtime")
-    except ModuleNotFoundError as error:
-        advice = missing_library(error.name)
-        if advice is None:
-            raise
-        print(f"error: {advice}", file=sys.stderr)
-        return 1
-    try:
         runtime.check_arguments(module, sys.argv)
-    except OSError as error:
-        print(f"error: {error}", file=sys.stderr)
+    except (ModuleNotFoundError, OSError) as error:
+        text = missing_library(error.name) if isinstance(error, ModuleNotFoundError) else str(error)
+        if text is None:
+            raise
+        print(f"error: {text}", file=sys.stderr)
         return 1
     stop = StopFlag()
     stop.install()
@@ -68,11 +64,7 @@ def run(name: str) -> int:
 
 
 def tsobs() -> int:
-    """Run the command `tsobs`; a signal ends it with exit code 1 at any time.
-
-    Returns:
-        The process's exit code.
-    """
+    """Run the command `tsobs`, which a signal ends with exit code 1; return the exit code."""
     end_at_once(1)
     keep_standard_streams()
     try:

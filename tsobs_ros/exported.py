@@ -19,7 +19,6 @@ from tsobs_ros.core.records import record_type
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
 
 MAX_STEPS = 1024
@@ -43,7 +42,7 @@ def exported(
     settings = settings or ObserverSettings()
     if not 1 <= max_steps <= 10**6:
         raise ModelError(f"max_steps: expected 1 to 1000000, got {max_steps}")
-    tracker: Tracker = make_tracker(design, settings)
+    tracker = make_tracker(design, settings)
     memory = tracker.memory.copy()
     memory["max_steps"] = max_steps
     parts = [tracker.estimator.model.view(np.int64), memory.view(np.int64)]
@@ -67,16 +66,14 @@ def export_c(
     """Write a design's estimator into a file for C and C++ programs, as `tsobs export-c`.
 
     Args:
-        design: See `exported`.
+        design: As of `exported`, and so are `settings` and `max_steps`.
         output: The file, which is replaced.
-        settings: See `exported`.
-        max_steps: See `exported`.
 
     Returns:
         The bytes of the file, and those of the room that a tracker needs in the program.
 
     Raises:
-        ModelError: See `exported`.
+        ModelError: As of `exported`.
         OSError: The file cannot be written.
     """
     words = exported(design, settings, max_steps=max_steps)

@@ -59,11 +59,7 @@ def require_nameable(path: Path) -> None:
 
 
 def require_new(paths: Iterable[Path], *, force: bool) -> None:
-    """Refuse to replace files.
-
-    Args:
-        paths: Files to write.
-        force: Whether they may be replaced.
+    """Refuse to replace files, unless forced to.
 
     Raises:
         OutputError: One exists and may not be replaced.

@@ -31,13 +31,7 @@ class ResourceError(TsobsError, FileNotFoundError):
 
 
 def config_path(name: str) -> Path:
-    """Find a file of the package's config folder.
-
-    Args:
-        name: File name such as "observer.yaml".
-
-    Returns:
-        The file's path.
+    """Return the path of a file of the package's config folder, such as "observer.yaml".
 
     Raises:
         ResourceError: No installation or source tree holds such a file.

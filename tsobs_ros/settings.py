@@ -105,11 +105,7 @@ class Setting:
         return tuple(self._element(item) for item in list(value))
 
     def parsed(self, value: Any) -> Any:
-        """Return a value, or its text as on the command line, in the setting's type.
-
-        Raises:
-            ParameterError: It is of another type, not finite or out of range.
-        """
+        """Return a value, or its text as on the command line, in the setting's type."""
         if isinstance(value, str) and not self.is_array and self.element in (bool, int, float):
             text = value.strip()
             try:
@@ -191,11 +187,6 @@ def settings_group(make: Callable[..., T], **members: Any) -> T:
 
 class Schema:
     """The settings of a dataclass and of its groups.
-
-    Args:
-        make: The dataclass.
-        members: Those of its fields that are settings, if it does not declare them itself.
-        prefix: Of the full names.
 
     Attributes:
         entries: The settings by their full names, in the order of the fields.
