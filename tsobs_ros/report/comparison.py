@@ -10,6 +10,7 @@ one is the better rival: one keeps the nominal parameters, the other has them as
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,18 @@ from tsobs_ros.replay.windows import WINDOW
 from tsobs_ros.report.held_out import HeldOutErrors, HeldOutSensor
 from tsobs_ros.report.metrics import SIGMAS, MetricsOptions, RunMetrics, measure, root_mean
 from tsobs_ros.report.quantities import QUANTITIES, outputs_of
-from tsobs_ros.report.run import ESTIMATED, TRUE, Asked, RecordedRun, Rows, read_rows, run_of
+from tsobs_ros.report.run import (
+    ESTIMATED,
+    TRUE,
+    Asked,
+    RecordedRun,
+    Rows,
+    read_rows,
+    row_type,
+    rows_of,
+    run_of,
+)
+from tsobs_ros.series import Spool
 
 DIVERGED = 1e6
 """No joint's error is so large [rad, rad/s]; the number is not worth a column of digits."""
@@ -271,18 +283,29 @@ class RunScores:
         sensors: Sequence[HeldOutSensor] = (),
     ) -> None:
         self._source, self._options, self._sensors = source, options, sensors
-        self._kept = [
-            (run, joint, {key: Rows(width) for key, width in _widths(run.signals[joint]).items()})
-            for joint in range(len(source.joints))
-            for run in runs
-        ]
-        for _, _, kept in self._kept if sensors else ():
-            kept["health"] = Rows(len(HEALTH))
+        self._measured = [Spool(row_type(sum(_inlets(own)))) for own in source.signals]
+        self._kept: list[tuple[Run, int, dict[str, Spool]]] = []
+        for joint, run in product(range(len(source.joints)), runs):
+            widths = _widths(run.signals[joint]) | ({"health": len(HEALTH)} if sensors else {})
+            kept = {key: Spool(row_type(width)) for key, width in widths.items()}
+            self._kept.append((run, joint, kept))
 
     def add(self) -> None:
-        """Add what the runs have made of their window."""
+        """Add a window's measurements, and what the runs have made of it."""
+        samples = self._kept[0][0].window.samples
+        for joint, measured in enumerate(self._measured):
+            own = samples[samples.complete[:, joint]]
+            p, m = _inlets(self._source.signals[joint])
+            measured.add(rows_of(own, np.hstack([own.y[:, joint, :p], own.u[:, joint, :m]])))
         for run, joint, kept in self._kept:
-            _keep(run, joint, kept)
+            table, innovations = run.table, run.table.innovations[joint]
+            there = np.flatnonzero(np.isfinite(table.values(joint, "state")[:, 0]))
+            used = np.flatnonzero(np.isfinite(innovations).any(axis=1))
+            kept["innovation"].add(rows_of(run.window.samples[used], innovations[used]))
+            for key in kept.keys() - {"innovation"}:
+                found = table.values(joint, *(HEALTH if key == "health" else (key,)))[there]
+                if found.shape[1]:
+                    kept[key].add(rows_of(run.window.ticks[there], found))
 
     def errors(self) -> list[ObserverErrors]:
         """Return the errors of all observers, joint by joint.
@@ -297,25 +320,20 @@ class RunScores:
         truth = self._truth()
         for one, joint, kept in self._kept:
             name, method = self._source.joints[joint], one.observer.name
-            design, read = one.observer.designs[joint], kept | truth[joint]
-            if self._sensors:
-                read["held_out"] = self._sensors[joint].rows
-            found = {key: rows.passes() for key, rows in read.items()}
-            run = run_of(found, method, name, design.request) if found["state"] else None
-            metrics = held_out = None
-            if run is not None:
+            design = one.observer.designs[joint]
+            found = {key: spool.read() for key, spool in kept.items()}
+            rms = tuple(map(root_mean, found["innovation"].values.T))
+            run = metrics = held_out = None
+            if len(found["state"]):
+                found |= truth[joint] | {"measurements": self._measured[joint].read()}
+                if self._sensors:
+                    found["held_out"] = self._sensors[joint].rows
+                run = run_of(found, method, name, design.request)
                 metrics = measure(run, metrics_options(design, self._options))
                 if self._sensors:
                     held_out = self._sensors[joint].errors(run, metrics.windows)
-            errors = ObserverErrors(
-                method,
-                name,
-                tuple(map(root_mean, kept["innovation"].read()["values"].T)),
-                metrics,
-                tuple(outputs_of(design.request)),
-                held_out,
-            )
-            yield errors, run
+            outputs = tuple(outputs_of(design.request))
+            yield ObserverErrors(method, name, rms, metrics, outputs, held_out), run
 
     def _truth(self) -> list[dict[str, Rows]]:
         """Return the recorded truth of each joint."""
@@ -334,34 +352,16 @@ class RunScores:
         return found
 
 
+def _inlets(own: Signals) -> tuple[int, int]:
+    """Return the number of outputs and of inputs."""
+    return len(own.outputs), len(own.inputs)
+
+
 def _widths(own: Signals) -> dict[str, int]:
     """Return how many numbers each part of a run has."""
-    p, m, plant, t = map(len, (own.outputs, own.inputs, own.states, own.torques))
+    p, plant, t = len(own.outputs), len(own.states), len(own.torques)
     estimated = zip(ESTIMATED, (plant, plant, p, p, t, t), strict=True)
-    return {"measurements": p + m, "innovation": p, **dict(estimated)}
-
-
-def _keep(run: Run, joint: int, kept: Mapping[str, Rows]) -> None:
-    """Add what a run has made of a joint in its window."""
-    samples, ticks, table = run.window.samples, run.window.ticks, run.table
-    widths = _widths(run.signals[joint])
-    there = np.flatnonzero(np.isfinite(table.values(joint, "state")[:, 0]))
-    for key in ESTIMATED:
-        found = table.values(joint, key)[there]
-        if not found.shape[1]:
-            found = np.full((len(there), widths[key]), np.nan)
-        kept[key].add(ticks.stamps[there], ticks.log_times[there], found)
-    if "health" in kept:
-        found = table.values(joint, *HEALTH)[there]
-        kept["health"].add(ticks.stamps[there], ticks.log_times[there], found)
-    p = widths["innovation"]
-    m, innovations = widths["measurements"] - p, table.innovations[joint]
-    measured = np.hstack([samples.y[:, joint, :p], samples.u[:, joint, :m]])
-    for key, numbers, own in (
-        ("measurements", measured, samples.complete[:, joint]),
-        ("innovation", innovations, np.isfinite(innovations).any(axis=1)),
-    ):
-        kept[key].add(samples.stamps[own], samples.log_times[own], numbers[own])
+    return {"innovation": p, **dict(estimated)}
 
 
 def render_comparison(rows: Sequence[ObserverErrors]) -> str:

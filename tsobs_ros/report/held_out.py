@@ -19,7 +19,7 @@ from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.report.metrics import QuantityMetrics, Windows, inside_windows, quantity_metrics
 from tsobs_ros.report.quantities import QUANTITIES, Quantity
-from tsobs_ros.report.run import Asked, RecordedRun, Rows, align, read_rows
+from tsobs_ros.report.run import Asked, RecordedRun, Rows, align, read_rows, rows_of
 from tsobs_ros.series import Stamps
 
 _ARM = {one.key: one for one in QUANTITIES[:4]}
@@ -80,10 +80,10 @@ class HeldOut(NamedTuple):
             read = self._read_log(source)
         sensors = []
         for arm, (where, rows) in zip(arms, read, strict=True):
-            found = rows.read()[:_MAX_READINGS]
-            found = found[np.isfinite(found["values"][:, 0])]
+            found = rows[:_MAX_READINGS]
+            found = found[np.isfinite(found.values[:, 0])]
             _require_enough(len(found), quantity, where)
-            values = found["values"][:, 0]
+            values = found.values[:, 0]
             low, high = np.percentile(values, [1.0, 99.0]).tolist()
             reach, bounded = float(arm.reach[quantity.column]), math.isfinite(arm.max_angle)
             if bounded and 3.0 * reach < (high - low) / 2.0 <= math.degrees(reach):
@@ -92,18 +92,15 @@ class HeldOut(NamedTuple):
                     f"{high:.3g} where the design is for ±{reach:.3g} {quantity.unit}; in a log, "
                     f"write the unit into the title: {quantity.key} [deg{quantity.unit[3:]}]"
                 )
-            std = self.std or _noise_std(found["stamps"], values)
+            std = self.std or _noise_std(found.stamps, values)
             sensors.append(HeldOutSensor(quantity, where, std, self.std is None, rows))
         return sensors
 
     def _read_log(self, log: LogSource) -> list[tuple[str, Rows]]:
         """Return the place of each joint's readings, and those."""
         sensor, titles = log.sensor(self.quantity, self.place)
-        found = [(f"column {title!r}", Rows(1)) for title in titles]
-        samples = sensor.samples
-        for (_, rows), values in zip(found, samples.y.swapaxes(0, 1), strict=True):
-            rows.add(samples.stamps, samples.log_times, values)
-        return found
+        each = zip(titles, sensor.samples.y.swapaxes(0, 1), strict=True)
+        return [(f"column {title!r}", rows_of(sensor.samples, y)) for title, y in each]
 
     def _read_bag(self, bag: BagSource, arms: Sequence[ArmRequest]) -> list[tuple[str, Rows]]:
         place, (side, _, kind) = self.place, self.quantity.partition("_")

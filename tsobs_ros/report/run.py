@@ -7,19 +7,16 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryFile
-from typing import Any, NamedTuple, TypeVar
-from weakref import finalize
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import DIAGNOSTICS, RecordedStatus, read_statuses
 from tsobs_ros.bag.joint_series import Place, Wanted, read_blocks
 from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.reader import BagReader
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError
@@ -28,7 +25,7 @@ from tsobs_ros.replay.health import as_of_now
 from tsobs_ros.replay.places import ESTIMATES, places_of
 from tsobs_ros.replay.source import MEASUREMENTS, UNNAMED_SYSTEM, passes
 from tsobs_ros.report.quantities import QUANTITIES, Quantity, quantities_of
-from tsobs_ros.series import NANOSECONDS, Series, Stamps
+from tsobs_ros.series import NANOSECONDS, Series, Spool, Stamps
 
 MAX_GAP = 0.1
 """Series are not interpolated across longer gaps [s]: messages were lost there."""
@@ -63,37 +60,21 @@ _TWICE = ("health", "parameters", "parameter_bound")
 
 Key = TypeVar("Key")
 
+Rows: TypeAlias = Any
+"""A record array: `stamps` and `log_times` [ns], and `values`, some per row."""
 
-class Rows:
-    """Rows of numbers that grow in a temporary file, so that long recordings need little memory.
 
-    Args:
-        width: Number of values of a row, which come with a stamp and a log time.
-    """
+def row_type(width: int) -> np.dtype[np.void]:
+    """Return the type of `Rows` with as many values each."""
+    times = [("stamps", np.int64), ("log_times", np.int64)]
+    return np.dtype([*times, ("values", np.float64, (width,))])
 
-    def __init__(self, width: int) -> None:
-        times = [("stamps", np.int64), ("log_times", np.int64)]
-        self._type = np.dtype([*times, ("values", np.float64, (width,))])
-        self._file = TemporaryFile()  # noqa: SIM115
-        finalize(self, self._file.close)
 
-    def add(self, stamps: Stamps, log_times: Stamps, values: Array) -> None:
-        """Add rows: times [ns] of shape (n,), values of shape (n, width)."""
-        rows = np.empty(len(stamps), self._type)
-        rows["stamps"], rows["log_times"], rows["values"] = stamps, log_times, values
-        self._file.write(rows.tobytes())
-
-    def read(self) -> NDArray[Any]:
-        """Return all rows, a structured array of these fields that is paged in as it is used."""
-        self._file.flush()
-        if not self._file.tell():
-            return np.zeros(0, self._type)
-        return np.memmap(self._file, self._type, "r")
-
-    def passes(self) -> list[NDArray[Any]]:
-        """Return the passes over the recorded time, of which a looped bag has several."""
-        rows = self.read()
-        return [rows[begin:end] for begin, end in passes(rows["stamps"]) if begin < end]
+def rows_of(times: Any, values: Array) -> Rows:
+    """Return rows of values, shape (n, width), with the `stamps` and `log_times` of records."""
+    rows: Rows = np.recarray(len(values), row_type(values.shape[1]))
+    rows.stamps, rows.log_times, rows.values = times.stamps, times.log_times, values
+    return rows
 
 
 class Estimated(NamedTuple):
@@ -238,32 +219,31 @@ def read_rows(
     Args:
         reader: The bag.
         asked: What to read.
-        on_damage: Told of damage to the bag, up to which everything is returned; else it is raised.
+        on_damage: Called with damage to the bag, up to which everything is returned; else it is
+            raised.
 
     Raises:
         BagReadError: The bag has no such topic, a topic is of another type, or it is damaged.
     """
-    found = {
-        key: Rows(sum(map(len, one.groups[: 1 if one.either else None])))
-        for key, one in asked.items()
-    }
     wanted: dict[str, list[Sequence[Place]]] = {}
-    first: dict[Key, int] = {}
+    spools: dict[Key, Spool] = {}
+    places: dict[Key, slice] = {}
     for key, one in asked.items():
+        spools[key] = Spool(row_type(sum(map(len, one.groups[: 1 if one.either else None]))))
         groups = wanted.setdefault(one.topic, [])
-        first[key] = len(groups)
+        places[key] = slice(len(groups), len(groups) + len(one.groups))
         groups += one.groups
     for block in read_blocks(reader, wanted, BLOCK, on_damage=on_damage):
         for key, one in asked.items():
-            series, place = block.series[one.topic], first[key]
-            parts = [series.values[:, k, : len(own)] for k, own in enumerate(one.groups, place)]
-            named = series.named[:, place : place + (2 if one.either else 1)]
+            series, own = block.series[one.topic], places[key]
+            named: Flags = series.named[:, own]
+            parts = series.values[:, own].swapaxes(0, 1)
+            values = [part[:, : len(group)] for part, group in zip(parts, one.groups, strict=True)]
             if one.either:
-                parts = [np.where(named[:, 1:], parts[1], parts[0])]
-            there = named.any(axis=1)
-            values = np.hstack(parts)[there]
-            found[key].add(series.stamps[there], series.log_times[there], values)
-    return found
+                values = [np.where(named[:, 1:], values[1], values[0])]
+            there = named.any(axis=1) if one.either else named[:, 0]
+            spools[key].add(rows_of(series, np.hstack(values))[there])
+    return {key: spool.read() for key, spool in spools.items()}
 
 
 class FoundObserver:
@@ -343,9 +323,8 @@ class FoundObserver:
         """
         self._require(_REQUIRED)
         own = signals(request, joint, joint not in self._named)
-        asked = self._asked(joint, own, request.uncertainty_model.names)
-        found = {key: rows.passes() for key, rows in read_rows(self._reader, asked).items()}
-        if empty := [str(self._names[key]) for key in _REQUIRED if not found[key]]:
+        found = read_rows(self._reader, self._asked(joint, own, request.uncertainty_model.names))
+        if empty := [str(self._names[key]) for key in _REQUIRED if not len(found[key])]:
             raise BagReadError(
                 f"{self._reader.path}: no message about joint '{joint}' on {', '.join(empty)}"
             )
@@ -392,7 +371,7 @@ class FoundObserver:
 
 
 def run_of(
-    found: Mapping[str, Sequence[NDArray[Any]]],
+    found: Mapping[str, Rows],
     name: str,
     joint: str,
     request: ArmRequest | TSRequest,
@@ -400,26 +379,33 @@ def run_of(
 ) -> RecordedRun:
     """Return the run with the longest pass of estimates, and what is nearest to it.
 
+    A looped bag has several passes over the recorded time.
+
     Args:
-        found: Passes of `Rows` by the parts of a run; there are some of its states.
+        found: Rows of the parts of a run; there are some of its states.
         name: Its origin.
         joint: The joint.
         request: Of its design.
         topic: Name of the measurements' topic.
     """
-    longest = max(found["state"], key=lambda one: float(np.ptp(one["stamps"])))
-    log_time = int(longest["log_times"][0])
-    series: dict[str, Any] = {}
-    for key, all_of_it in found.items():
-        # Each topic restarts at its own moment, but all of them at about the same.
-        for one in sorted(all_of_it, key=lambda one: abs(int(one["log_times"][0]) - log_time))[:1]:
-            series[key] = Series(one["stamps"], one["values"])
-    stamps, state = series.pop("state").ordered()
-    measurements = series.pop("measurements")
-    nothing = np.full((len(stamps), len(request.torque_sides)), np.nan)
-    parts: dict[str, Any] = {
-        key: align(series.pop(key), stamps) if key in series else nothing for key in ESTIMATED[1:]
+    each = {
+        key: [rows[begin:end] for begin, end in passes(rows.stamps) if begin < end]
+        for key, rows in found.items()
     }
+    longest = max(each["state"], key=lambda one: float(np.ptp(one.stamps)))
+    # Each topic restarts at its own moment, but all of them at about the same.
+    near = {
+        key: min(own, key=lambda one: abs(one.log_times[0] - longest.log_times[0]))
+        for key, own in each.items()
+        if own
+    }
+    series: dict[str, Any] = {key: Series(one.stamps, one.values) for key, one in near.items()}
+    measurements, (stamps, state) = series.pop("measurements"), series.pop("state").ordered()
+    parts: dict[str, Any] = {}
+    for key in ESTIMATED[1:]:
+        width = found[key].values.shape[1] if key in found else len(request.torque_sides)
+        nothing = Series(stamps[:0], np.zeros((0, width)))
+        parts[key] = align(series.pop(key, nothing), stamps)
     if "health" in series:
         series["health"] = series["health"]._replace(values=as_of_now(series["health"].values))
     return RecordedRun(
@@ -429,7 +415,7 @@ def run_of(
         stamps=stamps,
         state=state,
         topic=topic,
-        passes=len(found["state"]),
+        passes=len(each["state"]),
         request=request,
         **parts,
         **{key: one.ordered() for key, one in series.items()},
@@ -463,27 +449,18 @@ def align(series: Series, stamps: Stamps) -> Array:
     return result
 
 
-def interpolate(
-    series: Series, stamps: Stamps, max_gap: float = MAX_GAP, *, rated: bool = False
-) -> Array:
-    """Return values between their samples, NaN outside of them and in gaps.
+def interpolate(series: Series, stamps: Stamps, *, rated: bool = False) -> Array:
+    """Return values between their samples, NaN outside of them and in gaps, shape (m, k).
 
     They follow the cubic that has the values and slopes of both neighbours. If slopes are sampled,
     then of a smooth motion an angle is off by at most h⁴/384 max|q⁗| and a velocity by at most
-    √3 h³/216 max|q⁗|: 10⁻⁹ rad and 10⁻⁶ rad/s for the elastic-joint arm at h = 5 ms. A white
-    acceleration of density s makes the truth between samples random; the cubic is then its
-    conditional mean, with a 1σ of √(s h)/4 in velocity half way: 2·10⁻⁴ rad/s at
-    s = 10⁻⁴ rad²/s³, a hundredth of the estimation error.
+    √3 h³/216 max|q⁗|: 10⁻⁹ rad and 10⁻⁶ rad/s for the elastic-joint arm at h = 5 ms.
 
     Args:
         series: Samples in ascending order, values of shape (n, k).
         stamps: Where to evaluate [ns], shape (m,).
-        max_gap: Distance of neighbouring samples that still counts as sampled [s].
         rated: Whether each value is followed by its rate, as in [q₁, q̇₁, q₂, q̇₂]; else slopes are
             those to the next samples.
-
-    Returns:
-        The values, shape (m, k).
     """
     if np.array_equal(series.stamps, stamps):
         return series.values
@@ -497,7 +474,7 @@ def interpolate(
             continue
         inside = (own >= known.stamps[0]) & (own <= known.stamps[-1])
         right = np.searchsorted(known.stamps, own, side="right").clip(1, len(known.stamps) - 1)
-        inside &= known.stamps[right] - known.stamps[right - 1] <= max_gap * NANOSECONDS
+        inside &= np.diff(known.stamps)[right - 1] <= MAX_GAP * NANOSECONDS
         origin = int(known.stamps[0])
         times, wanted = known.seconds(origin), (own[inside] - origin) / NANOSECONDS
         if rated:
@@ -522,18 +499,16 @@ def _hermite(times: Array, values: Array, slopes: Array, wanted: Array) -> tuple
     return curve, slopes[k] + part * (2.0 * square + 3.0 * part * cube)
 
 
-def hold(series: Series, stamps: Stamps, max_gap: float = MAX_GAP) -> Array:
-    """Return the newest value at or before each stamp, NaN if it is older than the gap, (m, k).
+def hold(series: Series, stamps: Stamps) -> Array:
+    """Return the newest value at or before each stamp, NaN if it is older than a gap, (m, k).
 
-    A disturbance may jump, so nothing is assumed between its samples; of one that moves at a
-    rate r this is late by at most one period h, an error of at most r h.
+    A disturbance may jump, so nothing is assumed between its samples.
     """
     if np.array_equal(series.stamps, stamps):
         return series.values
     result = np.full((len(stamps), series.values.shape[1]), np.nan)
     places = np.searchsorted(series.stamps, stamps, side="right") - 1
     recent = places >= 0
-    age = stamps[recent] - series.stamps[places[recent]]
-    recent[recent] = age <= max_gap * NANOSECONDS
+    recent[recent] = stamps[recent] - series.stamps[places[recent]] <= MAX_GAP * NANOSECONDS
     result[recent] = series.values[places[recent]]
     return result
