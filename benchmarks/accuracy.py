@@ -20,7 +20,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.options import GainMode
-from tsobs_ros.report.metrics import SIGMAS, MetricsOptions
+from tsobs_ros.report.metrics import SCALE, SIGMAS
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.signals import BiasStep
@@ -61,7 +61,7 @@ def _parts(times: Array, jumps: bool) -> dict[str, NDArray[np.bool_]]:
 def _errors(error: Array, part: NDArray[np.bool_]) -> dict[str, Array]:
     """Return the normalised RMSE of the states and the RMSE of the disturbance, each (runs,)."""
     rmse = np.sqrt((error[:, part] ** 2).mean(axis=1))
-    relative = rmse[:, :4] / np.array(MetricsOptions().scale)
+    relative = rmse[:, :4] / np.array(SCALE)
     return {"normalised": np.sqrt((relative**2).mean(axis=1)), "disturbance": rmse[:, 4]}
 
 

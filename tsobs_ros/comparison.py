@@ -20,7 +20,7 @@ from tsobs_ros.model import disturbance
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import arm_uncertainty
 from tsobs_ros.report.comparison import HIGH_GAIN, THETAS
-from tsobs_ros.report.metrics import MetricsOptions, measure
+from tsobs_ros.report.metrics import JUMP, measure
 from tsobs_ros.report.scenario_table import BOUNDS, Cell, ScenarioComparison, ScenarioRow
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Scenario, TorqueDisturbance, Trajectories
@@ -187,7 +187,7 @@ def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str,
     # A drift leaves zero at its start.
     start = np.concatenate([np.array(scenario.initial_spread) * to_arm, [1e-9] * len(drifts)])
     steps = np.abs(np.diff(runs.disturbances[0, :, 0]))
-    jumps = (1 + np.flatnonzero(steps > MetricsOptions.jump_threshold)).tolist()
+    jumps = (1 + np.flatnonzero(steps > JUMP)).tolist()
     # An estimator that knew which samples are outliers would use all others.
     sensor = scenario.sensor
     share = np.isfinite(runs.measurements[..., 0]).mean(axis=0) * (1.0 - sensor.outlier_probability)

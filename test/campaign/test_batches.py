@@ -13,7 +13,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.records import Basis, Measurement
 from tsobs_ros.methods import ObserverSettings, make_tracker
-from tsobs_ros.report.metrics import MetricsOptions, measure
+from tsobs_ros.report.metrics import measure
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Scenario
 from tsobs_ros.simulation.scenarios import simulate
@@ -38,10 +38,10 @@ def test_errors_are_a_reports_and_by_claim() -> None:
     row_type = [*((name, float, (n,)) for name, n in fields), ("basis", float), ("claimed", float)]
     rows = np.concatenate([truth + error, bounds, worth], axis=2).view(row_type)[..., 0]
     run = recorded(runs, 1, {name: rows[name][1] for name, _ in fields})
-    metrics = measure(run, MetricsOptions(start_settle_time=3.0, jump_settle_time=1.0))
+    metrics = measure(run, settle_time=1.0)
     # The second jump and its chatter are one; what follows the last measurement does not count.
     last = runs.times[np.isfinite(runs.measurements[1, :, 0])].max()
-    windows = [(3.0, 8.0), (9.0, 9.5), (10.5, last)]
+    windows = [(1.0, 8.0), (9.0, 9.5), (10.5, last)]
     assert np.array(metrics.windows) == pytest.approx(np.array(windows))
     settled = np.any([(a <= runs.times) & (runs.times < b) for a, b in windows], axis=0)
     rmse = [one.rmse for one in metrics.quantities]

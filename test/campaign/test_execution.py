@@ -19,7 +19,7 @@ from tsobs_ros.campaign.folder import PART, CampaignFolder, run_campaign
 from tsobs_ros.campaign.rerun import rerun
 from tsobs_ros.campaign.summary import summarise
 from tsobs_ros.cli.main import main
-from tsobs_ros.report.metrics import MetricsOptions, measure
+from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.run import FoundObserver
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN
 
@@ -182,8 +182,7 @@ def test_a_run_is_made_again_as_a_bag_with_the_same_errors(
     bag = rerun(asked, 2, tmp_path / "again")
     found = FoundObserver(bag)
     run = found.run(found.choose(None), asked.file.design.request)
-    settled = MetricsOptions(start_settle_time=0.3, jump_settle_time=0.3)
-    measured = measure(run, settled)
+    measured = measure(run, settle_time=0.3)
     assert measured.normalised_rmse == pytest.approx(row["normalised_rmse"][0], rel=1e-9)
     for one in measured.quantities:
         for name in ("rmse", "bound", "inside"):

@@ -11,8 +11,8 @@ import tsobs_ros as ts
 from tsobs_ros.errors import BagReadError, OutputError
 from tsobs_ros.methods import EKFS
 from tsobs_ros.report.bag_report import make_bag_report
-from tsobs_ros.report.comparison import EkfComparison, metrics_options
-from tsobs_ros.report.metrics import measure
+from tsobs_ros.report.comparison import EkfComparison
+from tsobs_ros.report.metrics import innovation_std, measure
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 SHIPPED = str(config_path(SHIPPED_DESIGN))
@@ -23,8 +23,8 @@ def test_a_report_of_a_simulated_bag(simulated, messages_of, write_bag, design, 
 
     report = make_bag_report(write_bag(messages_of(simulated)), output, design=SHIPPED)
 
-    options = metrics_options(design)
-    expected = measure(simulated, options)
+    std = innovation_std(design)
+    expected = measure(simulated, std)
     assert report.metrics.normalised_rmse == pytest.approx(expected.normalised_rmse, rel=1e-9)
     assert report.metrics.nis == pytest.approx(expected.nis, rel=1e-9)
     # The very number that `tsobs compare` shows.
@@ -53,7 +53,8 @@ def test_a_report_of_a_simulated_bag(simulated, messages_of, write_bag, design, 
 def test_a_report_lists_what_happened_to_the_estimates(
     troubled, messages_of, write_bag, tmp_path
 ) -> None:
-    report = make_bag_report(write_bag(messages_of(troubled)), tmp_path, ekf=False)
+    bag = write_bag(messages_of(troubled))
+    report = make_bag_report(bag, tmp_path, ekf=False, html=False)
 
     health = json.loads((tmp_path / "report.json").read_text())["health"]
     assert [(round(one["time"], 1), one["kind"], one["level"]) for one in health["events"]] == [

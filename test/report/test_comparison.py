@@ -15,10 +15,9 @@ from tsobs_ros.replay.estimate import Observer, make_runs, run_all
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.comparison import (
     RunScores,
-    metrics_options,
     render_comparison,
 )
-from tsobs_ros.report.metrics import measure
+from tsobs_ros.report.metrics import innovation_std, measure
 from tsobs_ros.report.run import FoundObserver
 
 
@@ -34,11 +33,11 @@ def test_each_is_measured_as_if_it_had_been_recorded(
 
     errors = scores.errors()
 
-    options = metrics_options(design)
+    std = innovation_std(design)
     for one in errors[:2]:
         found = FoundObserver(tmp_path / "new", observer=one.observer)
         recorded = found.run(one.joint, design.request)
-        assert one.metrics == measure(recorded, options)
+        assert one.metrics == measure(recorded, std)
     assert errors[2].metrics["link_angle"].rmse > errors[0].metrics["link_angle"].rmse
     assert errors[2].metrics["disturbance"].rmse is None
     lines = {line.split("  ")[0]: line.split() for line in render_comparison(errors).splitlines()}

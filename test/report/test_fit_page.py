@@ -3,8 +3,6 @@
 """A page of a fit has its numbers, what they predict and what is left, and needs only itself."""
 
 import json
-from contextlib import redirect_stdout
-from io import StringIO
 
 import numpy as np
 import pytest
@@ -46,19 +44,13 @@ def command(tmp_path_factory):
     return ["fit", str(sheet), str(log), "--output", str(output), "--report", str(page)], page
 
 
-@pytest.fixture(scope="module")
-def page(command):
-    """Return the page of a fit."""
-    words, path = command
-    with redirect_stdout(StringIO()) as shown:
-        assert main([*words, *(word for name in FREE for word in ("--free", name))]) == 0
-    assert shown.getvalue().endswith(f"\npage: {path}\n")
-    return path
-
-
-@pytest.mark.parametrize("width", [390, 1280])
-def test_a_page_of_a_fit_has_its_sections_and_clips_nothing(browser, page, width) -> None:
-    context, noise = browser.new_context(viewport={"width": width, "height": 900}), []
+def test_a_page_of_a_fit_has_its_sections_and_clips_nothing(browser, command, capsys) -> None:
+    words, page = command
+    assert main([*words, *(word for name in FREE for word in ("--free", name))]) == 0
+    assert capsys.readouterr().out.endswith(f"\npage: {page}\n")
+    assert main([*words, "--free", "stiffness"]) == 1
+    assert "--force replaces it" in capsys.readouterr().err
+    context, noise = browser.new_context(viewport={"width": 390, "height": 900}), []
     tab = context.new_page()
     tab.on("console", lambda message: noise.append(message.text))
     tab.on("pageerror", lambda error: noise.append(str(error)))
@@ -92,25 +84,25 @@ def test_a_page_of_a_fit_has_its_sections_and_clips_nothing(browser, page, width
         "residual of link angle: power by that of white noise",
         "1σ of each number by its value",
     ]  # fmt: skip
-    # Nothing is wider than the window, and no label of an axis leaves its figure.
-    assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
-    assert tab.evaluate(
-        "[...document.querySelectorAll('.plot')].every((plot) => {"
-        " const box = plot.getBoundingClientRect();"
-        " return [...plot.querySelectorAll('.xtick, .ytick, .xtitle')].every((one) => {"
-        "  const own = one.getBoundingClientRect();"
-        "  return own.left >= box.left - 1 && own.right <= box.right + 1 &&"
-        "   own.top >= box.top - 1 && own.bottom <= box.bottom + 1; }); })"
-    )
+    for width in (390, 1280):
+        tab.set_viewport_size({"width": width, "height": 900})
+        # Nothing is wider than the window, and no label of an axis leaves its figure.
+        tab.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
+        tab.wait_for_function(
+            "[...document.querySelectorAll('.plot')].every((plot) => {"
+            " const box = plot.getBoundingClientRect();"
+            " return [...plot.querySelectorAll('.xtick, .ytick, .xtitle')].every((one) => {"
+            "  const own = one.getBoundingClientRect();"
+            "  return own.left >= box.left - 1 && own.right <= box.right + 1 &&"
+            "   own.top >= box.top - 1 && own.bottom <= box.bottom + 1; }); })"
+        )
     context.close()
     assert noise == []
 
 
-def test_a_page_is_not_replaced_unless_asked_for(command, page, capsys) -> None:
-    words = [*command[0], "--free", "stiffness", "--json"]
+def test_a_page_without_a_held_out_part_says_so(command, capsys) -> None:
+    words, page = command
+    assert main([*words, "--free", "stiffness", "--json", "--force", "--held-out", "0"]) == 0
 
-    assert main(words) == 1
-    assert "--force replaces it" in capsys.readouterr().err
-    assert main([*words, "--force", "--held-out", "0"]) == 0
     assert json.loads(capsys.readouterr().out)["report"] == str(page)
     assert "in the last (fitted) 4 s, it predicts" in page.read_text()

@@ -60,31 +60,22 @@ def page(simulated, troubled, diagnosed, tmp_path):
 
 
 @pytest.fixture
-def opened(browser, page):
-    """Open the page in a window of some width; fail on messages and requests at the end."""
-    contexts, noise = [], []
-
-    def open_(width: int):
-        context = browser.new_context(viewport={"width": width, "height": 900})
-        contexts.append(context)
-        tab = context.new_page()
-        tab.on("console", lambda message: noise.append(message.text))
-        tab.on("pageerror", lambda error: noise.append(str(error)))
-        tab.on("request", lambda request: noise.append(request.url) if request.url != page.as_uri()
-               and not request.url.startswith(("data:", "blob:")) else None)  # fmt: skip
-        tab.goto(page.as_uri())
-        tab.wait_for_selector("body[data-drawn]")
-        return tab
-
-    yield open_
-    for context in contexts:
-        context.close()
+def tab(browser, page):
+    """The page on a phone; fails on messages and requests at the end."""
+    context, noise = browser.new_context(viewport={"width": 390, "height": 900}), []
+    tab = context.new_page()
+    tab.on("console", lambda message: noise.append(message.text))
+    tab.on("pageerror", lambda error: noise.append(str(error)))
+    tab.on("request", lambda request: noise.append(request.url) if request.url != page.as_uri()
+           and not request.url.startswith(("data:", "blob:")) else None)  # fmt: skip
+    tab.goto(page.as_uri())
+    tab.wait_for_selector("body[data-drawn]")
+    yield tab
+    context.close()
     assert noise == []
 
 
-def test_a_page_on_a_phone_fits_and_hides_nothing_behind_its_toolbar(opened, page) -> None:
-    tab = opened(390)
-
+def test_a_page_fits_a_phone_zooms_switches_and_prints(tab, page) -> None:
     titles = tab.locator("h3").all_inner_texts()
     assert {"link angle [rad]", "sensor fault", f"learnt change of {HOSTILE}"} < set(titles)
     assert len(titles) == 20
@@ -103,9 +94,8 @@ def test_a_page_on_a_phone_fits_and_hides_nothing_behind_its_toolbar(opened, pag
         "run.html"
     ]
 
-
-def test_a_page_zooms_switches_and_prints(opened) -> None:
-    tab = opened(1280)
+    tab.set_viewport_size({"width": 1280, "height": 900})
+    tab.wait_for_function("document.querySelector('#plot0')._fullLayout.width > 500")
     box = tab.locator("#plot0 .nsewdrag").bounding_box()
     middle = box["y"] + 0.5 * box["height"]
     tab.mouse.move(box["x"] + 0.25 * box["width"], middle)

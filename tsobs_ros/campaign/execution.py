@@ -18,8 +18,7 @@ from tsobs_ros.campaign.definition import Campaign, CampaignError, parse_campaig
 from tsobs_ros.campaign.drawing import Drawn, draw_group
 from tsobs_ros.campaign.premises import violated
 from tsobs_ros.design.file import load_design_file
-from tsobs_ros.report.comparison import metrics_options
-from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
+from tsobs_ros.report.metrics import RunMetrics, innovation_std, measure
 from tsobs_ros.simulation.plant import Plant
 
 DOMAIN = "domain"
@@ -113,8 +112,7 @@ def compute(campaign: Campaign, begin: int, end: int) -> Columns:
     """
     design, request = campaign.file.design, campaign.file.design.arm_request
     settle_time = campaign.entries.settle_time
-    settled = MetricsOptions(start_settle_time=settle_time, jump_settle_time=settle_time)
-    options = metrics_options(design, settled)
+    expected = innovation_std(design)
     learnt = campaign.settings.learnt(design)
     rows: list[dict[str, Any]] = []
     while begin + len(rows) < end:
@@ -129,7 +127,7 @@ def compute(campaign: Campaign, begin: int, end: int) -> Columns:
             rows.append(
                 {
                     **_of_drawn(drawn, campaign, reach),
-                    **_of_metrics(measure(run, options)),
+                    **_of_metrics(measure(run, expected, settle_time)),
                     **claimed(run, estimates),
                     **_of_learnt(estimates[-1], learnt),
                     **{name.replace(" ", "_"): number for name, number in events.items()},

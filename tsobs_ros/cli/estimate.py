@@ -164,7 +164,7 @@ def estimate(
     as_live = options.rate is None and options.at != "measurements"
     runs = make_runs(source, observers, rate=options.rate, as_live=as_live, window=WINDOW)
     sensors = [] if held_out is None else held_out.read(source, observers)
-    scores = RunScores(source, runs, None, sensors) if sensors or len(runs) > 1 else None
+    scores = RunScores(source, runs, sensors) if sensors or len(runs) > 1 else None
     with progress(source.count * len(runs), " samples", quiet=options.json) as advance:
         run_all(
             source,

@@ -29,11 +29,10 @@ from tsobs_ros.report.comparison import (
     EkfComparison,
     compare_with_ekf,
     metrics_cells,
-    metrics_options,
     render_metrics,
 )
 from tsobs_ros.report.diagnosed import Diagnosed, diagnose
-from tsobs_ros.report.metrics import RunMetrics, measure
+from tsobs_ros.report.metrics import RunMetrics, innovation_std, measure
 from tsobs_ros.report.panels import TimingSummary, picture
 from tsobs_ros.report.run import FoundObserver
 from tsobs_ros.report.summary import About, Summary, Table, summarise
@@ -163,8 +162,8 @@ def make_bag_report(
     file = files[joint]
     request = file.design.request
     run = found.run(joint, request)
-    options = metrics_options(file.design)
-    metrics = measure(run, options)
+    expected = innovation_std(file.design)
+    metrics = measure(run, expected)
     health, events = HealthSum(), EventFinder([joint], run.topic)
     if run.health is not None:
         stamps, values = run.health
@@ -174,7 +173,7 @@ def make_bag_report(
     comparison, rival = None, None
     remarks = [*ran.doubt(given), *ran.remarks]
     if ekf and run.true_state is not None:
-        comparison, rival = compare_with_ekf(run, metrics, bag, files, ran.settings(), options)
+        comparison, rival = compare_with_ekf(run, metrics, bag, files, ran.settings())
     if run.true_state is None:
         remarks.append("note: the bag has no ground truth, so there are bounds but no errors")
     if run.passes > 1:
@@ -196,7 +195,7 @@ def make_bag_report(
         shown = picture(
             run,
             metrics,
-            options.innovation_stds,
+            expected,
             learnt=request.uncertainty_model.names,
             diagnosed=diagnosed,
             rival=rival,

@@ -18,8 +18,6 @@ from typing import Any
 import numpy as np
 
 from tsobs_ros.design.file import DesignFile
-from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import TSRequest
 from tsobs_ros.design.signals import Signals
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.estimation.baselines import GATE
@@ -30,7 +28,7 @@ from tsobs_ros.replay.places import places_of
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.replay.windows import WINDOW
 from tsobs_ros.report.held_out import HeldOutErrors, HeldOutSensor
-from tsobs_ros.report.metrics import SIGMAS, MetricsOptions, RunMetrics, measure, root_mean
+from tsobs_ros.report.metrics import SIGMAS, RunMetrics, innovation_std, measure, root_mean
 from tsobs_ros.report.quantities import QUANTITIES, outputs_of
 from tsobs_ros.report.run import (
     ESTIMATED,
@@ -147,32 +145,12 @@ class ObserverErrors:
         }
 
 
-def metrics_options(design: Design, options: MetricsOptions | None = None) -> MetricsOptions:
-    """Return options with the 1σ of innovations that a design's certificate expects.
-
-    Of a T–S system the states' sizes are those before any measurement.
-
-    Args:
-        design: The design.
-        options: The other options; the defaults if None.
-    """
-    C = design.request.flow.output_matrix
-    covariance = C @ design.covariance_bound @ C.T + design.request.measurement_covariance
-    made = replace(
-        options or MetricsOptions(), innovation_std=tuple(np.sqrt(covariance.diagonal()).tolist())
-    )
-    if isinstance(design.request, TSRequest):
-        made = replace(made, scale=tuple(np.asarray(design.request.initial_std).tolist()))
-    return made
-
-
 def compare_with_ekf(
     run: RecordedRun,
     metrics: RunMetrics,
     bag: Path,
     files: Mapping[str, DesignFile],
     settings: ObserverSettings,
-    options: MetricsOptions | None = None,
 ) -> tuple[EkfComparison, RecordedRun]:
     """Run EKFs over the measurements of a recorded run, as `tsobs compare` does.
 
@@ -185,7 +163,6 @@ def compare_with_ekf(
         bag: The bag that it is from.
         files: Design file of each joint that the observer observed.
         settings: Those that it ran with.
-        options: Options of the measures.
 
     Returns:
         The comparison, and the run of the EKF.
@@ -197,7 +174,7 @@ def compare_with_ekf(
         for method in (EKFS if learns else EKFS[:1])
     ]
     observers, _ = without_misfits(observers)
-    scores = _scores(source, observers, options)
+    scores = _scores(source, observers)
     own = [one for one in scores.results() if one[0].joint == run.joint]
     best, theirs = min(own, key=lambda one: one[0].normalised_rmse)
     if best.metrics is None or theirs is None:
@@ -237,7 +214,6 @@ def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer],
 def compare_observers(
     source: Source,
     observers: Sequence[Observer],
-    options: MetricsOptions | None = None,
     sensors: Sequence[HeldOutSensor] = (),
 ) -> list[ObserverErrors]:
     """Run observers when the recorded one estimated, if there is one, and measure them.
@@ -245,20 +221,18 @@ def compare_observers(
     Args:
         source: The measurements.
         observers: The observers.
-        options: Options of the measures.
         sensors: Of each joint one that they do not get, to measure them against.
     """
-    return _scores(source, observers, options, sensors).errors()
+    return _scores(source, observers, sensors).errors()
 
 
 def _scores(
     source: Source,
     observers: Sequence[Observer],
-    options: MetricsOptions | None,
     sensors: Sequence[HeldOutSensor] = (),
 ) -> "RunScores":
     runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
-    scores = RunScores(source, runs, options, sensors)
+    scores = RunScores(source, runs, sensors)
     run_all(source, runs, None, after_window=scores.add)
     return scores
 
@@ -271,7 +245,6 @@ class RunScores:
     Args:
         source: The measurements.
         runs: The runs.
-        options: Options of the measures.
         sensors: Of each joint one that no run gets, to measure them against.
     """
 
@@ -279,10 +252,9 @@ class RunScores:
         self,
         source: Source,
         runs: Sequence[Run],
-        options: MetricsOptions | None = None,
         sensors: Sequence[HeldOutSensor] = (),
     ) -> None:
-        self._source, self._options, self._sensors = source, options, sensors
+        self._source, self._sensors = source, sensors
         self._measured = [Spool(row_type(sum(_inlets(own)))) for own in source.signals]
         self._kept: list[tuple[Run, int, dict[str, Spool]]] = []
         for joint, run in product(range(len(source.joints)), runs):
@@ -329,7 +301,7 @@ class RunScores:
                 if self._sensors:
                     found["held_out"] = self._sensors[joint].rows
                 run = run_of(found, method, name, design.request)
-                metrics = measure(run, metrics_options(design, self._options))
+                metrics = measure(run, innovation_std(design))
                 if self._sensors:
                     held_out = self._sensors[joint].errors(run, metrics.windows)
             outputs = tuple(outputs_of(design.request))

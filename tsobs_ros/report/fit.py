@@ -23,11 +23,12 @@ from tsobs_ros.report.panels import (
     Strip,
     Style,
     limits_around,
+    lines,
     thinned_curve,
 )
 from tsobs_ros.report.quantities import outputs_of
 from tsobs_ros.report.summary import About, Table
-from tsobs_ros.style import BLUE, MUTED, ORANGE, RED
+from tsobs_ros.style import BLUE, MUTED, ORANGE
 
 _EXPECTED = (0.8, 1.25)
 """Innovations by their expected size, of a model that is about right."""
@@ -155,10 +156,8 @@ def _rows(fit: Fit) -> Iterator[tuple[Plot, ...]]:
         curves = tuple(thinned_curve(key, time, y, max_gap=gap) for key, y in values.items())
         value = Plot(name, unit, limits_around(values.values()), curves, remark)
         yield value, _residual(name, time, r, gap)
-    applied = thinned_curve("applied", time, traces.torque, Style(BLUE), gap)
-    unexplained = thinned_curve("unexplained", time, rest, Style(RED), gap)
-    limits = limits_around([traces.torque, rest])
-    yield (Plot("torque", "N m", limits, (applied, unexplained)),)
+    torques = {"applied": (time, traces.torque), "unexplained": (time, rest)}
+    yield (lines("torque", "N m", torques, gap),)
     link, _, motor, speed = traces.state.T
     friction, nothing = -fit.joint.friction[0] * np.sign(speed), np.zeros(len(time))
     label = "unexplained torque"
@@ -245,7 +244,7 @@ def _information(fit: Fit) -> Plot:
     for place in reversed(range(len(fit.numbers))):
         name, seen = _words(fit.numbers[place].name), fit.numbers[place].seen
         for size, colour in ((before, "#C4C9D0"), (after, BLUE if seen else ORANGE)):
-            strips.append(Strip(name, least, float(size[place]), Level.OK, colour))
+            strips.append(Strip(name, least, float(size[place]), colour))
     remark = ("grey: before", "blue: after", "orange: after, hardly shown")
     return Plot(
         "1σ of each number by its value", "", (-0.6, len(scale) - 0.4), remark=remark,

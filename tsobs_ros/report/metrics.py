@@ -13,61 +13,33 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tsobs_ros.checks import Array, as_matrix, check_each, non_negative, positive
-from tsobs_ros.errors import ModelError
+from tsobs_ros.checks import Array, Flags
+from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import TSRequest
 from tsobs_ros.report.quantities import Quantity
 from tsobs_ros.report.run import RecordedRun
 
 SIGMAS = 3.0
 """Errors count as inside their bound up to this many of its 1σ."""
 
+SETTLE_TIME = 5.0
+"""Time that does not count after the first estimate and each jump of a true disturbance [s]."""
+
+SCALE: tuple[float, ...] = (0.226, 0.60, 0.355, 0.464)
+"""Root mean square of the default arm's motion (rad, rad/s), by which its errors are normalised."""
+
+JUMP = 0.03
+"""Change of an angle's true disturbance from one sample to the next that is a jump [rad].
+
+It is about 1σ of the sensor's noise, and several times what a fault of 0.4 rad at 3 rad/s moves in
+a sample at 200 Hz."""
+
+# Time that errors must stay inside their bound to have settled [s].
+_HOLD_TIME = 1.0
 # A fault that chatters is one event: jumps this close to the one before are no others [s].
 _SAME_JUMP = 0.1
 _JUMPS = {"disturbance": "jump", "torque_disturbance": "step"}
-
-
-@dataclass(frozen=True)
-class MetricsOptions:
-    """Options of the measures of a run.
-
-    Attributes:
-        start_settle_time: Time after the first estimate that does not count [s].
-        jump_settle_time: Time after a jump of the true disturbance that does not count [s].
-        jump_threshold: Change of an angle's true disturbance from one sample to the next that is a
-            jump [rad]; about 1σ of the sensor's noise, and several times what a fault of 0.4 rad
-            at 3 rad/s moves in a sample at 200 Hz.
-        hold_time: Time that errors must stay inside their bound to have settled [s].
-        scale: Typical size of each state, which the normalised RMSE divides by; the default is the
-            root mean square of the default arm's motion (rad, rad/s).
-        innovation_std: 1σ the design expects of each output's innovation; one number for all, None
-            if unknown.
-
-    Raises:
-        ModelError: A time or size is negative, or not finite.
-    """
-
-    start_settle_time: float = 5.0
-    jump_settle_time: float = 5.0
-    jump_threshold: float = 0.03
-    hold_time: float = 1.0
-    scale: tuple[float, ...] = (0.226, 0.60, 0.355, 0.464)
-    innovation_std: float | tuple[float, ...] | None = None
-
-    def __post_init__(self) -> None:
-        check_each(non_negative, self, "start_settle_time", "jump_settle_time", "hold_time")
-        positive("jump_threshold", self.jump_threshold)
-        for value in as_matrix("scale", self.scale, (len(self.scale),)):
-            positive("scale", float(value))
-        for value in self.innovation_stds:
-            positive("innovation_std", value)
-
-    @property
-    def innovation_stds(self) -> tuple[float, ...]:
-        """1σ expected of each output's innovation; empty if unknown."""
-        one = self.innovation_std
-        return () if one is None else one if isinstance(one, tuple) else (one,)
 
 
 @dataclass(frozen=True)
@@ -174,27 +146,34 @@ class RunMetrics:
         return data
 
 
-def measure(run: RecordedRun, options: MetricsOptions | None = None) -> RunMetrics:
+def innovation_std(design: Design) -> tuple[float, ...]:
+    """Return the 1σ of each output's innovation that a design's certificate expects."""
+    request = design.request
+    C = request.flow.output_matrix
+    covariance = C @ design.covariance_bound @ C.T + request.measurement_covariance
+    return tuple(np.sqrt(covariance.diagonal()).tolist())
+
+
+def measure(
+    run: RecordedRun, innovation_std: Sequence[float] = (), settle_time: float = SETTLE_TIME
+) -> RunMetrics:
     """Measure a run.
 
     Args:
         run: The recorded run; without truth only its bounds and innovations are measured.
-        options: Options of the measures; the defaults if None.
-
-    Raises:
-        ModelError: There are not as many sizes in the scale as states.
+        innovation_std: 1σ that the design expects of each output's innovation; empty if unknown.
+        settle_time: Time after the first estimate and after each jump that does not count [s].
     """
-    options, times = options or MetricsOptions(), run.times
-    states = sum(one.kind == "state" for one in run.quantities)
-    if states != len(options.scale):
-        raise ModelError(f"scale: expected {states} sizes, one a state, got {len(options.scale)}")
+    times, scale = run.times, SCALE
+    if isinstance(run.request, TSRequest):  # their sizes before any measurement
+        scale = tuple(np.asarray(run.request.initial_std).tolist())
     measured = run.measurements.seconds(run.origin)
-    jumps = _jumps(run, options.jump_threshold)
+    jumps = _jumps(run)
     windows = _settled_windows(
         float(times[0]),
         min(float(times[-1]), float(measured.max(initial=-math.inf))),
         [time for time, _, _ in jumps],
-        options,
+        settle_time,
     )
     settled = inside_windows(times, windows)
     quantities, has_truth = [], False
@@ -208,16 +187,15 @@ def measure(run: RecordedRun, options: MetricsOptions | None = None) -> RunMetri
         if known.any() and np.isfinite(error).any():
             # "Not inside" rather than "outside", so that an unknown error is not taken for small.
             outside |= ~(np.abs(error) <= SIGMAS * one.bounds[known].min())
-    nis, output_nis = _innovations(run, windows, options.innovation_stds)
-    normalised = None
-    if all(one.rmse is not None for one in quantities[:states]):
-        each = zip(quantities, options.scale, strict=False)
-        shares = [(one.rmse or 0.0) / size for one, size in each]
-        normalised = _bounded(math.sqrt(sum(one * one for one in shares) / states))
+    nis, output_nis = _innovations(run, windows, innovation_std)
+    normalised, rmse = None, [one.rmse for one in quantities[: len(scale)]]
+    if None not in rmse:
+        shares = [(error or 0.0) / size for error, size in zip(rmse, scale, strict=True)]
+        normalised = _bounded(math.sqrt(sum(one * one for one in shares) / len(shares)))
     begins = [float(times[0]), *(time for time, _, _ in jumps)]
     edges = [*np.searchsorted(times, begins).tolist(), len(times)]
     after = [
-        _settled_after(times[a:b], outside[a:b], begin, options.hold_time) if has_truth else None
+        _settled_after(times[a:b], outside[a:b], begin) if has_truth else None
         for begin, a, b in zip(begins, edges, edges[1:], strict=False)
     ]
     events = [Event("start", begins[0], 0.0, after[0])]
@@ -273,21 +251,18 @@ def _bounded(value: float) -> float:
     return min(value, sys.float_info.max)
 
 
-def _jumps(run: RecordedRun, threshold: float) -> list[tuple[float, float, str]]:
+def _jumps(run: RecordedRun) -> list[tuple[float, float, str]]:
     """Return time [s], size and kind of the jumps of the true disturbances during the estimates."""
     found: list[tuple[float, float, str]] = []
     for quantity in run.quantities:
-        limit = threshold if quantity.jump is None else quantity.jump
+        limit = JUMP if quantity.jump is None else quantity.jump
         truth = run.of(quantity).truth if limit < math.inf else None
         if truth is None:
             continue
-        steps = np.diff(truth.values[:, 0])
-        (large,) = np.nonzero(np.abs(steps) > limit)
-        times = truth.seconds(run.origin)[large + 1].tolist()
-        found += [
-            (time, size, quantity.kind)
-            for time, size in zip(times, steps[large].tolist(), strict=True)
-        ]
+        steps, times = np.diff(truth.values[:, 0]), truth.seconds(run.origin)[1:]
+        large = np.abs(steps) > limit
+        each = zip(times[large].tolist(), steps[large].tolist(), strict=True)
+        found += [(time, size, quantity.kind) for time, size in each]
     found.sort(key=lambda jump: jump[0])
     before = [-math.inf, *(time for time, _, _ in found)]
     return [
@@ -298,7 +273,7 @@ def _jumps(run: RecordedRun, threshold: float) -> list[tuple[float, float, str]]
 
 
 def _settled_windows(
-    first: float, last: float, jumps: Sequence[float], options: MetricsOptions
+    first: float, last: float, jumps: Sequence[float], settle_time: float
 ) -> Windows:
     """Return the parts of a run without the times [s] after its start and after each jump.
 
@@ -306,32 +281,25 @@ def _settled_windows(
     measure of it.
     """
     # A jump during the start does not end the start, hence the running maximum.
-    after = [time + options.jump_settle_time for time in jumps]
-    begins = np.maximum.accumulate([first + options.start_settle_time, *after]).tolist()
-    return tuple((a, b) for a, b in zip(begins, [*jumps, last], strict=True) if a < b)
+    begins = np.maximum.accumulate([first, *jumps]) + settle_time
+    return tuple((a, b) for a, b in zip(begins.tolist(), [*jumps, last], strict=True) if a < b)
 
 
-def inside_windows(times: Array, windows: Windows) -> NDArray[np.bool_]:
+def inside_windows(times: Array, windows: Windows) -> Flags:
     """Return which times [s] lie in one of the windows, their ends not included, shape (n,)."""
     # They neither overlap nor touch.
     edges = np.array(windows).reshape(-1)
     return np.asarray(np.searchsorted(edges, times, side="right") % 2 == 1)
 
 
-def _settled_after(
-    times: Array, outside: NDArray[np.bool_], begin: float, hold_time: float
-) -> float | None:
-    """Return the time after an event until errors have come to stay small; None if not seen.
+def _settled_after(times: Array, outside: Flags, begin: float) -> float | None:
+    """Return the time after an event [s] until errors have come to stay small; None if not seen.
 
-    Args:
-        times: From the event to the next one [s], shape (n,).
-        outside: Whether an error is too large then, shape (n,).
-        begin: Time of the event [s].
-        hold_time: Time that errors must stay small [s].
+    `times` are those from the event to the next one, `outside` is whether an error is too large.
     """
     # Quiet spells lie between neighbouring errors that are too large, and at both ends.
     borders = np.concatenate([[-1], np.flatnonzero(outside), [len(times)]])
     (spells,) = np.nonzero(np.diff(borders) > 1)
     since, until = times[borders[spells] + 1], times[borders[spells + 1] - 1]
-    long = since[until - since >= hold_time]
+    long = since[until - since >= _HOLD_TIME]
     return float(long[0]) - begin if len(long) else None

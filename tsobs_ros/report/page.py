@@ -209,7 +209,7 @@ def _traces(plot: Plot) -> Iterator[dict[str, Any]]:
     for strip in plot.strips[:_MAX_ROWS]:
         height = float(plot.rows.index(strip.name))
         ends = np.array([strip.begin, strip.end]), np.full(2, height)
-        name = strip.name if strip.own_colour else f"{strip.name}, {strip.level.name}"
+        name = ", ".join(filter(None, (strip.name, strip.words)))
         yield _trace(name, *ends, line={"color": strip.colour, "width": 14})
 
 

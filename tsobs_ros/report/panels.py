@@ -15,7 +15,7 @@ from tsobs_ros.estimation.health import Level, words
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.replay.health import CLAIMED, HYPOTHESIS
 from tsobs_ros.report.diagnosed import Diagnosed, FaultSpan
-from tsobs_ros.report.metrics import SIGMAS, RunMetrics, inside_windows
+from tsobs_ros.report.metrics import SIGMAS, Event, RunMetrics, inside_windows
 from tsobs_ros.report.quantities import Quantity, inputs_of, measured_states, outputs_of
 from tsobs_ros.report.run import MAX_GAP, RecordedRun, align
 from tsobs_ros.series import NANOSECONDS, Series
@@ -26,10 +26,8 @@ MAX_CURVE, MAX_BAND = 5000, 1500
 
 TIME = "time since the first sample [s]"
 EVENT_COLOUR, SETTLING_COLOUR, MEASUREMENT_COLOUR = RED, "#F1F3F5", "#8A8F98"
-LEVEL_COLOURS = {Level.OK: "#56B4E9", Level.WARN: ORANGE, Level.ERROR: RED}
+_LEVEL_COLOURS = {Level.OK: "#56B4E9", Level.WARN: ORANGE}
 
-# Quantiles are of about so many values.
-_FOR_QUANTILES = 20_000
 # Measurements may be ahead of the estimates [s].
 _MAX_AHEAD = 4.0
 # Errors after a jump may leave the picture, so that the bound keeps a tenth of its height.
@@ -81,21 +79,13 @@ class Band(NamedTuple):
 
 
 class Strip(NamedTuple):
-    """A time for which something is reported: what, from when to when [s], and how bad it is.
-
-    On another axis it is a bar, and may have another colour than its level's.
-    """
+    """A bar: its row, from where to where [s or the axis's unit], its colour, and more words."""
 
     name: str
     begin: float
     end: float
-    level: Level
-    own_colour: str = ""
-
-    @property
-    def colour(self) -> str:
-        """What it is drawn with."""
-        return self.own_colour or LEVEL_COLOURS.get(self.level, EVENT_COLOUR)
+    colour: str
+    words: str = ""
 
 
 class Plot(NamedTuple):
@@ -108,7 +98,7 @@ class Plot(NamedTuple):
         curves: Curves, the first below the others.
         remark: Phrases on it.
         bands: Bands below the curves, the widest first.
-        strips: Times for which something is reported; the plot then has no values.
+        strips: Bars, such as times for which something is reported, in place of curves.
         spans: Parts of the time that are marked, (begin, end) in seconds.
         level: Size of a constant ± line, e.g. of what is expected of noise.
         axis: Label of the horizontal axis; another one than `TIME` does not follow the others.
@@ -213,17 +203,14 @@ def picture(
     samples = run.measurements.ordered()
     times = samples.seconds(run.origin)
     # What is outside of the time axis must not squeeze the rest.
-    own = (times >= 0.0) & (times <= last + _MAX_AHEAD)
-    times, samples = times[own], samples.take(own)
-    period = 1.0 / run.request.rate
+    samples = samples.take((times >= 0.0) & (times <= last + _MAX_AHEAD))
+    times, period = samples.seconds(run.origin), 1.0 / run.request.rate
     timing = _timing(times, period)
-    rows = [_of_quantity(run, metrics, one, rival, (times, samples)) for one in run.quantities]
     singles: list[Plot] = []
-    for (name, unit), values in zip(
-        inputs_of(run.request), samples.values.T[len(outputs) :], strict=False
-    ):
+    inputs = zip(inputs_of(run.request), samples.values.T[len(outputs) :], strict=False)
+    for (name, unit), values in inputs:
         if np.isfinite(values).any():
-            singles.append(_lines(name, unit, {"applied": (times, values)}, MAX_GAP))
+            singles.append(lines(name, unit, {"applied": (times, values)}, MAX_GAP))
     if diagnosed.faults:
         singles.append(_faults(diagnosed.faults))
     singles += _innovations(run, metrics, innovation_std, outputs, period)
@@ -239,36 +226,31 @@ def picture(
             if name.startswith(what)
         }
         if found:
-            singles.append(_lines(f"{what} of the node", "ms", found))
+            singles.append(lines(f"{what} of the node", "ms", found))
     if diagnosed.reject_rates:
-        singles.append(_lines("rejected", "1/s", diagnosed.reject_rates))
+        singles.append(lines("rejected", "1/s", diagnosed.reject_rates))
     measured = float(run.measurements.seconds(run.origin).max(initial=0.0))
+    settled = [edge for window in metrics.windows for edge in window]
+    edges = [float(run.times[0]), *settled, last]
     return Picture(
         name=run.name,
         headline=_headline(metrics, run),
-        rows=(*rows, *((plot,) for plot in singles)),
+        rows=(
+            *(_of_quantity(run, metrics, one, rival, samples) for one in run.quantities),
+            *((plot,) for plot in singles),
+        ),
         # A stamp from a wrong clock must not squeeze the rest.
         time_range=(0.0, measured if last <= measured <= last + 1.0 else last),
-        unsettled=tuple(_unsettled(float(run.times[0]), last, metrics)),
-        jumps=tuple(_jumps(metrics)),
+        unsettled=tuple(zip(edges[::2], edges[1::2], strict=True)),
+        jumps=tuple(map(_jump, metrics.events[1:])),
         timing=timing,
     )
 
 
-def _jumps(metrics: RunMetrics) -> Iterator[tuple[float, str]]:
-    for event in metrics.events[1:]:
-        after = event.settled_after
-        settled = "" if after is None else f", settled after {after:.2g} s"
-        yield event.time, f"{_JUMPS[event.what].format(event.size)}{settled}"
-
-
-def _unsettled(first: float, last: float, metrics: RunMetrics) -> Iterator[tuple[float, float]]:
-    begin = first
-    for window_begin, window_end in metrics.windows:
-        yield begin, window_begin
-        begin = window_end
-    if begin < last:
-        yield begin, last
+def _jump(event: Event) -> tuple[float, str]:
+    after = event.settled_after
+    settled = "" if after is None else f", settled after {after:.2g} s"
+    return event.time, f"{_JUMPS[event.what].format(event.size)}{settled}"
 
 
 def _headline(metrics: RunMetrics, run: RecordedRun) -> str:
@@ -354,17 +336,14 @@ def _bands(times: Array, centre: Array, bound: Array, max_gap: float = MAX_GAP) 
     return tuple(made)
 
 
-def _lines(
-    label: str,
-    unit: str,
-    curves: Mapping[str, tuple[Array, Array]],
-    max_gap: float = math.inf,
-    remark: Sequence[str] = (),
+def lines(
+    label: str, unit: str, curves: Mapping[str, tuple[Array, Array]], max_gap: float = math.inf
 ) -> Plot:
+    """Return a plot of curves, times [s] and values by name, of colours that differ."""
     styled = zip(curves.items(), cycle(_OTHERS), strict=False)
     drawn = tuple(thinned_curve(name, *values, style, max_gap) for (name, values), style in styled)
     limits = limits_around([values for _, values in curves.values()], zero=len(curves) > 1)
-    return Plot(label, unit, limits, drawn, tuple(remark))
+    return Plot(label, unit, limits, drawn)
 
 
 def limits_around(values: Iterable[Array], *, zero: bool = False) -> tuple[float, float]:
@@ -383,9 +362,8 @@ def limits_around(values: Iterable[Array], *, zero: bool = False) -> tuple[float
 
 
 def _quantiles(values: Array, *shares: float) -> list[float]:
-    """Return quantiles of the finite values, of some of them if they are many; none without any."""
+    """Return quantiles of the finite values; none without any."""
     finite = values[np.isfinite(values)]
-    finite = finite[:: max(1, len(finite) // _FOR_QUANTILES)]
     return np.quantile(finite, shares).tolist() if len(finite) else []
 
 
@@ -394,50 +372,41 @@ def _of_quantity(
     metrics: RunMetrics,
     quantity: Quantity,
     rival: RecordedRun | None,
-    measured: tuple[Array, Series],
+    samples: Series,
 ) -> tuple[Plot, ...]:
     """Return the plot of an estimated quantity and, with truth, that of its error."""
     one, times = run.of(quantity), run.times
     curves: list[Curve] = []
+    wrong = [thinned_curve("true", times[[0, -1]], np.zeros(2), max_gap=math.inf)]
     edges = _quantiles(one.values, 0.01, 0.99)
     for sign in (-SIGMAS, SIGMAS):
         edges += _quantiles(one.values + sign * one.bounds, 0.1, 0.9)
     place = measured_states(run.request).get(quantity.key)
-    if place is not None and len(measured[0]):
-        at, samples = measured
+    if place is not None and len(samples.stamps):
         values = samples.values[:, place]
-        curves.append(thinned_curve("measured", at, values))
+        curves.append(thinned_curve("measured", samples.seconds(run.origin), values))
         edges += _quantiles(values, 0.002, 0.998)
     if one.truth is not None:
         truth = one.truth.values[:, 0]
         curves.append(thinned_curve("true", one.truth.seconds(run.origin), truth))
-        if len(finite := truth[np.isfinite(truth)]):
-            edges += [float(finite.min()), float(finite.max())]
-    rival_times = None if rival is None else (rival.stamps - run.origin) / NANOSECONDS
-    theirs = None if rival is None else rival.of(quantity)
-    if theirs is not None and rival_times is not None:
-        curves.append(thinned_curve("EKF", rival_times, theirs.values))
+        edges += _quantiles(truth, 0.0, 1.0)
+    if rival is not None:
+        theirs, at = rival.of(quantity), (rival.stamps - run.origin) / NANOSECONDS
+        curves.append(thinned_curve("EKF", at, theirs.values))
+        wrong.append(thinned_curve("EKF", at, theirs.error))
     curves.append(thinned_curve("estimated", times, one.values))
+    wrong.append(thinned_curve("estimated", times, one.error))
     low, high = (min(edges), max(edges)) if edges else (-1.0, 1.0)
     margin = 0.08 * (high - low) or 0.1
+    bands, limits = _bands(times, one.values, one.bounds), (low - margin, high + margin)
+    plot = Plot(quantity.name, quantity.unit, limits, tuple(curves), bands=bands)
     remark = _remark(metrics, quantity)
-    bands = _bands(times, one.values, one.bounds)
-    limits = low - margin, high + margin
-    error = one.error
-    if not np.isfinite(error).any():
-        return (Plot(quantity.name, quantity.unit, limits, tuple(curves), remark, bands),)
-    size = _max_error(run, metrics, error, one.bounds) or 1.0
-    ends = times[[0, -1]]
-    wrong = [thinned_curve("true", ends, np.zeros(2), max_gap=math.inf)]
-    if theirs is not None and rival_times is not None:
-        wrong.append(thinned_curve("EKF", rival_times, theirs.error))
-    wrong.append(thinned_curve("estimated", times, error))
-    bands_of_error = _bands(times, np.zeros(len(times)), one.bounds)
+    if not np.isfinite(one.error).any():
+        return (plot._replace(remark=remark),)
+    size = _max_error(run, metrics, one.error, one.bounds) or 1.0
+    bands, limits = _bands(times, np.zeros(len(times)), one.bounds), (-size, size)
     label = f"{quantity.name}: error"
-    return (
-        Plot(quantity.name, quantity.unit, limits, tuple(curves), bands=bands),
-        Plot(label, quantity.unit, (-size, size), tuple(wrong), remark, bands_of_error),
-    )
+    return plot, Plot(label, quantity.unit, limits, tuple(wrong), remark, bands)
 
 
 def _remark(metrics: RunMetrics, quantity: Quantity) -> tuple[str, ...]:
@@ -463,17 +432,18 @@ def _max_error(run: RecordedRun, metrics: RunMetrics, error: Array, bounds: Arra
 
 
 def _faults(faults: Sequence[FaultSpan]) -> Plot:
+    names = {Level.OK: "small", Level.WARN: "warning"}
     strips = tuple(
         Strip(
             f"{one.kind}: {one.output}" if one.output else one.kind,
             one.begin,
             max(one.end, one.begin + 0.1),
-            one.level,
+            _LEVEL_COLOURS.get(one.level, EVENT_COLOUR),
+            one.level.name,
         )
         for one in faults
     )
-    names = {Level.OK: "small", Level.WARN: "warning", Level.ERROR: "error"}
-    levels = sorted({strip.level for strip in strips})
+    levels = sorted({one.level for one in faults})
     remark = (f"level: {', '.join(names.get(level, 'error') for level in levels)}",)
     count = len({strip.name for strip in strips})
     return Plot("sensor fault", "", (-0.6, count - 0.4), remark=remark, strips=strips)
@@ -513,11 +483,10 @@ def _autocorrelation(label: str, values: Array, period: float) -> Iterator[Plot]
     filled, count = np.where(known, values, 0.0), int(known.sum())
     if count <= _MAX_LAG or not filled.any():
         return
+    lags = np.arange(_MAX_LAG + 1)
+    # Not by BLAS, whose threads cost more than so few numbers.
     counts, sums = (
-        # Not by BLAS, whose threads cost more than so few numbers.
-        np.array(
-            [np.einsum("i,i", one[lag:], one[: len(one) - lag]) for lag in range(_MAX_LAG + 1)]
-        )
+        np.array([np.einsum("i,i", one[lag:], one[: len(one) - lag]) for lag in lags])
         for one in (known.astype(np.float64), filled)
     )
     mean = sums / np.maximum(counts, 1.0)
@@ -526,8 +495,7 @@ def _autocorrelation(label: str, values: Array, period: float) -> Iterator[Plot]
     outside = int((np.abs(shares) > band).sum())
     remark = (f"– – ±{_WHITE:g}σ of white noise", f"{outside} of {_MAX_LAG} lags outside")
     size = 1.2 * max(float(np.abs(shares).max()), 2.0 * band)
-    lags = period * np.arange(1.0, _MAX_LAG + 1.0)
-    curve = Curve("autocorrelation", lags, shares, _OTHERS[0])
+    curve = Curve("autocorrelation", np.multiply(lags[1:], period), shares, _OTHERS[0])
     yield Plot(
         f"autocorrelation of {label}", "", (-size, size), (curve,), remark, level=band,
         axis="lag [s]",

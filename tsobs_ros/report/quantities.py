@@ -22,7 +22,7 @@ class Quantity(NamedTuple):
         kind: Whether it is a state of the plant, an output's disturbance or a torque disturbance.
         column: Its place among those of its kind.
         jump: Change of its truth from one sample to the next that is a jump; infinite if none is,
-            None as `MetricsOptions.jump_threshold`.
+            None as `metrics.JUMP`.
     """
 
     key: str
