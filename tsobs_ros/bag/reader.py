@@ -302,10 +302,15 @@ class BagReader:
         start_ns: int | None = None,
         end_ns: int | None = None,
     ) -> Iterator[DecodedMessage]:
-        """Yield the messages as `messages` does, decoded by the definitions in the bag."""
-        messages = self.messages(topics, start_ns, end_ns)
+        """Return the messages as `messages` does, decoded by the definitions in the bag."""
         names = self.topics if topics is None else topics
+        # Before the first message, so that a caller can distinguish this from damage.
         decoders = {name: self._decoder(name) for name in names}
+        return self._decode(self.messages(topics, start_ns, end_ns), decoders)
+
+    def _decode(
+        self, messages: Iterable[BagMessage], decoders: Mapping[str, Callable[[bytes], Any]]
+    ) -> Iterator[DecodedMessage]:
         for topic, type_, data, log_time, publish_time in messages:
             try:
                 message = decoders[topic](data)

@@ -241,7 +241,9 @@ def picture(
         ),
         # A stamp from a wrong clock must not squeeze the rest.
         time_range=(0.0, measured if last <= measured <= last + 1.0 else last),
-        unsettled=tuple(zip(edges[::2], edges[1::2], strict=True)),
+        unsettled=tuple(
+            span for span in zip(edges[::2], edges[1::2], strict=True) if span[0] < span[1]
+        ),
         jumps=tuple(map(_jump, metrics.events[1:])),
         timing=timing,
     )
