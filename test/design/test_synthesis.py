@@ -1,28 +1,51 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Synthesis: optimal where the optimum is known, known numbers, and refusals that explain."""
+"""Synthesis: optimal where the optimum is known, refusals that explain, remedies that help."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_are
 
 from tsobs_ros.design.feasibility import find_obstacles, require_detectable
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
+from tsobs_ros.design.request import (
+    ArmRequest,
+    DisturbanceTerm,
+    Output,
+    TorqueDisturbance,
+    TSRequest,
+)
 from tsobs_ros.design.synthesis import MARGINS, solve_gain, synthesise
 from tsobs_ros.errors import DesignError, DetectabilityError, ModelError
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
+from tsobs_ros.model.detectability import undetectable_modes
+from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.model.fuzzy import RuleBase, membership
+from tsobs_ros.model.ts_model import TSModel
 
-Array = NDArray[np.float64]
+BIAS, CLEAN = (DisturbanceTerm("bias"),), (DisturbanceTerm("clean"),)
+DRIFT = (DisturbanceTerm("gauss_markov"),)
+NO_GRAVITY = ElasticJointArm(gravity_torque=0.0)
+
+SLOW = pytest.mark.slow
 
 
 def tone(frequency: float) -> tuple[DisturbanceTerm, ...]:
     return (DisturbanceTerm("sinusoid", {"frequency": frequency}),)
+
+
+def of(*outputs: Any, motor: Any = (), link: Any = (), **changes: Any) -> ArmRequest:
+    """Return a request for outputs (name, terms) and torques at motor and link."""
+    return ArmRequest(
+        outputs=[Output(name, 0.001, terms) for name, terms in outputs],
+        torque_disturbance=TorqueDisturbance(motor, link),
+        **changes,
+    )
 
 
 def test_the_shipped_design_can_be_made_again(shipped: Design) -> None:
@@ -65,6 +88,73 @@ def test_a_stiff_arm_has_a_design() -> None:
     assert design.bound_std[0] < 0.01
 
 
+TERMS = st.sampled_from([CLEAN, BIAS, DRIFT, tone(2.0), (*BIAS, *tone(3.0)), (*BIAS, *BIAS)])
+TORQUES = st.sampled_from([(), BIAS, DRIFT, tone(2.0), tone(3.0)])
+REQUESTS = st.builds(
+    lambda arm, outputs, motor, link: of(*outputs.items(), motor=motor, link=link, arm=arm),
+    st.builds(
+        ElasticJointArm, st.floats(0.5, 2.0), st.floats(0.5, 2.0), st.floats(5.0, 20.0),
+        st.just(0.0) | st.floats(5.0, 20.0), st.just(0.0) | st.floats(0.1, 1.0),
+        st.just(0.0) | st.floats(0.1, 1.0),
+    ),
+    st.dictionaries(st.sampled_from(QUANTITIES), TERMS, min_size=1, max_size=3),
+    TORQUES, TORQUES,
+)  # fmt: skip
+
+
+@settings(max_examples=60)
+@given(REQUESTS, st.floats(0.75, 0.99))
+def test_obstacles_agree_with_a_rank_test(request_: ArmRequest, slope: float) -> None:
+    """Obstacles at any slope are what a rank test finds at a slope at random, mode by mode."""
+    flow = request_.flow
+    obstacles = find_obstacles(request_)
+    for obstacle in obstacles:
+        at = obstacle.slope if obstacle.slope is not None else request_.slope_range[1]
+        A, shape = flow.augmented(request_.arm.slope_matrix(at)), obstacle.shape
+        residual = A @ shape - obstacle.eigenvalue * shape
+        assert np.linalg.norm(residual) < 1e-9 * np.linalg.norm(A)
+        assert np.linalg.norm(flow.output_matrix @ shape) < 1e-9
+        assert obstacle.eigenvalue.real > -1e-9
+    A = flow.augmented(request_.arm.slope_matrix(slope))
+    anywhere = {round(each.eigenvalue.imag, 6) for each in obstacles if each.slope is None}
+    # At the eigenvalues themselves, which numbers have only to few digits if they are defective.
+    candidates = (0.0, 2.0, 3.0)
+    hidden = set()
+    for frequency in candidates:
+        pencil = np.vstack([A - 1j * frequency * np.eye(len(A)), flow.output_matrix])
+        sizes = np.linalg.svd(pencil, compute_uv=False)
+        if sizes[-1] < 1e-9 * sizes[0]:
+            hidden.add(frequency)
+    assert anywhere == hidden
+    for mode in undetectable_modes(A, flow.output_matrix):
+        assert np.abs(abs(mode.eigenvalue) - np.array(candidates)).min() < 1e-2
+
+
+@pytest.mark.parametrize(
+    ("request_", "parties"),
+    [
+        (of(("link_angle", BIAS)), None),
+        (of(("link_angle", BIAS), link=DRIFT), None),
+        (of(("link_angle", BIAS), link=BIAS),
+         "the arm's position, the bias of link_angle and the bias of the torque at the link"),
+        (of(("motor_angle", CLEAN), ("link_angle", BIAS), link=BIAS), None),
+        (of(("link_angle", BIAS), arm=NO_GRAVITY), "the arm's position and the bias of link_angle"),
+        (of(("link_velocity", CLEAN), ("motor_velocity", CLEAN), arm=NO_GRAVITY),
+         "the arm's position is not shown by velocities"),
+        (of(("motor_velocity", CLEAN), x_max=2.0), "c = 0 (|q1| = 90.0 deg): the arm's pos"),
+        (of(("motor_angle", tone(2.0)), link=tone(2.0)),
+         "the arm's motion, the sinusoid of motor_angle and the sinusoid of the torque at the"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_distinguished_is_named(request_: ArmRequest, parties: str | None) -> None:
+    if parties is None:
+        require_detectable(request_)
+        return
+    with pytest.raises(DetectabilityError) as caught:
+        require_detectable(request_)
+    assert parties in str(caught.value)
+
+
 def test_an_impossible_design_names_mode_slope_and_help() -> None:
     with pytest.raises(DetectabilityError) as caught:
         require_detectable(ArmRequest(x_max=math.pi / 2))
@@ -84,40 +174,100 @@ def test_the_domain_advised_is_clear_of_every_obstacle() -> None:
     assert find_obstacles(ArmRequest(disturbance=terms, x_max=1.21)) == []
 
 
+def lorenz() -> TSRequest:
+    """The Lorenz system for |x1| <= 30, of which x1 is measured."""
+    A = [[[-10, 10, 0], [28, -1, s * 30.0], [0, -s * 30.0, -8 / 3]] for s in (1.0, -1.0)]
+    ends = {"zero": 30.0, "one": -30.0}, {"zero": -30.0, "one": 30.0}
+    rules = RuleBase(tuple((membership("linear", each),) for each in ends))
+    model = TSModel(
+        np.array(A), np.zeros((2, 3, 1)), np.eye(3)[:1], rules, np.array([[1.0, 0.0, 0.0]])
+    )
+    return TSRequest(
+        model=model,
+        disturbance=[CLEAN],
+        process_noise=[1e-3] * 3,
+        measurement_std=[0.1],
+        rate=200.0,
+        initial_std=[10.0] * 3,
+    )
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("request_", "expected"),
     [
-        ({"decay_rate": -0.1}, "decay_rate: expected a finite number of at least 0, got -0.1"),
-        ({"disturbance": tone(629.0)}, r"sinusoid frequency: .*half the.* 628\.319 rad/s, got 629"),
+        pytest.param(of(("motor_angle", BIAS), ("link_angle", BIAS), link=BIAS),
+         ["kind gauss_markov for the torque at the link", "kind clean for motor_angle",
+          "kind clean for link_angle", "kind clean for the torque at the link"],
+         id="two encoders", marks=SLOW),
+        pytest.param(of(("link_velocity", CLEAN), x_max=2.0),
+         ["a smaller domain: x_max below 1.571 rad", "a further output without disturbance: link_"],
+         id="velocity"),
+        pytest.param(ArmRequest(disturbance=tone(1.4)),
+         ["x_max below 0.5722 rad", "a disturbance frequency away", "motor_ang"],
+         id="tone", marks=SLOW),
+        pytest.param(ArmRequest(disturbance=(*BIAS, *BIAS)), ["fewer terms"], id="two biases"),
+        pytest.param(of(("motor_angle", CLEAN), ("link_angle", (DisturbanceTerm("arbitrary"),))),
+         ["a model of the disturbance"], id="arbitrary"),
+        pytest.param(ArmRequest(process_noise=ProcessNoise(0.0, 0.0)), ["process_noise above 0"],
+         id="no noise"),
+        pytest.param(lorenz(), ["a faster rate: ", "a smaller domain: rules 75 % as far"],
+         id="Lorenz", marks=SLOW),
+    ],
+)  # fmt: skip
+def test_every_remedy_that_is_suggested_has_a_design(
+    request_: ArmRequest | TSRequest, expected: list[str]
+) -> None:
+    with pytest.raises(DesignError) as caught:
+        synthesise(request_)
+    text = str(caught.value)
+    for part in expected:
+        assert part in text
+    assert caught.value.remedies
+    for remedy in caught.value.remedies:
+        assert remedy.text in text
+        assert synthesise(remedy.request).certificate.holds
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: of(("elbow", CLEAN)), "measures: expected one of link_angle, .*got 'elbow'"),
+        (lambda: Output("link_angle", 0.1, ()), "disturbance: expected at least one term"),
         (
-            {
-                "certify_uncertainty": True,
-                "uncertainty": dict.fromkeys(
+            lambda: ArmRequest(outputs=[Output("link_angle", 0.1)], measurement_std=0.2),
+            "measurement_std: expected in outputs, one an output, got 0.2 besides them",
+        ),
+        (
+            lambda: of(("link_angle", CLEAN), motor=tone(629.0)),
+            r"sinusoid frequency: .*half the.* 628\.319 rad/s, got 629",
+        ),
+        (
+            lambda: ArmRequest(decay_rate=-0.1),
+            "decay_rate: expected a finite number of at least 0, got -0.1",
+        ),
+        (
+            lambda: ArmRequest(
+                certify_uncertainty=True,
+                uncertainty=dict.fromkeys(
                     ("stiffness", "link_damping", "motor_damping", "link_inverse_inertia"), 0.1
                 ),
-            },
+            ),
             "certify_uncertainty: expected at most 3 uncertain parameters besides gravity",
         ),
+        (
+            lambda: DisturbanceTerm("bias", {"density": "much"}),
+            "bias density: expected a finite number, got 'much'",
+        ),
+        (
+            lambda: DisturbanceTerm("clean", {"channels": 2}),
+            "channels: no parameter of clean.*none",
+        ),
+        (lambda: DisturbanceTerm("sinusoid"), "frequency: missing, sinusoid has no default"),
     ],
 )
-def test_a_request_out_of_range_is_named(change: dict[str, Any], message: str) -> None:
+def test_a_wrong_request_is_named(make: Any, message: str) -> None:
     with pytest.raises(ModelError, match=message):
-        replace(ArmRequest(), **change)
-
-
-@pytest.mark.parametrize(
-    ("kind", "parameters", "message"),
-    [
-        ("bias", {"density": "much"}, "bias density: expected a finite number, got 'much'"),
-        ("clean", {"channels": 2}, "channels: no parameter of clean.*none"),
-        ("sinusoid", {}, "frequency: missing, sinusoid has no default"),
-    ],
-)
-def test_a_wrong_disturbance_term_is_named(
-    kind: str, parameters: dict[str, float], message: str
-) -> None:
-    with pytest.raises(ModelError, match=message):
-        DisturbanceTerm(kind, parameters)
+        make()
 
 
 def test_the_initial_covariance_is_given_in_physical_units() -> None:

@@ -21,8 +21,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.torque_path import DIRECT, TorquePath
-from tsobs_ros.simulation.delays import TorqueDelay
-from tsobs_ros.simulation.integrator import ArmMotion, Friction, Motion, Payload
+from tsobs_ros.simulation.integrator import ArmMotion, Friction, Motion, Payload, TorqueDelay
 from tsobs_ros.simulation.sensor import Disturbance, Output, Sensor
 from tsobs_ros.simulation.signals import Signal, Sine, StuckSensor
 from tsobs_ros.simulation.streams import Seeds, Source, checked_seeds
