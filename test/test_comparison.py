@@ -19,12 +19,12 @@ from tsobs_ros.report.scenario_table import BOUNDS, ScenarioComparison
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS
 
-SEEDS = 6
+SEEDS = 4
 
 
 @pytest.fixture(scope="module")
 def comparison(design: Design) -> ScenarioComparison:
-    return compare_scenarios(design, ("stiff", "student", "friction"), SEEDS, duration=20.0)
+    return compare_scenarios(design, ("stiff", "student", "friction"), SEEDS, duration=15.0)
 
 
 @pytest.mark.parametrize(

@@ -19,9 +19,9 @@ START, PERIOD, LATENCY = 1_700_000_000_000_000_000, 5_000_000, 300_000
 
 @pytest.fixture
 def bag(arms, write_bag) -> Path:
-    """Three seconds of one joint, with a true disturbance."""
+    """A second and a half of one joint, with a true disturbance."""
     encode = JointStateEncoder(["elbow"])
-    messages = arms.messages(600)
+    messages = arms.messages(300)
     stamps = [time - 300_000 for _, _, time in messages]
     truth = [("/ground_truth/disturbance", encode(s, [0.0]), s + 300_000) for s in stamps]
     return write_bag(sorted([*messages, *truth], key=lambda message: message[2]))
@@ -31,11 +31,11 @@ def test_estimate_writes_a_bag_beside_the_bag(bag: Path, capsys) -> None:
     assert main(["estimate", str(bag)]) == 0
 
     out, err = capsys.readouterr()
-    assert "600 measurements of elbow over 3.0 s" in out
-    assert "observer  600 estimates from 600 measurements; rejected: none" in out
+    assert "300 measurements of elbow over 1.5 s" in out
+    assert "observer  300 estimates from 300 measurements; rejected: none" in out
     assert err == ""
     counts = {name: topic.count for name, topic in BagReader(f"{bag}_estimates").topics.items()}
-    assert counts["/ground_truth/disturbance"] == counts["/observer/joint_states"] == 600
+    assert counts["/ground_truth/disturbance"] == counts["/observer/joint_states"] == 300
     assert main(["estimate", str(bag)]) == 1
     assert "exists already" in capsys.readouterr().err
 
@@ -59,18 +59,6 @@ def test_estimate_says_that_measurements_are_unchecked(bag: Path, capsys) -> Non
 
     note = "note: messages have no checksum: damage in them is not noticed"
     assert note in capsys.readouterr().out
-
-
-def test_estimate_says_how_much_of_the_live_run_it_has_reproduced(bag: Path, capsys) -> None:
-    live, again = f"{bag}_live", f"{bag}_again"
-    main(["estimate", str(bag), "--output", live, "--rate", "90"])
-    capsys.readouterr()
-
-    assert main(["estimate", live, "--output", again, "--estimates-only", "--json"]) == 0
-
-    result = json.loads(capsys.readouterr().out)
-    assert result["live"]["recorded"] == result["live"]["reproduced"] > 200
-    assert "/joint_measurements" not in BagReader(again).topics
 
 
 def test_estimate_warns_as_the_node_does(arms, write_bag, capsys) -> None:
@@ -114,10 +102,8 @@ def test_estimate_lists_what_happened_to_the_estimates(arms, write_bag, capsys) 
     events = observer["events"]
     lines = out[out.index("events, in seconds since") :].splitlines()[1 : 1 + len(events)]
     for event, line in zip(events, lines, strict=True):
-        shown = f"{event['time']:9.1f} s  {event['level']:<5}  elbow: {event['text']}"
-        assert line == shown
+        assert line == f"{event['time']:9.1f} s  {event['level']:<5}  elbow: {event['text']}"
         assert event["stamp"] == pytest.approx(START + event["time"] * 1e9, abs=1e7)
-    assert observer["events_left_out"] == 0
     found = [(round(one["time"], 1), one["kind"], one["level"]) for one in events]
     for expected in (
         (0.0, "state", "OK"), (1.6, "state", "WARN"), (6.5, "state", "ERROR"), (9.5, "state", "OK")
@@ -127,46 +113,30 @@ def test_estimate_lists_what_happened_to_the_estimates(arms, write_bag, capsys) 
     health = observer["health"]["elbow"]
     assert health["noise_scale"]["max"] >= health["noise_scale"]["median"] > 1.5
     assert (health["learning"], health["certified"]) == ("starting", 0.0)
-    assert " % starting" in out
     assert f"; claimed to hold {100.0 * health['claimed']:.3g} %" in out
-    assert "at the end learning waits until the estimate has settled; arm and sensor behave" in out
 
 
 def test_several_designs_and_methods_have_names_of_their_own(bag: Path, capsys) -> None:
     designs = [str(config_path(name)) for name in (FIXED_DESIGN, SHIPPED_DESIGN)]
     new = f"{bag}_new"
 
-    command = ["estimate", str(bag), "--output", new, "--design", *designs]
+    command = ["estimate", str(bag), "--output", new, "--estimates-only", "--design", *designs]
     assert main([*command, "--method", "certified", "high_gain"]) == 0
 
-    names = {topic.split("/")[1] for topic in BagReader(new).topics}
-    observers = {
-        f"{d}_{m}"
-        for d in ("elastic_joint_fixed", "elastic_joint")
-        for m in ("certified", "high_gain")
+    assert {topic.split("/")[1] for topic in BagReader(new).topics} == {
+        f"{design}_{method}"
+        for design in ("elastic_joint_fixed", "elastic_joint")
+        for method in ("certified", "high_gain")
     }
-    assert names == {"joint_measurements", "ground_truth", *observers}
     assert "/elastic_joint_certified/parameters_estimate" in BagReader(new).topics
     assert "too short to have a settled part" in capsys.readouterr().out
 
 
-def test_joints_may_have_designs_of_their_own(arms, write_bag, capsys) -> None:
-    bag = write_bag(arms.messages(50, joints=2))
-    command = ["compare", str(bag), "--method", "certified", "--design"]
-
-    assert main([*command, f"wrist={config_path(SHIPPED_DESIGN)}"]) == 0
-    assert main([*command, f"knee={config_path(SHIPPED_DESIGN)}"]) == 1
-
-    assert "no such joint; joints: elbow, wrist" in capsys.readouterr().err
-
-
 def test_parameters_are_those_of_the_node(bag: Path, tmp_path, capsys) -> None:
-    main(
-        ["estimate", str(bag), "--output", f"{bag}_1", "--param", "gain_mode=riccati,settle_time=1"]
-    )
+    main(["estimate", str(bag), "--output", f"{bag}_1", "--param", "gain_mode=riccati"])
     file = tmp_path / "observer.yaml"
     file.write_text(
-        "observer:\n  ros__parameters:\n    gain_mode: riccati\n    settle_time: 1.0\n"
+        "observer:\n  ros__parameters:\n    gain_mode: riccati\n"
         "    rate: 50.0\n    supervision: {gate: 5.0}\n    joints: [elbow]\n",
         encoding="utf-8",
     )
@@ -175,8 +145,8 @@ def test_parameters_are_those_of_the_node(bag: Path, tmp_path, capsys) -> None:
 
     assert main([*again, str(file), "--output", f"{bag}_2"]) == 0
     live = json.loads(capsys.readouterr().out)["live"]
-    assert live["reproduced"] == live["recorded"] == 600
-    other = ["--param", "supervision.gate=1", "--param", "supervision.stuck_samples=2"]
+    assert live["reproduced"] == live["recorded"] == 300
+    other = ["--param", "supervision.gate=1"]
     assert main([*again, str(file), *other, "--output", f"{bag}_3"]) == 0
     live = json.loads(capsys.readouterr().out)["live"]
     assert live["reproduced"] < live["recorded"]
@@ -203,8 +173,6 @@ def test_a_parameter_file_for_others_is_refused(bag: Path, tmp_path, capsys) -> 
 
     assert main(["compare", str(bag), "--params-file", str(tmp_path / "other.yaml")]) == 1
     assert "no ros__parameters of observer; sections: player" in capsys.readouterr().err
-    shipped = str(config_path("observer.yaml"))
-    assert main(["compare", str(bag), "--joints", "elbow", "--params-file", shipped]) == 0
 
 
 def test_compare_leaves_out_what_does_not_fit_the_arm_and_says_why(bag, tmp_path, capsys) -> None:
@@ -242,21 +210,6 @@ def test_a_log_is_estimated(arms, tmp_path, capsys) -> None:
     assert (tmp_path / "log_estimates" / "metadata.yaml").is_file()
 
 
-def test_export_writes_files_and_says_which(bag: Path, tmp_path, capsys) -> None:
-    folder = tmp_path / "tables"
-
-    assert main(["export", str(bag), "--output", str(folder), "--json"]) == 0
-
-    files = json.loads(capsys.readouterr().out)["files"]
-    assert [(one["topic"], one["rows"]) for one in files] == [
-        ("/joint_measurements", 600),
-        ("/ground_truth/disturbance", 600),
-    ]
-    assert all(Path(one["file"]).is_file() for one in files)
-    assert main(["export", str(bag), "--output", str(folder)]) == 1
-    assert "exists already" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -275,7 +228,7 @@ def test_wrong_usage_is_told_apart_from_failure(bag: Path, arguments) -> None:
 
 
 def test_damage_is_an_error_after_all_before_it(arms, write_bag, capsys) -> None:
-    bag = write_bag(arms.messages(600), max_duration_ns=500_000_000, compression="none")
+    bag = write_bag(arms.messages(300), max_duration_ns=250_000_000, compression="none")
     last = max(bag.glob("*.mcap"))
     last.write_bytes(last.read_bytes().replace(b"elbow", b"xxxxx"))
 
@@ -283,20 +236,6 @@ def test_damage_is_an_error_after_all_before_it(arms, write_bag, capsys) -> None
     assert main(["export", str(bag), "--output", f"{bag}_csv"]) == 1
 
     err = capsys.readouterr().err
-    assert "damaged" in err
-    assert "estimated up to there" in err
-    assert "exported up to there" in err
-    assert 0 < BagReader(f"{bag}_estimates").topics["/observer/joint_states"].count < 600
-
-
-@pytest.mark.parametrize("command", ["estimate", "compare"])
-def test_a_bag_without_the_signals_of_a_ts_design_is_refused_in_one_line(
-    command: str, bag: Path, capsys
-) -> None:
-    design = Path(__file__).parents[1] / "design/data/system.design.yaml"
-
-    assert main([command, str(bag), "--design", str(design)]) == 1
-
-    line = capsys.readouterr().err.splitlines()[-1]
-    assert "no message of /joint_measurements has y1 of system (position of y1)" in line
-    assert line.endswith("which the design measures; it has: elbow")
+    for text in ("damaged", "estimated up to there", "exported up to there"):
+        assert text in err
+    assert 0 < BagReader(f"{bag}_estimates").topics["/observer/joint_states"].count < 300

@@ -149,16 +149,6 @@ def test_a_last_line_that_is_cut_off_is_left_out(tmp_path) -> None:
     assert source.remarks == ("note: the last line is cut off, and left out",)
 
 
-def test_time_may_restart(arms, estimate, tmp_path) -> None:
-    rows = [f"{1 + k % 400 * 0.005:.3f},{arms.y[k % 400, 0]},0" for k in range(800)]
-
-    run = estimate(opened(log(tmp_path, "t [s],q [rad],tau", *rows)))
-
-    assert run.loop.used == 800
-    first, second = run.table.values(0, "state").reshape(2, 400, 4)
-    assert np.array_equal(first, second)
-
-
 def test_several_joints_have_columns_of_their_own(tmp_path) -> None:
     lines = ("t,q.a,q.b,tau.a,tau.b", "1,2,3,4,5")
     path = log(tmp_path, *lines)

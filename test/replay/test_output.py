@@ -99,24 +99,24 @@ def both(estimate, tmp_path, monkeypatch) -> Callable[..., list[BagMessage]]:
     return run
 
 
-@pytest.mark.parametrize("options", [{}, {"rate": 130.0}, {"window": 128}])
+@pytest.mark.parametrize("options", [{}, {"rate": 130.0, "window": 32}])
 def test_a_bag_is_copied_by_its_chunks(arms, both, copies, tmp_path, options) -> None:
-    written = with_truth(arms.messages(300))
+    written = with_truth(arms.messages(100))
 
     messages = both(write_bag(tmp_path / "bag", written), **options)
 
-    assert copies == [15]
+    assert copies == [5]
     recorded = [(m.topic, m.data, m.log_time) for m in messages if "observer" not in m.topic]
     assert recorded == sorted(written, key=lambda one: one[2])
     # What is made of a measurement comes behind it, but what it is made with in front.
     assert [one.topic for one in messages[:2]] == ["/observer/design", TRUTH]
-    topics = [m.topic for m in messages if m.log_time == arms.messages(100)[-1][2]]
+    topics = [m.topic for m in messages if m.log_time == arms.messages(50)[-1][2]]
     if "rate" not in options:
         assert topics.index("/joint_measurements") < topics.index("/observer/joint_states")
 
 
 def test_chunks_with_live_estimates_lose_these(arms, both, copies, estimate, tmp_path) -> None:
-    estimate(write_bag(tmp_path / "bag", with_truth(arms.messages(200))), output="live")
+    estimate(write_bag(tmp_path / "bag", with_truth(arms.messages(60))), output="live")
     live = [
         (one.topic, one.data, one.log_time)
         for one in BagReader(tmp_path / "live").messages()
@@ -131,24 +131,22 @@ def test_chunks_with_live_estimates_lose_these(arms, both, copies, estimate, tmp
     ]
 
 
-def test_files_of_a_split_bag_are_copied_by_their_chunks(arms, both, copies, tmp_path) -> None:
-    bag = write_bag(tmp_path / "bag", with_truth(arms.messages(300)), max_duration_ns=500_000_000)
-    assert len(BagReader(bag).files) == 3
-    both(bag)
-    assert copies
-
-
-@pytest.mark.parametrize("options", [{}, {"enable_crcs": False}, {"index_types": IndexType.CHUNK}])
-def test_a_file_of_others_is_copied_by_its_chunks(arms, both, copies, tmp_path, options) -> None:
-    file = write_mcap(tmp_path / "other.mcap", with_truth(arms.messages(200)), **options)
-    both(file)
-    assert copies
-
-
-def test_messages_outside_of_chunks_are_copied_one_by_one(arms, both, copies, tmp_path) -> None:
-    file = write_mcap(tmp_path / "other.mcap", with_truth(arms.messages(100)), use_chunking=False)
-    assert len(both(file)) > 500
-    assert not copies
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"max_duration_ns": 200_000_000},
+        {"enable_crcs": False},
+        {"index_types": IndexType.CHUNK},
+        {"use_chunking": False},
+    ],
+)
+def test_other_files_are_copied_by_their_chunks_or_message_by_message(
+    arms, both, copies, tmp_path, options
+) -> None:
+    """Split ones, and those of others."""
+    write = write_bag if "max_duration_ns" in options else write_mcap
+    assert len(both(write(tmp_path / "bag", with_truth(arms.messages(100)), **options))) > 500
+    assert bool(copies) == ("use_chunking" not in options)
 
 
 def damaged(path: Path, messages: list[Message], topic: str) -> Path:
@@ -166,7 +164,7 @@ def damaged(path: Path, messages: list[Message], topic: str) -> Path:
 def test_a_damaged_bag_is_copied_one_by_one_up_to_the_damage(
     arms, estimate, copies, tmp_path, topic
 ) -> None:
-    written = with_truth(arms.messages(200))
+    written = with_truth(arms.messages(60))
     source = BagSource(damaged(tmp_path / "bag", written, topic))
 
     run = estimate(source, output="new")
@@ -175,22 +173,22 @@ def test_a_damaged_bag_is_copied_one_by_one_up_to_the_damage(
     assert not copies
     assert verify(tmp_path / "new").holds
     topics = BagReader(tmp_path / "new").topics
-    assert topics[TRUTH].count in (100, 101)
+    assert topics[TRUTH].count in (30, 31)
     # Damage in the truth costs no estimates.
-    used = 200 if topic == TRUTH else 100
+    used = 60 if topic == TRUTH else 30
     assert run.loop.used == topics["/observer/joint_states"].count == used
 
 
 def test_damage_that_comes_while_a_bag_is_copied_ends_the_copy(
     arms, estimate, tmp_path, monkeypatch
 ) -> None:
-    bag = write_bag(tmp_path / "bag", with_truth(arms.messages(200)), size=1, compression="none")
+    bag = write_bag(tmp_path / "bag", with_truth(arms.messages(60)), size=1, compression="none")
     source = BagSource(bag)
     is_sound = ChunkCopy.is_sound
 
     def and_then_not(self: ChunkCopy, checked: str) -> bool:
         sound = is_sound(self, checked)
-        place = self.spans[200].offset + 80
+        place = self.spans[60].offset + 80
         data = bytearray((bag / "bag_0.mcap").read_bytes())
         data[place] ^= 1
         (bag / "bag_0.mcap").write_bytes(data)
@@ -202,4 +200,4 @@ def test_damage_that_comes_while_a_bag_is_copied_ends_the_copy(
     assert "damaged" in str(source.damage)
     assert verify(tmp_path / "new").holds
     counts = {name: one.count for name, one in BagReader(tmp_path / "new").topics.items()}
-    assert counts[TRUTH] + counts["/joint_measurements"] == 200
+    assert counts[TRUTH] + counts["/joint_measurements"] == 60

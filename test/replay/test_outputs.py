@@ -22,6 +22,7 @@ from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.report.export import export_bag
+from tsobs_ros.report.run import ESTIMATED
 from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, TorqueDisturbance
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.sensor import Sensor
@@ -147,31 +148,20 @@ def test_estimates_with_two_encoders_are_those_of_arrays_and_repeated_to_the_bit
     run = estimate(bag, BOTH, tmp_path / "live")
 
     expected = ts.estimate(ts.load_design(BOTH), arm.time, arm.y, arm.u)
-    table = run.table
     assert run.loop.used == expected.used == len(arm.time)
-    for values, of_arrays in (
-        (table.values(0, "state"), expected.state),
-        (table.values(0, "state_bound"), expected.state_bound),
-        (table.values(0, "disturbance"), expected.disturbance),
-        (table.values(0, "disturbance_bound"), expected.disturbance_bound),
-        (table.values(0, "torque_disturbance"), expected.torque_disturbance),
-        (table.values(0, "torque_disturbance_bound"), expected.torque_disturbance_bound),
-        (table.innovations[0], expected.innovation),
-    ):
-        np.testing.assert_array_equal(values, of_arrays)
+    for name in ESTIMATED:
+        np.testing.assert_array_equal(run.table.values(0, name), getattr(expected, name))
+    np.testing.assert_array_equal(run.table.innovations[0], expected.innovation)
     assert run.outputs() == {
         "elbow": {
             "link_angle": {"gated": 0, "missing": 20},
             "motor_angle": {"gated": 0, "missing": 50},
         }
     }
-    for window in (None, 512):
-        again = estimate(tmp_path / "live", BOTH, tmp_path / f"again_{window}", window=window)
-        agreement = again.agreement()
-        assert agreement is not None
-        assert agreement.reproduced == agreement.recorded, agreement.text()
-        assert agreement.recorded == len(arm.time)
-        assert by_topic(tmp_path / f"again_{window}") == by_topic(tmp_path / "live")
+    agreement = estimate(tmp_path / "live", BOTH, tmp_path / "again", window=128).agreement()
+    assert agreement is not None
+    assert agreement.reproduced == agreement.recorded == len(arm.time), agreement.text()
+    assert by_topic(tmp_path / "again") == by_topic(tmp_path / "live")
 
 
 def test_each_output_and_torque_has_its_entry(arm, write_bag, tmp_path) -> None:
@@ -273,14 +263,11 @@ def test_columns_of_both_sides_are_found(tmp_path, header, options) -> None:
     ("header", "options", "match"),
     [
         ("t,link_angle,tau", {}, "no column is called motor_angle.*motor_angle=.*'link_angle'"),
-        ("t,motor_angle,tau", {}, "no column is called link_angle.*'motor_angle'"),
-        ("t,link_angle [lb],motor_angle,tau", {}, "unit 'lb' of angle is not known"),
         (
             "t,link_angle,motor_angle,tau",
             {"angle": "2"},
             "expected time, link_angle, motor_angle or torque",
         ),
-        ("t,link_angle,motor_angle", {}, "no column is called torque of elastic_joint"),
     ],
 )
 def test_what_is_missing_of_two_encoders_is_named(tmp_path, header, options, match) -> None:

@@ -23,14 +23,10 @@ SECOND = 10**9
 def spoilt(messages):
     """Return measurements of which some are outliers, late, twice, unreadable or not finite."""
     messages = list(messages)
-    for place in (50, 51, 120, 350):
+    for place, angle in ((50, 100.0), (51, 100.0), (220, 100.0), (200, np.nan)):
         topic, data, time = messages[place]
         stamp, names, _, _, effort, _ = DECODE(data)
-        data = JointStateEncoder(names)(stamp, [100.0] * len(names), (), effort)
-        messages[place] = topic, data, time
-    topic, data, time = messages[200]
-    stamp, names, _, _, effort, _ = DECODE(data)
-    messages[200] = topic, JointStateEncoder(names)(stamp, [np.nan] * len(names), (), effort), time
+        messages[place] = topic, JointStateEncoder(names)(stamp, [angle] * 2, (), effort), time
     late = messages.pop(100)
     messages.insert(103, (*late[:2], messages[102][2] + 1))
     messages.insert(260, (*messages[250][:2], messages[259][2] + 1))
@@ -38,9 +34,9 @@ def spoilt(messages):
     return messages
 
 
-def looped(messages):
-    later = [(topic, data, time + 4 * SECOND) for topic, data, time in messages]
-    return [*messages, *later]
+def looped_after_a_silence(messages):
+    once = [*messages[:100], *messages[-100:]]
+    return [*once, *((topic, data, time + 4 * SECOND) for topic, data, time in once)]
 
 
 def apart(messages):
@@ -54,10 +50,6 @@ def apart(messages):
     return sorted(single, key=lambda message: message[2])
 
 
-def silent(messages):
-    return [*messages[:200], *messages[-200:]]
-
-
 def result(run, bag):
     """Return all that comes out of a run."""
     found = {}
@@ -69,14 +61,14 @@ def result(run, bag):
 
 @pytest.mark.parametrize("observed", [False, True])
 @pytest.mark.parametrize("rate", [None, 130.0])
-@pytest.mark.parametrize("change", [spoilt, looped, apart, silent])
+@pytest.mark.parametrize("change", [spoilt, looped_after_a_silence, apart])
 def test_windows_change_nothing(
     arms, write_bag, estimate, tmp_path, change, rate, observed
 ) -> None:
-    messages = change(arms.messages(600, joints=2))
+    messages = change(arms.messages(300, joints=2))
     bag = write_bag(messages)
     if observed:
-        heard = [one for k, one in enumerate(messages) if not (k < 40 or 400 <= k < 403)]
+        heard = [one for k, one in enumerate(messages) if not (k < 20 or 150 <= k < 153)]
         estimate(write_bag(heard, "heard"), output="live", rate=rate)
         own = [
             (one.topic, one.data, one.publish_time)
@@ -87,7 +79,7 @@ def test_windows_change_nothing(
     elsewhen = {"rate": rate, "as_live": observed}
 
     whole = estimate(bag, output="whole", **elsewhen)
-    parts = estimate(bag, output="parts", window=200, **elsewhen)
+    parts = estimate(bag, output="parts", window=90, **elsewhen)
 
     expected = result(whole, tmp_path / "whole")
     came = result(parts, tmp_path / "parts")
@@ -97,25 +89,22 @@ def test_windows_change_nothing(
     assert came[1:] == expected[1:]
     agreement = expected[-1]
     assert not observed or agreement.reproduced == agreement.recorded > 100, agreement.text()
-    assert len(parts.window.samples) < 600
+    assert len(parts.window.samples) < 200
 
 
 def test_windows_of_a_log_change_nothing(arms, estimate, tmp_path) -> None:
+    """Time restarts in it, and a line has no angle."""
     log = tmp_path / "log.csv"
-    rows = [
-        f"{0.005 * k % 35:.3f},{arms.y[k % 600, 0]},{arms.u[k % 600, 0]}" for k in range(11_000)
-    ]
-    rows[5000] = "25.000,,0.1"
+    rows = [f"{0.005 * k % 2:.3f},{arms.y[k % 600, 0]},{arms.u[k % 600, 0]}" for k in range(700)]
+    rows[500] = "0.500,,0.1"
     log.write_text("\n".join(["time [s],angle [rad],torque [N m]", *rows]))
 
     whole = estimate(LogSource(log), output="whole")
-    parts = estimate(LogSource(log), output="parts", window=4096)
+    parts = estimate(LogSource(log), output="parts", window=128)
 
     assert result(parts, tmp_path / "parts") == result(whole, tmp_path / "whole")
-    assert len(parts.window.samples) < 7000
-
-
-WINDOW = 400
+    assert whole.estimates == 699
+    assert len(parts.window.samples) < 200
 
 
 def peak(work, bag) -> int:
@@ -138,7 +127,7 @@ def test_memory_does_not_grow_with_the_recording(arms, write_bag, design, tmp_pa
             Observer(name, ObserverSettings(method=method), files)
             for name, method in (("observer", "certified"), ("other", "high_gain"))
         ]
-        runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
+        runs = make_runs(source, observers, rate=None, as_live=True, window=200)
         scores = RunScores(source, runs)
         run_all(source, runs, output, after_window=scores.add)
         scores.errors()
