@@ -8,13 +8,12 @@ tenth of what they cost one by one.
 
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
-from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -24,18 +23,15 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import (
     TICK_LOG,
     TICK_LOG_TEXT,
-    Message,
     MessageSeries,
     encode_text,
     encode_ticks,
 )
 from tsobs_ros.bag.container import MAGIC
-from tsobs_ros.bag.copying import ChunkCopy
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
-from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.bag.writer import BagWriter, whole_bag
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.file import DesignFile
@@ -214,6 +210,8 @@ class Run:
         begin, _ = source.span
         data = encode_text(text)
         writer.write_all([(self._prefix + topics.DESIGN, STRING, data, begin, begin)])
+        for one in self.windows.live.restarts if self.windows.live else ():
+            writer.write_series([one._replace(topic=self._prefix + topics.RESTARTS)])
 
     def run(self, window: Window, *, encode: bool) -> list[MessageSeries]:
         """Run the observer over a window, and return the messages.
@@ -249,15 +247,10 @@ class Run:
         return [self.table.values(joint, *names) for joint in range(len(self.table.rows))]
 
     def _restart_messages(self, restarts: NDArray[np.int64]) -> list[MessageSeries]:
-        """Return the messages of the start and of the restarts, those recorded if there are any."""
+        """Return the messages of the start and of the restarts, unless recorded ones are copied."""
         ticks, live = self.window.ticks, self.windows.live
         if live is not None and live.restarts:
-            name = self._prefix + topics.RESTARTS
-            return [
-                MessageSeries(name, JOINT_STATE, one.log_times[at], one.publish_times[at], data)
-                for one in (live.restarts if self._is_first else ())
-                for at, data in one.groups
-            ]
+            return []
         starts = ticks.resets == 1
         starts[: int(self._is_first)] = True
         each = [restarts[starts, np.newaxis].astype(np.float64)] * len(self.observer.designs)
@@ -467,68 +460,39 @@ def run_all(
     with ExitStack() as stack:
         # The core runs for several observers at once.
         pool = stack.enter_context(ThreadPoolExecutor(min(len(runs), os.cpu_count() or 1)))
-        bag = None
+        writer = None
         if output is not None:
-            written = whole_bag(output, custom_data={"estimated from": str(source.path)})
-            bag = _NewBag(source, runs, stack.enter_context(written), estimates_only)
+            note = {"estimated from": str(source.path)}
+            writer = stack.enter_context(whole_bag(output, custom_data=note))
+            _begin_bag(writer, source, runs, copy=not estimates_only)
         for window in runs[0].windows:
-            work = partial(Run.run, window=window, encode=bag is not None)
+            work = partial(Run.run, window=window, encode=writer is not None)
             each = pool.map(work, runs) if len(runs) > 1 else map(work, runs)
             made = list(chain.from_iterable(each))
-            if bag is not None:
-                bag.write(made, window.horizon)
+            if writer is not None:
+                writer.write_series(made)
             progress(len(window.samples) * len(runs))
             after_window()
-        if bag is not None and window.horizon < math.inf:
-            bag.write([], math.inf)
 
 
-class _NewBag:
-    """A bag of recorded messages and of those of runs; of equal log times the recorded ones first.
+def _begin_bag(writer: BagWriter, source: Source, runs: Sequence[Run], *, copy: bool) -> None:
+    """Write what runs are of, and recorded messages: in front, as of equal times they come first.
 
-    Recorded chunks are copied as they are. Where that cannot be, messages are copied one by one.
+    Their chunks are copied as they are. Where that cannot be, messages are copied one by one.
     """
-
-    def __init__(
-        self, source: Source, runs: Sequence[Run], writer: BagWriter, estimates_only: bool
-    ) -> None:
-        self._source, self._writer = source, writer
-        self._waiting: list[MessageSeries] = []
-        self._chunks: ChunkCopy | None = None
-        self._recorded: Iterator[BagMessage] = iter(())
-        if not estimates_only:
-            self._chunks = source.chunks()
-            if self._chunks is None:
-                self._recorded = source.messages()
-            for one in source.topics:
-                ids = None if self._chunks is None else self._chunks.ids(one.name)
-                writer.add_topic(
-                    one.name, one.type, one.qos_profiles, definition=one.definition, ids=ids
-                )
-        self._next = next(self._recorded, None)
-        own = (topic.definition for topic in source.topics if topic.type == JOINT_STATE)
-        definition = next(own, None) or find_definition(JOINT_STATE)
-        # First of all, so that it comes first among the messages of its time.
-        for run in runs:
-            run.begin(writer, definition)
-
-    def write(self, made: Iterable[MessageSeries], horizon: float) -> None:
-        """Write all messages before a log time [ns], of a chunk those behind it too."""
-        known = [*self._waiting, *made]
-        due = [one.take(one.log_times < horizon) for one in known]
-        rest = (one.take(one.log_times >= horizon) for one in known)
-        self._waiting = [one for one in rest if len(one.log_times)]
-        recorded: list[Message] = []
-        while self._next is not None and self._next.log_time < horizon:
-            recorded.append(self._next)
-            self._next = next(self._recorded, None)
-        if recorded:
-            new = (message for one in due for message in one.messages())
-            self._writer.write_all(sorted([*recorded, *new], key=itemgetter(3)))
-            return
-        if self._chunks is not None:
-            try:
-                self._chunks.up_to(horizon, self._writer)
-            except BagReadError as error:
-                self._source.damage, self._chunks = error, None
-        self._writer.write_series(due)
+    chunks = source.chunks() if copy else None
+    for one in source.topics if copy else ():
+        ids = None if chunks is None else chunks.ids(one.name)
+        writer.add_topic(one.name, one.type, one.qos_profiles, definition=one.definition, ids=ids)
+    own = (topic.definition for topic in source.topics if topic.type == JOINT_STATE)
+    definition = next(own, None) or find_definition(JOINT_STATE)
+    # First of all, so that it comes first among the messages of its time.
+    for run in runs:
+        run.begin(writer, definition)
+    if chunks is None:
+        writer.write_all(source.messages() if copy else ())
+        return
+    try:
+        chunks.up_to(math.inf, writer)
+    except BagReadError as error:
+        source.damage = error

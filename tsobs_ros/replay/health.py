@@ -31,9 +31,11 @@ BASIS, CLAIMED, LEARNING, HYPOTHESIS = map(
 """Places of conditions' numbers."""
 
 # Codes of version 0.7, which did not say what is claimed: those of now, in their order.
-_FORMER_BASES = (0, 1, 3, 4, 5, 2, 6, 7, 8)
-_FORMER_LEARNING = (0, 1, 2, 2, 2)
-_FORMER_HYPOTHESES = (0, 1, 1, 4, 5)
+_FORMER = {
+    BASIS: (0, 1, 3, 4, 5, 2, 6, 7, 8),
+    LEARNING: (0, 1, 2, 2, 2),
+    HYPOTHESIS: (0, 1, 1, 4, 5),
+}
 
 PROVED = (Basis.CERTIFIED, Basis.LEARNT)
 """What bounds rest on that are proved, of learnt parameters but for what is uncertain of them."""
@@ -52,11 +54,7 @@ def as_of_now(conditions: Array) -> Array:
     if not former.any():
         return conditions
     translated = conditions.copy()
-    for place, codes in (
-        (BASIS, _FORMER_BASES),
-        (LEARNING, _FORMER_LEARNING),
-        (HYPOTHESIS, _FORMER_HYPOTHESES),
-    ):
+    for place, codes in _FORMER.items():
         known = conditions[former, place].clip(0, len(codes) - 1).astype(int)
         translated[former, place] = np.array(codes)[known]
     void = np.isin(translated[former, BASIS], (Basis.CONTRADICTED, Basis.OUTSIDE))
@@ -102,19 +100,15 @@ def map_events(events: Iterable[JointEvent], begin: int) -> dict[str, Any]:
 
 def list_events(events: Iterable[JointEvent], begin: int) -> list[str]:
     """Return the same for a terminal, fewer of them, and nothing if there are none."""
-    ordered = sorted(events, key=lambda one: one.log_time)
-    if not ordered:
-        return []
-    lines = [
-        f"{(log_time - begin) / NANOSECONDS:9.1f} s  {event.level.name:<5}  {joint}: {event.text}"
-        for joint, log_time, event in ordered[:_MAX_LINES]
-    ]
-    more = len(ordered) - len(lines)
+    mapped = map_events(events, begin)
+    shown = mapped["events"][:_MAX_LINES]
+    more = len(mapped["events"]) + mapped["events_left_out"] - len(shown)
     return [
-        "events, in seconds since the first measurement:",
-        *lines,
+        *(["events, in seconds since the first measurement:"] if shown else []),
+        *(f"{one['time']:9.1f} s  {one['level']:<5}  {one['joint']}: {one['text']}"
+          for one in shown),
         *([f"and {more} more; JSON has up to {_MAX_EVENTS}"] if more else []),
-    ]
+    ]  # fmt: skip
 
 
 class Health(NamedTuple):
@@ -160,18 +154,17 @@ class Health(NamedTuple):
                 f"innovations are {self.noise_scale:.1f} times as large as the design expects, as "
                 "of a noisier sensor: measurement_std in its request seems to be too small"
             )
+        if wrong < _OFTEN:
+            return None
         others = {one: share for one, share in self.hypotheses.items() if one}
         likeliest = max(others, key=others.__getitem__, default=Hypothesis.AS_DESIGNED)
         # A cause under which little can be claimed is none.
-        explained = self.bases.get(Basis.CONTRADICTED, 0.0) <= 0.5 * wrong
-        if wrong >= _OFTEN and likeliest in _OF_SENSOR and explained:
+        if likeliest in _OF_SENSOR and self.bases.get(Basis.CONTRADICTED, 0.0) <= 0.5 * wrong:
             return f"{often}: {judged(likeliest)[1]}"
-        if wrong >= _OFTEN:
-            return (
-                f"{often}: it seems to be of another arm, the torque of another sign, unit or "
-                "joint, or there is a force that the design lacks"
-            )
-        return None
+        return (
+            f"{often}: it seems to be of another arm, the torque of another sign, unit or "
+            "joint, or there is a force that the design lacks"
+        )
 
     def as_mapping(self) -> dict[str, Any]:
         """Return it as plain data."""

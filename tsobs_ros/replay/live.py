@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.cdr import decode_ticks
+from tsobs_ros.bag.cdr import MessageSeries, decode_ticks
 from tsobs_ros.bag.joint_series import RawMessages, read_blocks
+from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.errors import BagReadError, MessageError
 from tsobs_ros.series import NANOSECONDS, Spool, Stamps
@@ -104,7 +105,7 @@ class LiveRun:
     ) -> None:
         ticks, checksums = Spool(_TICK), Spool(np.dtype(np.int64))
         self._estimates = {topic: Spool(_MESSAGE) for topic in COMPARED}
-        self.restarts: list[RawMessages] = []
+        self.restarts: list[MessageSeries] = []
         raw = list(names.values())
         for block in read_blocks(reader, {}, _BLOCK, raw=raw, on_damage=on_damage):
             for topic, name in names.items():
@@ -112,7 +113,9 @@ class LiveRun:
                 if topic == topics.TICKS:
                     _add_ticks(messages, ticks, checksums)
                 elif topic == topics.RESTARTS:
-                    self.restarts.append(messages)
+                    for at, data in messages.groups:
+                        times = messages.log_times[at], messages.publish_times[at]
+                        self.restarts.append(MessageSeries(name, JOINT_STATE, *times, data))
                 else:
                     for _, data in messages.groups:
                         self._estimates[topic].add(_digested(data))

@@ -82,11 +82,7 @@ class Layout:
         self._encoders: dict[tuple[int, ...], JointStateEncoder] = {}
 
     def entries_of(self, columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return whether each entry has any of some columns, shape (m, entries).
-
-        Args:
-            columns: Whether each column is there, shape (m, k).
-        """
+        """Return whether each entry has any of some columns of m messages, shape (m, entries)."""
         there = np.zeros((len(columns), len(self._names)), np.bool_)
         for chosen in self._columns.values():
             there[:, list(chosen)] |= columns[:, list(chosen.values())]
@@ -105,13 +101,13 @@ class Layout:
         chosen = tuple(range(len(self._names)) if entries is None else entries)
         if chosen not in self._encoders:
             self._encoders[chosen] = JointStateEncoder([self._names[entry] for entry in chosen])
-        numbers = []
+        # One more column, for entries without a place.
+        numbers = np.append(values, np.full((len(values), 1), np.nan), axis=1)
+        fields = []
         for columns in self._columns.values():
-            own = np.full((len(values), len(chosen)), np.nan)
-            there = [k for k, entry in enumerate(chosen) if entry in columns]
-            own[:, there] = values[:, [columns[chosen[k]] for k in there]]
-            numbers.append(own if there else own[:1, :0])
-        return self._encoders[chosen].encode_rows(stamps, *numbers)
+            own = [columns.get(entry, -1) for entry in chosen]
+            fields.append(numbers[:, own] if max(own, default=-1) >= 0 else numbers[:1, :0])
+        return self._encoders[chosen].encode_rows(stamps, *fields)
 
 
 class EstimateEncoder:
@@ -147,19 +143,19 @@ class EstimateEncoder:
         if topic not in self._layouts:
             return []
         layout, found = self._layouts[topic], []
-        widths = self._widths[topic]
-        padded = [np.full((len(at.stamps), width), np.nan) for width in widths]
-        columns = []
-        for own, given, width in zip(padded, values, widths, strict=True):
+        numbers, there = [], []
+        for given, width in zip(values, self._widths[topic], strict=True):
+            own = np.full((len(at.stamps), width), np.nan)
             own[:, : given.shape[1]] = given[:, :width]
             is_there = np.isfinite(own)
             if topic != topics.INNOVATION and width:
                 # The first number of a joint decides on all of them.
                 is_there = np.repeat(is_there[:, :1], width, axis=1)
-            columns.append(is_there)
-        numbers = np.hstack(padded)
-        for entries, rows in _alike(layout.entries_of(np.hstack(columns))):
-            data = layout.encode(at.stamps[rows], numbers[rows], entries)
+            numbers.append(own)
+            there.append(is_there)
+        together = np.hstack(numbers)
+        for entries, rows in _alike(layout.entries_of(np.hstack(there))):
+            data = layout.encode(at.stamps[rows], together[rows], entries)
             times = at.log_times[rows], at.publish_times[rows]
             found.append(MessageSeries(self._prefix + topic, JOINT_STATE, *times, data))
         return found

@@ -8,8 +8,7 @@ in the order of recording, or at a fixed rate.
 
 import math
 from collections.abc import Iterator
-from itertools import chain, pairwise
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,6 @@ from tsobs_ros.series import NANOSECONDS
 
 WINDOW = 4096
 """Number of ticks in a window: some 20 s at 200 Hz."""
-
-# Ticks of a tick log are recorded in another order than they were sent by up to this time [ns].
-_GRACE = NANOSECONDS
 
 _TICK = np.dtype(
     [
@@ -42,9 +38,6 @@ _TICK = np.dtype(
 )
 """A record of a tick of an observer; all times are in ns."""
 
-_Part: TypeAlias = tuple[Records, Records]
-"""Samples and ticks of a window."""
-
 
 class Window(NamedTuple):
     """A part of a recording.
@@ -52,12 +45,10 @@ class Window(NamedTuple):
     Attributes:
         samples: Measurements in the order of use, as those of a source.
         ticks: Which samples are taken when, of all that are used; records of `_TICK`.
-        horizon: Smallest log time of what follows [ns]; infinite in the last window.
     """
 
     samples: Records
     ticks: Records
-    horizon: float
 
 
 class Windows:
@@ -84,17 +75,12 @@ class Windows:
     def __iter__(self) -> Iterator[Window]:
         size = self._size or 2**62
         if self.live is not None:
-            parts = self._of_tick_log(self.live, size)
+            windows = self._of_tick_log(self.live, size)
         elif self._rate is not None:
-            parts = self._at_rate(NANOSECONDS / self._rate, size)
+            windows = self._at_rate(NANOSECONDS / self._rate, size)
         else:
-            parts = self._at_samples(size)
-        if self._size is None:
-            parts = iter([_joined(list(parts))])
-        for part, following in pairwise(chain[_Part | None](parts, [None])):
-            assert part is not None
-            horizon = math.inf if following is None else int(following[1].log_times.min()) - _GRACE
-            yield Window(*part, horizon)
+            windows = self._at_samples(size)
+        return windows if self._size else iter([_joined(list(windows))])
 
     def _passes(self) -> Iterator[tuple[bool, Records, Times]]:
         """Yield whether time has restarted, the samples from there on, and when they arrived."""
@@ -104,8 +90,8 @@ class Windows:
             times = own.log_times if self._source.same_clock else own.stamps
             yield begin > 0, own, np.maximum.accumulate(np.append(0, times))[1:]
 
-    def _at_samples(self, size: int) -> Iterator[_Part]:
-        """Yield parts with a tick for each message; those in a row with one stamp share it."""
+    def _at_samples(self, size: int) -> Iterator[Window]:
+        """Yield windows with a tick for each message; those in a row with one stamp share it."""
         for restarts, samples, arrivals in self._passes():
             ends = 1 + np.flatnonzero(np.append(np.diff(samples.stamps) != 0, True))
             taken = 0
@@ -114,11 +100,11 @@ class Windows:
                 stamps, times = samples.stamps[known - 1], samples.log_times[known - 1]
                 ticks = _ticks(stamps, arrivals[known - 1], known - taken, times, times)
                 ticks.resets[0] = restarts and not begin
-                yield samples[taken : known[-1]], ticks
+                yield Window(samples[taken : known[-1]], ticks)
                 taken = int(known[-1])
 
-    def _at_rate(self, period: float, size: int) -> Iterator[_Part]:
-        """Yield parts with ticks at a fixed rate on the clock of the recording.
+    def _at_rate(self, period: float, size: int) -> Iterator[Window]:
+        """Yield windows with ticks at a fixed rate on the clock of the recording.
 
         They begin with the first arrival, and again when time has restarted.
         """
@@ -133,17 +119,17 @@ class Windows:
                 times = np.maximum.accumulate(np.append(latest, stamps + delays[known]))[1:]
                 ticks = _ticks(stamps, stamps, known - taken, times, times)
                 ticks.resets[0] = restarts and not begin
-                yield _in_order(samples[taken : known[-1]], ticks.known), ticks
+                yield Window(_in_order(samples[taken : known[-1]], ticks.known), ticks)
                 taken, latest = int(known[-1]), int(times[-1])
             if taken < len(samples):
                 # What no tick takes is used all the same.
                 rest, latest = samples[taken:], max(latest, int(samples.log_times[-1]))
                 ticks = _ticks(arrivals[-1:], arrivals[-1:], len(rest), latest, latest)
                 ticks.estimated = False
-                yield _in_order(rest, ticks.known), ticks
+                yield Window(_in_order(rest, ticks.known), ticks)
 
-    def _of_tick_log(self, live: LiveRun, size: int) -> Iterator[_Part]:
-        """Yield parts with the ticks of the recorded observer; at least one, without any tick."""
+    def _of_tick_log(self, live: LiveRun, size: int) -> Iterator[Window]:
+        """Yield windows with the ticks of the recorded observer; at least one, without any tick."""
         taken = 0
         for begin in range(0, max(len(live.ticks), 1), size):
             own = live.ticks[begin : begin + size]
@@ -151,7 +137,8 @@ class Windows:
             ticks = _ticks(own.stamps, own.stamps, known, own.log_times, own.publish_times)
             ticks.resets, ticks.estimated = own.numbers == 1, own.estimated == 1
             end = taken + int(own.counts.sum())
-            yield _in_order(self._source.samples[live.used[taken:end]], known), ticks
+            samples = self._source.samples[live.used[taken:end]]
+            yield Window(_in_order(samples, known), ticks)
             taken = end
 
 
@@ -162,15 +149,14 @@ def _ticks(*columns: Any) -> Records:
     return np.rec.fromarrays([*made, log_times, publish_times], _TICK)
 
 
-def _joined(parts: list[_Part]) -> _Part:
-    """Return one part of all that there is."""
-    if len(parts) == 1:
-        return parts[0]
-    begins = np.cumsum([0, *(len(samples) for samples, _ in parts)])
-    for (_, ticks), begin in zip(parts, begins.tolist(), strict=False):
+def _joined(windows: list[Window]) -> Window:
+    """Return one window of all that there is."""
+    if len(windows) == 1:
+        return windows[0]
+    begins = np.cumsum([0, *(len(samples) for samples, _ in windows)])
+    for (_, ticks), begin in zip(windows, begins.tolist(), strict=False):
         ticks.known += begin
-    samples, ticks = (np.concatenate(each).view(np.recarray) for each in zip(*parts, strict=True))
-    return samples, ticks
+    return Window(*(np.concatenate(one).view(np.recarray) for one in zip(*windows, strict=True)))
 
 
 def _in_order(samples: Records, known: NDArray[np.int64]) -> Records:
