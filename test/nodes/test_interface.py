@@ -20,7 +20,8 @@ from tsobs_ros.bag import BagWriter
 from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, MARKERS, RECORDED_TOPICS
 from tsobs_ros.errors import ParameterError
-from tsobs_ros.nodes.managed import ManagedNode, ManagedParameters
+from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.parameters import ManagedParameters
 from tsobs_ros.nodes.runtime import check_arguments
 from tsobs_ros.resources import config_path
 from tsobs_ros.settings import changed, live_setting, schema_of, setting, settings_group
@@ -253,10 +254,8 @@ def test_unknown_arguments_are_named(arguments: list[str], named: str, capsys: A
 @pytest.mark.parametrize(
     "arguments",
     [
-        [],
         ["--ros-args", "-r", "__ns:=/arm", "--remap", "a:=b", "--params-file", PARAMETERS],
-        ["--ros-args", "-p", "rate:=1.0", "--", "--ros-args", "-r", "__node:=left"],
-        ["--ros-args", "--disable-rosout-logs", "--enable-stdout-logs", "-e", "/tsobs"],
+        ["--ros-args", "-p", "rate:=1.0", "--", "--ros-args", "--disable-rosout-logs"],
         ["__ns:=/arm"],
     ],
 )
@@ -311,30 +310,22 @@ def actual(node: Any) -> Rights:
     return {(kind, name) for kind, query in queries.items() for name, _ in query(*own)}
 
 
-@pytest.fixture
-def bag(tmp_path: Path) -> Path:
-    """A bag of all topics of the package."""
-    nothing = b"\x00\x01\x00\x00" + bytes(28)
+def test_each_node_is_allowed_what_it_has_and_nothing_else(
+    ros: Any, tmp_path: Path, both_design: Path
+) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         for topic in EVERYTHING:
             writer.add_topic(topic, TYPES.get(topic, "sensor_msgs/msg/JointState"))
-            writer.write(topic, nothing, 1, 1)
-    return tmp_path / "bag"
-
-
-def test_each_node_is_allowed_what_it_has_and_nothing_else(
-    ros: Any, bag: Path, tmp_path: Path, both_design: Path
-) -> None:
+            writer.write(topic, b"\x00\x01\x00\x00" + bytes(28), 1, 1)
     # Simulated time for all but the player, which makes it, and whatever else adds names.
-    output = str(tmp_path / "recorded")
-    simulated = {"use_sim_time": True}
+    simulated, output = {"use_sim_time": True}, str(tmp_path / "recorded")
     recorder = start(
         ros, "recorder", output=output, topics=EVERYTHING, snapshot_mode=True, **simulated
     )
     nodes = [
         start(ros, "plant_simulator", publish_clock=True, **simulated),
         start(ros, "observer", design=str(both_design), **simulated),
-        start(ros, "player", bag=str(bag), clock=40.0, start_paused=True),
+        start(ros, "player", bag=str(writer.path), clock=40.0, start_paused=True),
         start(ros, "visualizer", **simulated),
         recorder,
     ]
@@ -357,21 +348,11 @@ def test_each_node_is_allowed_what_it_has_and_nothing_else(
             {"joints": ["a", "b", "c"], "torque_warn": [1.0, 2.0]},
             "each of the 3 joints, a single",
         ),
-        ("plant_simulator", {"rate": -1.0}, "rate"),
         ("plant_simulator", {"initial_state": [0.1, 0.2]}, "initial_state: expected 4"),
         ("plant_simulator", {"mismatch.stiffness": -1.0}, "mismatch stiffness"),
-        ("plant_simulator", {"arm.link_inertia": 0.0}, "link_inertia"),
-        ("plant_simulator", {"excitation.kind": "triangle"}, "excitation.kind"),
         ("plant_simulator", {"joint": ""}, "joint"),
-        (
-            "plant_simulator",
-            {"disturbance.gauss_markov.time_constant": -1.0},
-            "gauss_markov time_constant",
-        ),
         ("plant_simulator", {"excitation.frequency": 0.0}, "sine frequency"),
         ("recorder", {"regex": "*joints"}, r"'regex': not a regular expression .*'\*joints'"),
-        ("recorder", {"exclude_regex": "("}, "'exclude_regex': not a regular expression"),
-        ("recorder", {"compression": "zip"}, "compression"),
         ("recorder", {"queue_depth": 5001}, "'queue_depth' must be at least 1 and at most 5000"),
     ],
 )

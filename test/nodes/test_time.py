@@ -23,14 +23,14 @@ def used(observer: Observer) -> int:
     return observer.received
 
 
-@pytest.mark.parametrize(("sensor", "node"), [(200, 200), (50, 1000), (333, 77)])
+@pytest.mark.parametrize(("sensor", "node"), [(50, 500), (333, 77)])
 def test_estimates_are_the_trackers_bit_for_bit_at_any_rates(
     stage: Stage, sensor: float, node: float
 ) -> None:
     observer = stage.add(rate=float(node))
     period, arm = round(NANOSECONDS / node), Arm(BEGIN, rate=float(sensor), seconds=2.0)
     stage.step(BEGIN - period)
-    seconds = 0.6 if node <= 500 else 0.3
+    seconds = 0.4
     events, until = good(arm, BEGIN, seconds), BEGIN + round(seconds * NANOSECONDS)
     stage.play(events, until, period)
 
@@ -48,20 +48,20 @@ def test_estimates_are_the_trackers_bit_for_bit_at_any_rates(
             assert len(each.message.effort) == 0
 
 
-@pytest.mark.parametrize("gap", [0.3, 5.1], ids=lambda gap: f"{gap:g} s")
+@pytest.mark.parametrize("gap", [0.3, 1.1], ids=lambda gap: f"{gap:g} s")
 def test_after_a_gap_of_any_length_it_goes_on(stage: Stage, gap: float) -> None:
-    rate, stale_after = 50.0, 5.0
+    rate, stale_after = 50.0, 1.0
     period = round(NANOSECONDS / rate)
-    observer, arm = stage.add(rate=rate), Arm(BEGIN)
+    observer, arm = stage.add(rate=rate, stale_after=stale_after), Arm(BEGIN)
     stage.step(BEGIN - period)
-    again = BEGIN + NANOSECONDS + round(gap * NANOSECONDS)
-    events = good(arm, BEGIN, 1.0) + good(arm, again, 1.0)
-    stage.play(events, again + NANOSECONDS, period)
+    again = BEGIN + NANOSECONDS // 2 + round(gap * NANOSECONDS)
+    events = good(arm, BEGIN, 0.5) + good(arm, again, 0.5)
+    stage.play(events, again + NANOSECONDS // 2, period)
 
     assert stage.watcher.broken == []
     assert used(observer) == len(events)
     assert observer.joints[0].tracker.restarts == (gap > stale_after)
-    newest = BEGIN + 995 * MS
+    newest = BEGIN + 495 * MS
     coasting = [stamp for stamp in stage.watcher.stamps if newest < stamp < again]
     assert all(stamp <= newest + stale_after * NANOSECONDS for stamp in coasting)
     assert len(coasting) >= int(min(gap, stale_after) * rate) - 1
@@ -88,12 +88,12 @@ def test_a_clock_that_goes_back_restarts_each_time(
 ) -> None:
     observer = stage.add()
     stage.step(BEGIN)
-    for _ in range(3):
+    for _ in range(2):
         arm = Arm(stage.now + PERIOD)
-        events = good(arm, arm.origin, 0.3)
-        stage.play(events, arm.origin + 300 * MS)
+        events = good(arm, arm.origin, 0.1)
+        stage.play(events, arm.origin + 100 * MS)
         assert used(observer) == len(events)
-        assert replayed(stage.watcher, observer, events) >= 59
+        assert replayed(stage.watcher, observer, events) >= 19
         assert stage.watcher.broken == []
         stage.watcher.published.clear()
         stage.step(stage.now - round(back * NANOSECONDS))
@@ -123,7 +123,7 @@ def test_a_leap_of_the_clock_is_a_gap_and_no_missed_tick(stage: Stage) -> None:
     assert int(timing["missed ticks"]) - missed < 10_000  # of 6 million
 
 
-def test_ten_thousand_rejections_are_a_few_lines_of_log(stage: Stage) -> None:
+def test_thousands_of_rejections_are_a_few_lines_of_log(stage: Stage) -> None:
     lines: list[str] = []
     # Latched: it may match the observer only after the first of the lines.
     latched = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -142,11 +142,11 @@ def test_ten_thousand_rejections_are_a_few_lines_of_log(stage: Stage) -> None:
         bytes(serialize_message(arm.message(BEGIN)))[:40],
     ]
     stage.step(stage.now + 20 * MS, [Event(0, arm.message(BEGIN, name=["x" * 100_000]))])
-    for _ in range(10):
+    for _ in range(2):
         batch = [Event(0, bad[index % len(bad)]) for index in range(1000)]
         stage.step(stage.now + 20 * MS, batch)
         stage.take_all(20 * MS)
-    assert observer.joints[0].tracker.rejected.total() == 10_001
+    assert observer.joints[0].tracker.rejected.total() == 2001
     stage.wait_until(lambda: any("zero stamp" in line for line in lines), "the last warning")
     rejections = [line for line in lines if " rejected: " in line]
     # Of the others the angles are new, and judged.

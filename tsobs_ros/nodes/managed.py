@@ -19,8 +19,8 @@ A node states what it acquires, and nothing of how that is released::
             if self.active:
                 self._publisher.publish(message)
 
-The clean-up destroys all entities made since `configure` began, also those of a `configure` that
-failed half-way. rclpy's lifecycle stops only lifecycle publishers, so callbacks check `active`.
+The clean-up destroys all entities made since `configure` began, also of one that failed half-way.
+rclpy's lifecycle stops only lifecycle publishers, so callbacks check `active`.
 
 A transition that fails with an expected error logs one line and leaves the node in its state; only
 a clean-up ends unconfigured all the same. Any other exception is a bug: it is logged with its
@@ -35,10 +35,10 @@ import time
 import traceback
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Generic, TypeVar
 
+from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import SetParametersResult
@@ -55,28 +55,21 @@ from std_srvs.srv import Trigger
 
 from tsobs_ros.errors import ParameterError, printable
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.nodes.parameters import converted, declare, updated
-from tsobs_ros.nodes.runtime import EXPECTED
-from tsobs_ros.nodes.ticker import Ticker
+from tsobs_ros.nodes.messages import Statuses, diagnostic_array
+from tsobs_ros.nodes.parameters import ManagedParameters, converted, declare, updated
+from tsobs_ros.nodes.runtime import EXPECTED, Ticker
 from tsobs_ros.series import NANOSECONDS
-from tsobs_ros.settings import setting
 
 # How long the answer to a shutdown request may be on its way [s]; it is lost with the node.
 _FAREWELL = 0.5
-# Between two lines on what is dropped, of each kind [s].
+# Between two lines on the same subject [s].
 _QUIET = 5.0
+DIAGNOSTICS_PERIOD = 1.0
+"""Time between two messages on /diagnostics [s]."""
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 Answer = Callable[[], tuple[bool, str]]
 """The work of a Trigger service; returns its success and a message."""
-
-
-@dataclass(frozen=True)
-class ManagedParameters:
-    """The parameters of every managed node; a subclass adds those of one."""
-
-    autostart: bool = setting(True, "Configure and activate at start, without a lifecycle manager")
-
 
 P = TypeVar("P", bound=ManagedParameters)
 
@@ -110,6 +103,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         self._finalized_at = math.inf
         self._failure: Exception | None = None
         self._starting = False
+        self._quiet_until: dict[object, float] = {}
         self._stand_before_services()
         try:
             self._values = declare(self, schema)
@@ -168,6 +162,14 @@ class ManagedNode(LifecycleNode, Generic[P]):
         assert self._acquired is not None, "nothing is cleaned up before it is configured"
         self._acquired.callback(callback, *args)
 
+    def may_log(self, subject: object) -> bool:
+        """Return whether a line on a subject may be logged now, which is so every five seconds."""
+        now = time.monotonic()
+        is_due = now >= self._quiet_until.get(subject, 0.0)
+        if is_due:
+            self._quiet_until[subject] = now + _QUIET
+        return is_due
+
     def log(self, level: Level, text: str) -> None:
         """Log a line, whatever names of others are in it."""
         text = printable(text, newline=" ")
@@ -178,6 +180,20 @@ class ManagedNode(LifecycleNode, Generic[P]):
             self.get_logger().warning(text)
         else:
             self.get_logger().error(text)
+
+    def offer_diagnostics(self, hardware_id: str, make: Callable[[], Statuses]) -> None:
+        """Publish statuses once a second, in real time: a paused simulation has some, too.
+
+        Args:
+            hardware_id: The hardware that they are about.
+            make: Returns those of the node, and of parts of the hardware by their names.
+        """
+        publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+        def publish() -> None:
+            publisher.publish(diagnostic_array(self, hardware_id, *make()))
+
+        self.create_timer(DIAGNOSTICS_PERIOD, publish, clock=self.steady)
 
     def offer_triggers(self, answers: Mapping[str, Answer]) -> None:
         """Offer std_srvs/Trigger services below the node's name, each with its work."""
@@ -394,7 +410,8 @@ class ManagedNode(LifecycleNode, Generic[P]):
         except (ParameterException, TypeError, ValueError) as error:
             listed = ", ".join(f"'{each.name}' of type {each.value.type}" for each in messages)
             result = SetParametersResult(successful=False, reason=f"cannot set {listed}: {error}")
-            self.get_logger().warning(printable(result.reason), throttle_duration_sec=_QUIET)
+            if self.may_log("parameters"):
+                self.log(Level.WARN, result.reason)
         result.reason = printable(result.reason)
         return result
 
@@ -403,9 +420,9 @@ class ManagedNode(LifecycleNode, Generic[P]):
         sec, nanosec = message.clock.sec, message.clock.nanosec
         if sec >= 0 and nanosec < NANOSECONDS:
             take(message)
-            return
-        self.get_logger().warning(
-            f"dropped a time on /clock: expected 0 s or more and less than 1e9 ns, got {sec} s and "
-            f"{nanosec} ns; time stands still until there is another",
-            throttle_duration_sec=_QUIET,
-        )
+        elif self.may_log("clock"):
+            self.log(
+                Level.WARN,
+                "dropped a time on /clock: expected 0 s or more and less than 1e9 ns, got "
+                f"{sec} s and {nanosec} ns; time stands still until there is another",
+            )

@@ -20,6 +20,9 @@ from tsobs_ros.series import NANOSECONDS
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Of what stays valid until the next message."""
 
+Statuses = tuple[Sequence[Status], Mapping[str, Sequence[Status]]]
+"""Statuses of a node, and of parts of its hardware by their names."""
+
 _NAME = re.compile(r"([A-Za-z]\w*)/(msg|srv|action)/([A-Za-z]\w*)", flags=re.ASCII)
 # Places of the classes that a service or an action sends, within its own class.
 _NESTED = {
@@ -37,36 +40,25 @@ def set_stamp(stamp: Any, nanoseconds: int) -> None:
     stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
 
 
-class DiagnosticsPublisher:
-    """Publishes one DiagnosticStatus a concern, named "<node>: <concern>".
+def diagnostic_array(
+    node: Node, hardware_id: str, statuses: Sequence[Status], parts: Mapping[str, Sequence[Status]]
+) -> DiagnosticArray:
+    """Return a message of one DiagnosticStatus per concern, stamped with the node's time.
 
     Args:
         node: The node.
         hardware_id: The hardware that its statuses are about.
+        statuses: Of the node, named "<node>: <concern>".
+        parts: Of parts of the hardware by their names, such as joints: "<node>: <part>: <concern>"
+            with the part as hardware id.
     """
-
-    def __init__(self, node: Node, hardware_id: str) -> None:
-        self._node = node
-        self._hardware_id = hardware_id
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-
-    def publish(
-        self, statuses: Sequence[Status], parts: Mapping[str, Sequence[Status]] | None = None
-    ) -> None:
-        """Publish statuses, stamped with the node's time.
-
-        Args:
-            statuses: Of the node.
-            parts: Of parts of the hardware by their names, such as joints; published as
-                "<node>: <part>: <concern>" with the part as hardware id.
-        """
-        message = DiagnosticArray()
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        prefix = f"{self._node.get_fully_qualified_name().lstrip('/')}: "
-        message.status = [_status(prefix, self._hardware_id, status) for status in statuses]
-        for part, own in (parts or {}).items():
-            message.status += [_status(f"{prefix}{part}: ", part, status) for status in own]
-        self._publisher.publish(message)
+    message = DiagnosticArray()
+    message.header.stamp = node.get_clock().now().to_msg()
+    prefix = f"{node.get_fully_qualified_name().lstrip('/')}: "
+    message.status = [_status(prefix, hardware_id, status) for status in statuses]
+    for part, own in parts.items():
+        message.status += [_status(f"{prefix}{part}: ", part, status) for status in own]
+    return message
 
 
 def _status(prefix: str, hardware_id: str, status: Status) -> DiagnosticStatus:

@@ -9,28 +9,64 @@ range; an on-set callback refuses the rest.
 """
 
 import math
+import re
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-)
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from tsobs_ros.checks import meant
 from tsobs_ros.errors import ParameterError, printable
-from tsobs_ros.settings import Setting, in_yaml, plain, schema_of
+from tsobs_ros.settings import Setting, in_yaml, plain, schema_of, setting
 
 P = TypeVar("P")
 
 _MAX_INTEGER, _MAX_FLOAT = 2**63 - 1, sys.float_info.max
 # Declared by rclpy or rcl on behalf of every node.
 _FOREIGN = ("qos_overrides.", "use_sim_time", "start_type_description_service")
+
+
+@dataclass(frozen=True)
+class ManagedParameters:
+    """The parameters of every managed node; a subclass adds those of one."""
+
+    autostart: bool = setting(True, "Configure and activate at start, without a lifecycle manager")
+
+
+@dataclass(frozen=True)
+class SelectingParameters(ManagedParameters):
+    """The parameters that select topics."""
+
+    topics: tuple[str, ...] = setting((), "Topics to take; all of them without any selection")
+    regex: str = setting("", "Take the topics in whose names this is found, too")
+    exclude_topics: tuple[str, ...] = setting((), "Topics not to take")
+    exclude_regex: str = setting("", "Do not take topics in whose names this is found")
+
+    def __post_init__(self) -> None:
+        """Check the patterns.
+
+        Raises:
+            ParameterError: One of them is not a regular expression.
+        """
+        for name in ("regex", "exclude_regex"):
+            pattern = getattr(self, name)
+            try:
+                re.compile(pattern)
+            except re.error as error:
+                raise ParameterError(
+                    f"parameter '{name}': not a regular expression ({error}): '{pattern}'"
+                ) from error
+
+    def takes(self, name: str, is_listed: bool, is_excluded: bool) -> bool:
+        """Return whether to take a name by the patterns, and by whether the lists have it."""
+        if is_excluded or (self.exclude_regex and re.search(self.exclude_regex, name)):
+            return False
+        return is_listed or bool(self.regex and re.search(self.regex, name))
 
 
 def design_paths(joints: Sequence[str], own: Sequence[str], common: str) -> dict[str, str]:

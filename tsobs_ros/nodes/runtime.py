@@ -1,13 +1,13 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A process with nodes: its arguments, and a clean end by a signal, a finished node or an error.
+"""The process of a node: its arguments, and a clean end by a signal, a finished node or an error.
 
-`run(create)` initialises rclpy, spins what `create` returns on a single-threaded executor, and
-tears everything down in order. Nodes are ordinary rclpy nodes with three optional members:
+`run(create)` initialises rclpy, spins the node on a single-threaded executor, and tears everything
+down in order. It is an ordinary rclpy node with three optional members:
 
-* ``finished`` (bool property): the loop ends once any node is;
+* ``finished`` (bool property): the loop ends once it is true;
 * ``ticker`` (Ticker or None): its ticks are made here, without the executor;
-* ``close()``: called before any node is destroyed, which is the one step that may hang (see
+* ``close()``: called before the node is destroyed, which is the one step that may hang (see
   `limit_time_left`). Bags and whatever must not be lost are closed here.
 
 Exit codes: 0 after a signal or a finished node, 1 after an expected error or malformed ROS
@@ -31,6 +31,7 @@ from contextlib import suppress
 from types import ModuleType
 
 import rclpy
+from rclpy.clock import Clock
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import (
     ExternalShutdownException,
@@ -43,7 +44,6 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from tsobs_ros.errors import TsobsError, printable
-from tsobs_ros.nodes.ticker import Ticker
 from tsobs_ros.settings import describe
 from tsobs_ros.stop import StopFlag
 from tsobs_ros.streams import Parser
@@ -60,6 +60,95 @@ _SERVE_PERIOD = 0.1
 _TEARDOWN_TIMEOUT = 5.0
 
 _HELP = {"-h", "--help"}
+
+
+class Ticker:
+    """Calls back at a fixed rate or when the callback asks for it, from `start` until `stop`.
+
+    An rclpy timer costs two rebuilt wait sets a tick, which at 200 Hz is more than all that an
+    observer does. So `run` takes a node's ticks over: it sleeps until the next one on the monotonic
+    clock, and serves everything else in between. In another executor, and under simulated time,
+    which passes only in an executor, the tick is an ordinary timer.
+
+    Args:
+        node: The node. Its ticks are an executor's as long as it follows simulated time.
+        period: Time between ticks [s], the longest if the callback decides.
+        callback: What to do; returns the time until the next tick [ns], or None for the period.
+        executor_clock: The clock of an executor's ticks, if not the node's, which stands still
+            while simulated time does.
+
+    Attributes:
+        running: Whether there are ticks.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        period: float,
+        callback: Callable[[], int | None],
+        executor_clock: Clock | None = None,
+    ) -> None:
+        self.running = False
+        self._clock = node.get_clock()
+        self._callback = callback
+        self._period_ns = self._scheduled = round(period * 1e9)
+        self._due: int | None = None
+        self._timer = node.create_timer(period, self._tick, clock=executor_clock, autostart=False)
+
+    @property
+    def may_be_taken_over(self) -> bool:
+        """Whether there are ticks, and a sleep can make them."""
+        return self.running and not self._clock.ros_time_is_active
+
+    def start(self) -> None:
+        """Start to tick."""
+        self.running = True
+        if self._due is None:
+            self._schedule(self._period_ns)
+
+    def stop(self) -> None:
+        """Stop ticking, until the next `start`."""
+        self.running, self._due = False, None
+        self._timer.cancel()
+
+    def skip_next(self) -> None:
+        """Leave an executor's next tick out, as its work has just been done."""
+        self._schedule(2 * self._period_ns)
+
+    def take_over(self) -> None:
+        """Stop the executor's ticks: the caller now calls `run_if_due`."""
+        if self._due is None:
+            self._timer.cancel()
+            self._due = time.monotonic_ns()
+
+    def give_back(self) -> None:
+        """Let the executor tick again."""
+        if self._due is not None:
+            self._due = None
+            self._schedule(self._period_ns)
+
+    def run_if_due(self) -> int:
+        """Tick if it is time, and return the time until the next tick [ns]; stopped, a period."""
+        now = time.monotonic_ns()
+        if self._due is not None and now >= self._due:
+            wait = self._callback()
+            now = time.monotonic_ns()
+            if self._due is not None and wait is not None:
+                self._due = now + min(wait, self._period_ns)
+            elif self._due is not None:
+                # On the grid of the first tick. One that is late by less than a period is made
+                # good; what fell out before that, while the process was held up, is gone.
+                self._due += self._period_ns * max(1, (now - self._due) // self._period_ns)
+        return self._period_ns if self._due is None else max(0, self._due - now)
+
+    def _tick(self) -> None:
+        wait = self._callback()
+        if self.running and (wait is not None or self._scheduled != self._period_ns):
+            self._schedule(self._period_ns if wait is None else min(wait, self._period_ns))
+
+    def _schedule(self, wait: int) -> None:
+        self._timer.timer_period_ns = self._scheduled = max(wait, 1)
+        self._timer.reset()
 
 
 def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
@@ -97,15 +186,14 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
 
 
 def run(
-    create: Callable[[], Node | Sequence[Node]],
+    create: Callable[[], Node],
     args: Sequence[str] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> int:
-    """Create nodes, spin them until something ends the process, and tear them down.
+    """Create a node, spin it until something ends the process, and tear it down.
 
     Args:
-        create: Makes the node, or several that share the executor, on the default context. Nodes
-            are closed and destroyed in the order given.
+        create: Makes the node, on the default context.
         args: Command line including the program's name; `sys.argv` if None.
         stop: Returns whether to end; called before every wait of at most 0.2 s. If None, the
             signals of `StopFlag` are caught here, which only the main thread may do.
@@ -120,13 +208,12 @@ def run(
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # rcl could not parse the arguments or the parameter file
         return _report(_without_source_lines(str(error)))
-    nodes: list[Node] = []
+    node: Node | None = None
     exit_code = 0
     try:
         if not stop():
-            created = create()
-            nodes += created if isinstance(created, Sequence) else [created]
-            _spin(nodes, stop)
+            node = create()
+            _spin(node, stop)
     except (ExternalShutdownException, ShutdownException):
         pass  # the context was shut down from outside: a clean end
     except EXPECTED as error:
@@ -135,16 +222,16 @@ def run(
         exit_code = 1
         raise
     finally:
-        exit_code = _tear_down(nodes, exit_code)
+        exit_code = _tear_down(node, exit_code)
     return exit_code
 
 
 def limit_time_left(seconds: float) -> None:
     """End the process by SIGALRM if it still runs after some time [s]; 0 lifts the limit.
 
-    Fast DDS 2.14 sometimes spins for ever while a participant is destroyed (two or three in a
-    thousand processes when two nodes stop together) and holds the GIL, so that no Python code runs.
-    The default action of a signal needs none; the process then ends by signal 14.
+    Fast DDS 2.14 sometimes spins for ever while a participant is destroyed and holds the GIL, so
+    that no Python code runs. The default action of a signal needs none; the process then ends by
+    signal 14.
     """
     for stream in (sys.stdout, sys.stderr):  # a forced end runs no exit handlers
         with suppress(OSError):  # the terminal has gone
@@ -155,27 +242,25 @@ def limit_time_left(seconds: float) -> None:
     signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
-def _spin(nodes: Sequence[Node], stop: Callable[[], bool]) -> None:
+def _spin(node: Node, stop: Callable[[], bool]) -> None:
     executor = SingleThreadedExecutor()
-    for node in nodes:
-        executor.add_node(node)
+    executor.add_node(node)
     # What lives until the end need not be looked through again and again.
     gc.collect()
     gc.freeze()
     try:
-        while rclpy.ok() and not stop() and not any(getattr(n, "finished", False) for n in nodes):
-            # Nodes make and drop their tickers as they are configured.
-            tickers = [t for node in nodes if (t := getattr(node, "ticker", None)) is not None]
-            if tickers and all(ticker.may_be_taken_over for ticker in tickers):
-                _tick_for_a_while(tickers, stop)
+        while rclpy.ok() and not stop() and not getattr(node, "finished", False):
+            # A node makes and drops its ticker as it is configured.
+            ticker: Ticker | None = getattr(node, "ticker", None)
+            if ticker is not None and ticker.may_be_taken_over:
+                _tick_for_a_while(ticker, stop)
                 _run_what_is_ready(executor, stop)
             else:
-                for ticker in tickers:
+                if ticker is not None:
                     ticker.give_back()
                 executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
     finally:
-        for node in nodes:
-            executor.remove_node(node)
+        executor.remove_node(node)
         executor.shutdown()
 
 
@@ -192,31 +277,29 @@ def _run_what_is_ready(executor: SingleThreadedExecutor, stop: Callable[[], bool
         pass  # all have run
 
 
-def _tick_for_a_while(tickers: Sequence[Ticker], stop: Callable[[], bool]) -> None:
+def _tick_for_a_while(ticker: Ticker, stop: Callable[[], bool]) -> None:
     """Tick and sleep until the executor's turn comes."""
     until = time.monotonic() + _SERVE_PERIOD
-    for ticker in tickers:
-        ticker.take_over()
+    ticker.take_over()
     while True:
-        wait = min(ticker.run_if_due() for ticker in tickers) * 1e-9
+        wait = ticker.run_if_due() * 1e-9
         left = until - time.monotonic()
         if left <= 0.0 or stop():
             return
         time.sleep(min(wait, left))
 
 
-def _tear_down(nodes: Sequence[Node], exit_code: int) -> int:
-    """Close all nodes, then destroy them, whatever fails on the way."""
+def _tear_down(node: Node | None, exit_code: int) -> int:
+    """Close the node, then destroy it, whatever fails on the way."""
     for name in ("close", "destroy_node"):
-        for node in nodes:
-            try:
-                getattr(node, name, lambda: None)()
-            except EXPECTED as error:
-                exit_code = _report(str(error))
-            except Exception:  # a bug
-                with suppress(OSError):
-                    traceback.print_exc()
-                exit_code = 1
+        try:
+            getattr(node, name, lambda: None)()
+        except EXPECTED as error:
+            exit_code = _report(str(error))
+        except Exception:  # a bug
+            with suppress(OSError):
+                traceback.print_exc()
+            exit_code = 1
         limit_time_left(_TEARDOWN_TIMEOUT)
     rclpy.try_shutdown()
     limit_time_left(0.0)

@@ -140,6 +140,10 @@ class DrainedSubscription:
                     break
         return taken
 
+    def discard(self) -> None:
+        """Throw away what is in the queue, as much as fits."""
+        self.drain(self._first.maxlen)
+
     def destroy(self) -> None:
         """Destroy the subscription with what is left in its queue; safe to call twice."""
         self._node.destroy_subscription(self._subscription)

@@ -23,7 +23,7 @@ from tsobs_ros.simulation.signals import BiasStep
 
 RATE = 50.0
 STEP = round(1e9 / RATE)
-CONTACT, CONTACT_AT = 4.0, 3.0
+CONTACT, CONTACT_AT = 4.0, 2.0
 BIAS = 0.05
 NAMES = ["elbow", "elbow_motor"]
 
@@ -39,7 +39,7 @@ def run() -> Trajectories:
         ),
         torque_disturbance=TorqueDisturbance(link=(BiasStep(CONTACT, CONTACT_AT),)),
     )
-    return simulate(scenario, [3], 12.0)
+    return simulate(scenario, [3], 8.0)
 
 
 def events(run: Trajectories, first: int, count: int, *present: int) -> list[Event]:
@@ -69,7 +69,7 @@ def test_a_contact_is_estimated_and_an_encoder_that_stops_is_reported(
     def logs(text: str) -> bool:
         return any(line.level == Log.WARN and text in line.msg for line in logged)
 
-    before = events(run, 0, 250, 0, 1)
+    before = events(run, 0, 170, 0, 1)
     stage.play(before, period=STEP)
 
     outputs = ["elbow/link_angle", "elbow/motor_angle"]
@@ -101,11 +101,11 @@ def test_a_contact_is_estimated_and_an_encoder_that_stops_is_reported(
         assert found[f"observer: sensor fault of {output}"].level < DiagnosticStatus.ERROR
 
     narrow = watcher.of("error_bound")[-1].message.position[1]
-    after = events(run, 250, 250, 0)
+    after = events(run, 170, 180, 0)
     stage.play(after, period=STEP)
-    assert observer.joints[0].tracker.used == 500
-    assert observer.joints[0].tracker.output_counts[1]["missing"] == 250
-    assert {tuple(each.message.name) for each in watcher.of("innovation")[250:]} == {
+    assert observer.joints[0].tracker.used == 350
+    assert observer.joints[0].tracker.output_counts[1]["missing"] == 180
+    assert {tuple(each.message.name) for each in watcher.of("innovation")[170:]} == {
         ("elbow/link_angle",)
     }
     assert watcher.of("error_bound")[-1].message.position[1] > 10.0 * narrow
@@ -113,13 +113,13 @@ def test_a_contact_is_estimated_and_an_encoder_that_stops_is_reported(
     fault = found["observer: sensor fault of motor_angle"]
     assert (fault.level, fault.message) == (DiagnosticStatus.ERROR, "missing")
     assert values(fault)["since"].startswith("for ")
-    assert values(found["observer: measurements"])["motor_angle: missing"] == "250"
+    assert values(found["observer: measurements"])["motor_angle: missing"] == "180"
     assert found["observer: sensor fault of link_angle"].message != "missing"
     stage.wait_until(
         lambda: logs("motor_angle is missing for 3 s: expected position of elbow_motor"), "its log"
     )
     assert logs("position of elbow_motor missing (names ['elbow'])")
-    assert replayed(watcher, observer, [*before, *after]) >= 500
+    assert replayed(watcher, observer, [*before, *after]) >= 350
     assert watcher.broken == []
 
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer node: the tracker's numbers bit for bit, whatever arrives and drives it."""
 
+import re
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -90,43 +91,34 @@ def test_every_reason_to_reject_is_counted_and_estimates_go_on(stage: Stage) -> 
     assert replayed(stage.watcher, observer, [*before, dead, *after]) >= 28
 
 
-@pytest.mark.parametrize(
-    ("changes", "reason", "advice"),
-    [
-        ({"stamp": 0}, "zero stamp", "let the driver stamp"),
-        ({"effort": []}, "missing input", "`assume_zero_torque` takes a missing effort as 0"),
-    ],
-)
 def test_a_silence_of_rejected_messages_is_told_from_one_without_messages(
-    stage: Stage, capfd: Any, changes: dict[str, Any], reason: str, advice: str
+    stage: Stage, capfd: Any
 ) -> None:
-    stage.add(stale_after=1.0)
+    reason, advice = "missing input", "`assume_zero_torque` takes a missing effort as 0"
+    stage.add(stale_after=0.3)
     stage.step(BEGIN - PERIOD)
 
     def bad(first: int, count: int) -> list[Event]:
-        return [
-            Event(each.at, ARM.message(**{"stamp": each.at, **changes}))
-            for each in samples(first, count)
-        ]
+        return [Event(each.at, ARM.message(each.at, effort=[])) for each in samples(first, count)]
 
-    stage.play(bad(0, 300))
+    stage.play(bad(0, 250))
     log = capfd.readouterr().err
     waiting = next(line for line in log.splitlines() if "WAITING" in line)
     assert f"came and all were rejected, most: {reason}; " in waiting
     assert advice in waiting
     state = stage.statuses()["observer: state"].message
     assert state == f"WAITING: all that comes is rejected, most: {reason}"
-    stage.play([*samples(300, 20), *bad(320, 280)])
+    stage.play([*samples(250, 10), *bad(260, 90)])
     log = capfd.readouterr().err
-    for line, age in (("COASTING", "0.1 s"), ("STALE", "1 s")):
+    for line in ("COASTING", "STALE"):
         text = next(each for each in log.splitlines() if line in each)
-        assert f"{line}: no usable measurement on {TOPIC} for {age}" in text
+        assert re.search(rf"{line}: no usable measurement on {TOPIC} for 0\.\d+ s", text)
         assert f"most: {reason}; " in text
         assert advice in text
     # Once nothing comes, that is what is said.
-    stage.play(samples(600, 20), samples(850, 1)[0].at)
-    silent = f"COASTING: no measurement on {TOPIC} for 0.1 s; estimates are predictions\n"
-    assert silent in capfd.readouterr().err
+    stage.play(samples(350, 10), samples(450, 1)[0].at)
+    silent = rf"COASTING: no measurement on {TOPIC} for 0\.\d+ s; estimates are predictions\n"
+    assert re.search(silent, capfd.readouterr().err)
     stage.statuses()
     assert stage.statuses()["observer: state"].message == "STALE"
 
@@ -182,7 +174,7 @@ def test_messages_of_any_joints_in_any_order_give_each_joint_what_it_has_alone(
     alone = {joint.name: tracker_of(observer) for joint in observer.joints}
     expected: dict[str, dict[int, float]] = {joint: {} for joint in JOINTS}
     events, offered = [], Counter[str]()
-    for stamp in ARM.stamps(BEGIN, 0.3):
+    for stamp in ARM.stamps(BEGIN, 0.2):
         some = list(rng.permutation(JOINTS))[: int(rng.integers(1, len(JOINTS) + 1))]
         others = foreign if rng.random() < 0.7 else []
         sample = ARM.measurement(stamp)
@@ -218,24 +210,10 @@ def test_messages_of_any_joints_in_any_order_give_each_joint_what_it_has_alone(
     assert list(stage.watcher.of("disturbance")[-1].message.name) == JOINTS
 
 
-def test_a_stale_joint_may_hold_its_last_estimate_without_bounds(stage: Stage) -> None:
-    stage.add(stale_after=0.2, when_stale="hold")
-    stage.step(BEGIN - PERIOD)
-    fresh_until = BEGIN + 19 * PERIOD + 200 * MS
-    stage.play(samples(0, 20), fresh_until + 20 * PERIOD)
-    states = {each.stamp: each for each in stage.watcher.of("joint_states")}
-    held = [stamp for stamp in states if stamp > fresh_until]
-    assert len(held) == 20
-    assert {states[stamp].bits for stamp in held} == {states[fresh_until].bits}
-    for topic in ("error_bound", "disturbance_bound"):
-        assert stage.watcher.of(topic)[-1].stamp == fresh_until
-
-
 @pytest.mark.parametrize(
     ("method", "others"),
     [
         ("paper", {"disturbance"}),
-        ("high_gain", set()),
         ("ekf", {"disturbance", "error_bound", "disturbance_bound"}),
     ],
 )
@@ -244,7 +222,7 @@ def test_methods_to_compare_with_publish_what_they_have(
 ) -> None:
     stage.add(method=method)
     stage.step(BEGIN - PERIOD)
-    stage.play(samples(0, 60))
+    stage.play(samples(0, 20))
     topics = {each.topic for each in stage.watcher.published}
     assert topics == {"joint_states", "innovation"} | others
 
@@ -279,8 +257,8 @@ def test_estimates_may_come_with_the_measurements_instead_of_the_ticks(stage: St
     assert stage.watcher.stamps == [event.at for event in events]
     assert replayed(stage.watcher, observer, events) == 40
     # Without measurements, the ticks go on.
-    stage.play([], stage.now + 4 * NANOSECONDS, 50 * PERIOD)
-    assert len(stage.watcher.stamps) > 42
+    stage.play([], stage.now + 2 * NANOSECONDS, 50 * PERIOD)
+    assert len(stage.watcher.stamps) > 40
     assert len(stage.watcher.of("innovation")) == 40
 
 

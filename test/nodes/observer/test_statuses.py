@@ -15,7 +15,7 @@ from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.nodes.observer.joints import ObservedJoint, TorqueWatch, observed_joints
 from tsobs_ros.nodes.observer.messages import WRONG
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
-from tsobs_ros.nodes.observer.statuses import TickMeter, of_node
+from tsobs_ros.nodes.observer.statuses import TickMeter, statuses_of
 from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 
@@ -53,15 +53,9 @@ def statuses(
     steady: int = 0,
     failed: bool = False,
 ) -> tuple[dict[str, Status], dict[str, dict[str, Status]]]:
-    of_all, parts = of_node(
-        joints,
-        TickMeter(200.0),
-        now,
-        "certified",
-        steady=steady,
-        resets=3,
-        enabled=True,
-        failed=failed,
+    timing = TickMeter(200.0).status(steady)
+    of_all, parts = statuses_of(
+        joints, timing, now, steady=steady, resets=3, enabled=True, failed=failed
     )
     return (
         {each.name: each for each in of_all},
@@ -166,16 +160,8 @@ def test_rejections_warn_for_a_minute_and_name_the_main_reason() -> None:
     assert status.values["last minute: received"] == "0"
 
 
-@pytest.mark.parametrize(
-    ("rate", "text"),
-    [
-        (100.0, "at 100 Hz, the design is for 200 Hz: the bound may never be certified"),
-        (400.0, "at 400 Hz, the design is for 200 Hz: no narrower bound comes of it"),
-    ],
-)
-def test_another_rate_than_the_designs_is_told_once_and_when_it_is_over(
-    rate: float, text: str
-) -> None:
+def test_another_rate_than_the_designs_is_told_once_and_when_it_is_over() -> None:
+    rate, text = 100.0, "at 100 Hz, the design is for 200 Hz: the bound may never be certified"
     (joint,) = joints_of()
     chance, told = np.random.default_rng(3), []
     stamp = float(BEGIN)
@@ -200,7 +186,6 @@ def test_another_rate_than_the_designs_is_told_once_and_when_it_is_over(
     ("concern", "changes", "text"),
     [
         ("certificate", {"basis": Basis.CONTRADICTED}, "the bound is void: the measurements"),
-        ("certificate", {"basis": Basis.OUTSIDE}, "the bound is void: the link angle"),
         ("innovation", {"noise_scale": 1.8}, "the noise is 1.8 times the design's"),
         ("hypothesis", {"hypothesis": Hypothesis.FORCE}, "the arm is pushed by something"),
     ],
@@ -280,7 +265,6 @@ def test_periods_without_a_tick_are_missed(
     meter = TickMeter(rate)
     tick(meter, *times)
     status = meter.status(0)
-    assert meter.missed == missed
     assert (status.level, status.message) == (level, message)
     assert status.values["missed ticks"] == str(missed)
     assert status.values["achieved rate [Hz]"] == achieved

@@ -15,8 +15,10 @@ from std_srvs.srv import Trigger
 
 from tsobs_ros.nodes.plant_simulator import PlantSimulatorNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
-from tsobs_ros.simulation.plant import Plant, Sample
+from tsobs_ros.simulation.plant import Plant
 
+RATE = 50.0
+"""Samples a second [Hz]: even a busy machine takes in so many messages."""
 BEST_EFFORT = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
 RELIABLE = QoSProfile(depth=5000)
 
@@ -53,7 +55,7 @@ class Listener:
 
     def start(self, **overrides: Any) -> PlantSimulatorNode:
         """Start a simulator which waits for this listener."""
-        given = {"wait_for_subscribers": 1, **overrides}
+        given = {"wait_for_subscribers": 1, "rate": RATE, **overrides}
         node: PlantSimulatorNode = start(self.ros, "plant_simulator", **given)
         return node
 
@@ -72,18 +74,19 @@ class Listener:
         return call(self.ros, self.node, Trigger, "plant_simulator/reset")
 
     @staticmethod
-    def core(count: int, seed: int = 0, **changes: Any) -> list[Sample]:
-        """Return the samples that a simulator with such parameters must publish."""
-        (scenario,) = PlantSimulatorParameters(**changes).scenarios().values()
-        plant = Plant(scenario, seed)
-        return [plant.step() for _ in range(count)]
+    def core(count: int, of: str = "measurements", seed: int = 0, **changes: Any) -> list[float]:
+        """Return the angles that a simulator with such parameters must publish, or the true ones.
+
+        The true ones are `of="physical"`.
+        """
+        (scenario,) = PlantSimulatorParameters(**{"rate": RATE, **changes}).scenarios().values()
+        angles: list[float] = getattr(Plant(scenario, seed).run(count), of)[:, 0].tolist()
+        return angles
 
     @staticmethod
-    def places(
-        received: list[Received], samples: list[Sample], of: str = "measurement"
-    ) -> list[int]:
-        """Find each measurement, or true state, bit for bit among the samples of the core."""
-        index = {getattr(sample, of)[0].item(): sample.index for sample in samples}
+    def places(received: list[Received], angles: list[float]) -> list[int]:
+        """Find what was received bit for bit among the angles of the core."""
+        index = {angle: place for place, angle in enumerate(angles)}
         return [index[item.message.position[0]] for item in received]
 
     @staticmethod

@@ -15,7 +15,7 @@ from staging import start
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.model.torque_path import TorquePath
 from tsobs_ros.nodes import observer, plant_simulator
-from tsobs_ros.nodes.plant_simulator.node import plants_of
+from tsobs_ros.nodes.plant_simulator import plants_of
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.paper.examples import example_1, example_2
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -32,7 +32,7 @@ torque_disturbance: {link: [{kind: gauss_markov, std: 2.0, time_constant: 0.5}]}
 torque: {gain: 0.9, offset: 0.1, delay: 0.003}
 """
 
-PERIOD, START = 5_000_000, 100_000_000
+PERIOD, START = 20_000_000, 100_000_000
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def joints(tmp_path: Path) -> dict[str, Any]:
     """Parameters of three joints: a design, a request of an arm, one of a T–S system."""
     (tmp_path / "elbow.request.yaml").write_text(BOTH)
     return {
-        "rate": 200.0,
+        "rate": 50.0,
         "joints": ["shoulder", "elbow", "pendulum"],
         "design": str(config_path(SHIPPED_DESIGN)),
         "joint_designs": [
@@ -74,7 +74,7 @@ def test_joints_of_design_files_are_in_the_same_messages(
         "publish_clock": True,
     }
     listener.start(**given)
-    listener.wait_for(listener.measurements, 100)
+    listener.wait_for(listener.measurements, 30)
     parameters = PlantSimulatorParameters(
         **{k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if "." not in k}
     )
@@ -90,7 +90,7 @@ def test_joints_of_design_files_are_in_the_same_messages(
     begin = first.stamp - seen * PERIOD
     for stamp, message in listener.measurements:
         k = (stamp - begin) // PERIOD
-        lost = k >= 40 and k % 40 < 20
+        lost = k >= 10 and k % 10 < 5
         # The shoulder has no other output, the elbow has.
         others = {"elbow", "elbow_motor", "pendulum/drive", "pendulum/encoder"}
         assert set(message.name) == {
@@ -154,9 +154,7 @@ def test_a_joint_is_commanded_and_disturbed_by_itself_while_running(
     [
         ("joint_designs", ["a.yaml"], "joint_designs: expected one for each of"),
         ("joint_designs", ["", "a.yaml", ""], "a.yaml"),
-        ("joints", ["a", "a", "b"], "joints: expected names, each once"),
         ("signals", ["elbow/torque: ramp"], r"signals\[0\]': elbow/torque: kind"),
-        ("signals", ["- a"], r"signals\[0\]': expected one 'name: value'"),
         ("signals", ["elbow/link_torque: {kind: ramp, slope: 1.0}"], r"elbow/link_torque: .*slope"),
         ("affected", ["elbow/link"], r"affected\[0\]': expected one of"),
         ("joint_mismatch", ["pendulum/g: 0.1"], r"joint_mismatch\[0\]"),
@@ -171,10 +169,9 @@ def test_what_names_no_joint_or_signal_is_refused(
         start(ros, "plant_simulator", **joints | {name: value})
 
 
-RATE, SECONDS, SETTLED = 250.0, 11.0, 9.0
-
+RATE, SECONDS, SETTLED = 250.0, 10.0, 9.0
 # Driven time starts at 1 s.
-BEGIN, END = 1_000_000_000, 12_000_000_000
+BEGIN, END = 1_000_000_000, 11_000_000_000
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from tsobs_ros.simulation.plant import SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import Constant, Pulses
 
-PERIOD = 5_000_000
+PERIOD = 20_000_000
 SECOND = 1_000_000_000
 
 
@@ -30,22 +30,21 @@ def test_a_command_moves_the_arm_until_its_timeout(listener: Any) -> None:
     listener.command(2.5)
     efforts = lambda: [item.message.effort[0] for item in listener.measurements]  # noqa: E731
     listener.wait_until(lambda: 2.5 in efforts() and efforts()[-1] != 2.5, "the command's timeout")
-    assert efforts().count(2.5) <= 20
+    assert efforts().count(2.5) <= 5
     first = efforts().index(2.5)
     stamps = [item.stamp for item in listener.measurements if item.message.effort[0] == 2.5]
-    assert stamps[-1] - stamps[0] == 19 * PERIOD or len(stamps) < 20
+    assert stamps[-1] - stamps[0] == 4 * PERIOD or len(stamps) < 5
     samples = listener.core(5000)
     # The same arm until the sample that applied the command, another one after it.
     assert listener.places(listener.measurements[: first + 1], samples)[-1] >= 10
-    known = {sample.measurement.item() for sample in samples}
-    assert listener.measurements[-1].message.position[0] not in known
+    assert listener.measurements[-1].message.position[0] not in samples
 
 
 def test_reset_starts_as_fresh_while_stamps_go_on(listener: Any) -> None:
     # Time that the node drives itself: the wall clock may stand still for a second on a busy
     # machine, and then the stamps restart.
     listener.start(seed=5, disturbance__kind="gauss_markov", publish_clock=True)
-    listener.wait_for(listener.measurements, 100)
+    listener.wait_for(listener.measurements, 20)
     listener.command(4.0)
     listener.wait_until(
         lambda: any(item.message.effort[0] == 4.0 for item in listener.measurements),
@@ -56,14 +55,14 @@ def test_reset_starts_as_fresh_while_stamps_go_on(listener: Any) -> None:
     assert answer.message == "restarted with seed 5"
     disturbance = PlantSimulatorParameters().disturbance
     samples = listener.core(5000, seed=5, disturbance=type(disturbance)(kind="gauss_markov"))
-    early = {sample.measurement.item() for sample in samples[:30]}
+    early = set(samples[:15])
     restarted = lambda: [  # noqa: E731
         place
-        for place in range(100, len(listener.measurements))
+        for place in range(20, len(listener.measurements))
         if listener.measurements[place].message.position[0] in early
     ]
     listener.wait_until(lambda: bool(restarted()), "the restart")
-    listener.wait_for(listener.measurements, 50)
+    listener.wait_for(listener.measurements, 20)
     found = listener.places(listener.measurements[restarted()[0] :], samples)
     assert found == sorted(set(found))
     steps = {
@@ -73,10 +72,10 @@ def test_reset_starts_as_fresh_while_stamps_go_on(listener: Any) -> None:
 
 
 def test_duration_finishes_the_node_after_its_last_sample(listener: Any) -> None:
-    node = listener.start(duration=0.5)
+    node = listener.start(duration=0.2)
     assert not node.finished
     listener.wait_until(lambda: node.finished, "the end of the duration")
-    last = listener.core(101)[-1].physical[0].item()
+    last = listener.core(11, of="physical")[-1]
     listener.wait_until(
         lambda: bool(listener.states) and listener.states[-1].message.position[0] == last,
         "the last sample",
@@ -91,16 +90,24 @@ def test_without_subscribers_it_starts_after_the_timeout(ros: Any) -> None:
     ros.spin_until(lambda: node.finished, 20.0, "a run without subscribers")
 
 
-def test_driven_clock_starts_at_one_second_and_leads_the_samples(listener: Any) -> None:
+def test_driven_clock_starts_at_one_second_leads_the_samples_and_stands_still_with_the_arm(
+    ros: Any, listener: Any, manage: Callable[[Any], Any]
+) -> None:
     listener.listen_to_clock()
-    listener.start(publish_clock=True, real_time_factor=4.0, duration=2.0)
-    final = SECOND + 400 * PERIOD
+    manager = manage(listener.start(publish_clock=True, duration=1.0))
+    listener.wait_for(listener.clock, 10)
+    assert manager.change("deactivate")
+    paused_at = ros.hear_out(listener.clock)
+    ros.spin_for(0.1)
+    assert len(listener.clock) == paused_at
+    assert manager.change("activate")
+    final = SECOND + 50 * PERIOD
     listener.wait_until(
         lambda: bool(listener.clock) and listener.clock[-1] == final, "the last clock"
     )
     assert all((time - SECOND) % PERIOD == 0 for time in listener.clock)
-    assert listener.clock == sorted(set(listener.clock))
-    found = listener.places(listener.measurements, listener.core(401))
+    assert {b - a for a, b in itertools.pairwise(listener.clock)} == {PERIOD}
+    found = listener.places(listener.measurements, listener.core(51))
     assert [item.stamp for item in listener.measurements] == [SECOND + k * PERIOD for k in found]
 
 
@@ -108,12 +115,12 @@ def test_external_clock_is_followed_and_a_jump_back_restarts(listener: Any) -> N
     clock = listener.node.create_publisher(Clock, "/clock", 10)
     own = listener.start(use_sim_time=True).get_clock()
     listener.wait_until(lambda: clock.get_subscription_count() == 1, "matching of /clock")
-    samples = listener.core(1000)
+    samples = listener.core(1000, of="physical")
 
     def advance(first: int, count: int) -> list[Any]:
-        """Publish the clock in steps of 12 ms, no multiple of the period; return what came."""
+        """Publish the clock in steps of 48 ms, no multiple of the period; return what came."""
         already = len(listener.states)
-        for now in range(first, first + count * 12_000_000, 12_000_000):
+        for now in range(first, first + count * 48_000_000, 48_000_000):
             clock.publish(Clock(clock=to_stamp(now)))
             listener.wait_until(lambda now=now: own.now().nanoseconds == now, "the clock")
         listener.wait_until(
@@ -124,13 +131,13 @@ def test_external_clock_is_followed_and_a_jump_back_restarts(listener: Any) -> N
 
     assert not listener.states  # before there is a time
     advance(50 * SECOND, 1)
-    advance(50 * SECOND, 80)
-    came = listener.places(listener.states, samples, "physical")
-    assert came == list(range(190))
+    advance(50 * SECOND, 30)
+    came = listener.places(listener.states, samples)
+    assert came == list(range(70))
     assert [item.stamp for item in listener.states] == [50 * SECOND + k * PERIOD for k in came]
 
     again = advance(20 * SECOND, 20)
-    assert listener.places(again, samples, "physical") == list(range(46))
+    assert listener.places(again, samples) == list(range(46))
     assert [item.stamp for item in again] == [20 * SECOND + k * PERIOD for k in range(46)]
 
 
@@ -143,31 +150,16 @@ def test_after_a_pause_the_arm_goes_on_from_there_with_present_stamps(
     listener.command(5.0)  # not for an arm that stands still
     arrived = ros.hear_out(listener.states)
     paused_at = listener.states[-1].stamp
-    ros.spin_for(0.5)
+    ros.spin_for(0.2)
     assert len(listener.states) == arrived
     assert manager.change("activate")
-    listener.wait_for(listener.states, 30)
+    listener.wait_for(listener.states, 20)
 
-    found = listener.places(listener.states, listener.core(5000), "physical")
+    found = listener.places(listener.states, listener.core(5000, of="physical"))
     assert found == list(range(found[0], found[0] + len(found)))
     stamps = [item.stamp for item in listener.states]
-    assert max(b - a for a, b in itertools.pairwise(stamps)) > SECOND // 2
-    assert stamps[-1] > paused_at + SECOND // 2
-
-
-def test_a_driven_clock_stands_still_with_the_arm(
-    ros: Any, listener: Any, manage: Callable[[Any], Any]
-) -> None:
-    listener.listen_to_clock()
-    manager = manage(listener.start(publish_clock=True))
-    listener.wait_for(listener.clock, 20)
-    assert manager.change("deactivate")
-    paused_at = ros.hear_out(listener.clock)
-    ros.spin_for(0.1)
-    assert len(listener.clock) == paused_at
-    assert manager.change("activate")
-    listener.wait_for(listener.clock, 20)
-    assert {b - a for a, b in itertools.pairwise(listener.clock)} == {PERIOD}
+    assert max(b - a for a, b in itertools.pairwise(stamps)) > SECOND // 5
+    assert stamps[-1] > paused_at + SECOND // 5
 
 
 def test_faults_are_injected_by_parameters_while_running(listener: Any) -> None:
@@ -176,19 +168,13 @@ def test_faults_are_injected_by_parameters_while_running(listener: Any) -> None:
     (result,) = node.set_parameters([Parameter("disturbance.kind", value="bias_step")])
     assert result.successful
     listener.wait_until(lambda: listener.disturbances[-1].message.position[0] == 0.1, "the bias")
-    node.set_parameters([Parameter("disturbance.bias_step.amplitude", value=-0.3)])
-    listener.wait_until(
-        lambda: listener.disturbances[-1].message.position[0] == -0.3, "the other bias"
-    )
     (refused,) = node.set_parameters([Parameter("disturbance.kind", value="offset")])
     assert "got 'offset'" in refused.reason
     node.set_parameters([Parameter("disturbance.kind", value="none")])
     listener.wait_until(lambda: listener.disturbances[-1].message.position[0] == 0.0, "the end")
-    values = [item.message.position[0] for item in listener.disturbances]
-    assert set(values) == {0.0, 0.1, -0.3}
+    assert {item.message.position[0] for item in listener.disturbances} == {0.0, 0.1}
     # Neither the motion nor the white noise knows of the fault.
-    index = {s.physical[0].item(): s for s in listener.core(5000)}
-    assert all(item.message.position[0] in index for item in listener.states)
+    assert listener.places(listener.states, listener.core(5000, of="physical"))
 
 
 GIVEN = """
@@ -227,14 +213,12 @@ def test_parameters_describe_arms_sensors_and_torques_that_no_design_foresees(
     assert scenario.friction == Friction(0.1, 0.05, 0.3, 0.15)
     assert scenario.excitation == Constant(4.5)
     assert scenario.torque_error == (Pulses(50.0, 2.0, 0.01, 4.0),)
-    (default,) = PlantSimulatorParameters().scenarios().values()
-    assert default.torque_error == ()
 
 
 def test_a_file_s_torques_are_played_and_end_in_none(listener: Any, tmp_path: Path) -> None:
     file = tmp_path / "motion.csv"
     file.write_text(
-        "# 50 Hz\ntime [s],torque [N m],angle [rad]\n0,1.5,0\n0.02,-2.0,0\n0.04,0.5,0\n"
+        "# 50 Hz\ntime [s],torque [N m],angle [rad]\n0,1.5,0\n0.08,-2.0,0\n0.16,0.5,0\n"
     )
     listener.start(excitation__kind="file", excitation__file=str(file))
     listener.wait_for(listener.measurements, 20)
@@ -247,7 +231,6 @@ def test_a_file_s_torques_are_played_and_end_in_none(listener: Any, tmp_path: Pa
     [
         (None, "cannot read it: No such file"),
         ("time,torque\n0,1\n0.01,nan\n", "line 3: expected a time and a finite torque"),
-        ("time,angle\n0,1\n", "no column is called 'torque'"),
     ],
 )
 def test_a_file_without_torques_is_refused(
@@ -261,5 +244,3 @@ def test_a_file_without_torques_is_refused(
     signals = [f"torque: {{kind: file, file: {file}}}"]
     with pytest.raises(ParameterError, match=reason):
         start(ros, "plant_simulator", signals=signals)
-    with pytest.raises(ParameterError, match="expected a CSV file"):
-        start(ros, "plant_simulator", excitation__kind="file")

@@ -32,9 +32,325 @@ services:
   ~/enable                     std_srvs/srv/SetBool: whether anything is published
 """
 
-from tsobs_ros.nodes.observer.node import Observer
-from tsobs_ros.nodes.observer.parameters import ObserverParameters as Parameters
+import time
+from collections import deque
+from collections.abc import Collection, Sequence
+from typing import Any
 
-create = Observer
+import numpy as np
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
 
-__all__ = ["Observer", "Parameters", "create"]
+from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.design.published import record_text
+from tsobs_ros.estimation.events import Event
+from tsobs_ros.estimation.fault_shapes import FaultKind
+from tsobs_ros.estimation.health import Level, Status, meaning
+from tsobs_ros.estimation.records import REASONS, Estimate
+from tsobs_ros.methods import warning
+from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.messages import LATCHED, Statuses
+from tsobs_ros.nodes.observer.joints import OF_INPUT, ObservedJoint, observed_joints
+from tsobs_ros.nodes.observer.messages import EstimatePublisher, MeasurementReader
+from tsobs_ros.nodes.observer.parameters import ObserverParameters
+from tsobs_ros.nodes.observer.statuses import TickMeter, statuses_of
+from tsobs_ros.nodes.runtime import Ticker
+from tsobs_ros.nodes.wire import DrainedSubscription
+
+MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
+
+# A tick takes what waits for no longer than this share of its period, and this time [s]: what is
+# left of half a period is for the estimation. The rest waits in the queue.
+_MAX_SHARE = 0.4
+_MAX_BACKLOG = 0.05
+# What one node can do [Hz]; a design may be for more.
+_FASTEST = 2000.0
+# Time for which an output is missing before that is logged [ns].
+_PATIENCE = 3_000_000_000
+
+
+class Observer(ManagedNode[ObserverParameters]):
+    """Runs the certified observers of one or several independent joints.
+
+    Configuring loads the designs and re-checks their certificates, activating starts to estimate,
+    each time from nothing. While the node is inactive, what arrives is thrown away.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("observer", ObserverParameters, **node_kwargs)
+        self.start()
+
+    def configure(self) -> None:
+        """Load the designs and make everything."""
+        parameters = self.parameters
+        topic = self.resolve_topic_name("joint_measurements")
+        self._joints = observed_joints(parameters, topic)
+        self._resets = 0
+        self._reported_failures = 0
+        self._enabled = True
+        self._is_new = True
+        self._last_now = 0
+        self._last_output = 0
+        self._newest = b""
+        self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
+        self._missing: set[tuple[str, str]] = set()
+        # That of the design, as its `rate` is that of the measurements; of several the fastest.
+        own = max(joint.loaded.design.request.rate for joint in self._joints)
+        self._rate = parameters.rate or min(own, _FASTEST)
+        self._meter = TickMeter(self._rate)
+
+        places = {joint.name: joint.signals for joint in self._joints}
+        self._reader = MeasurementReader(places, parameters.assume_zero_torque)
+        at_once = parameters.publish_on == "measurement"
+        self._measurements = DrainedSubscription(
+            self,
+            JointState,
+            "joint_measurements",
+            MEASUREMENT_QOS,
+            raw=True,
+            on_arrival=self._on_arrival if at_once else None,
+        )
+        self._publisher = EstimatePublisher(self, places, [joint.learnt for joint in self._joints])
+        self._record = self.create_publisher(String, f"~/{topics.DESIGN}", LATCHED)
+        self.offer_diagnostics(", ".join(parameters.joints), self._statuses)
+        self.offer_triggers({"reset": self._on_reset})
+        self.create_service(SetBool, "~/enable", self._on_enable)
+        self._ticker = Ticker(self, 1.0 / self._rate, self._on_tick)
+        # Only an executor notices arrivals.
+        self.ticker = None if at_once else self._ticker
+        self._log_designs()
+
+    def activate(self) -> None:
+        """Start to estimate from what comes from now on."""
+        self._measurements.discard()
+        self._publish_record()
+        if self._is_new:
+            self._publish_restart()
+        else:
+            self._restart("activated again")
+        self._meter.restart()
+        self._ticker.start()
+
+    def deactivate(self) -> None:
+        """Stop estimating and publishing."""
+        self._ticker.stop()
+
+    def retune(self, parameters: ObserverParameters, names: Collection[str]) -> None:
+        """Take over parameters that were changed while the node runs."""
+        for joint in self._joints:
+            joint.retune(parameters)
+        if self.active:
+            self._publish_record()
+
+    @property
+    def joints(self) -> tuple[ObservedJoint, ...]:
+        """The joints with their trackers and counts."""
+        return tuple(self._joints)
+
+    @property
+    def received(self) -> int:
+        """Number of samples of all joints since the start: used + rejected, while enabled."""
+        return sum(joint.received for joint in self._joints)
+
+    def _on_tick(self) -> None:
+        if (now := self._now()) is not None:
+            self._meter.begin(now)
+            self._take_all(now)
+            self._publish(now)
+            self._meter.end()
+
+    def _on_arrival(self) -> None:
+        """Estimate from measurements as soon as they have come."""
+        if self.active and (now := self._now()) is not None:
+            self._meter.begin(now, tick=False)
+            if not self._take_all(now):
+                self._publisher.publish_tick(now, estimated=False)
+            elif self._publish(now):
+                self._ticker.skip_next()
+            self._meter.end()
+
+    def _now(self) -> int | None:
+        """Return the time, None before simulated time begins; restart if it went back."""
+        now = int(self.get_clock().now().nanoseconds)
+        if now == 0:
+            return None
+        if now < self._last_now:
+            self._meter.restart()
+            if self.parameters.reset_on_backward_jump:
+                self._last_output = 0
+                self._restart(f"the clock went back by {(self._last_now - now) * 1e-9:.3f} s")
+        self._last_now = now
+        return now
+
+    def _take_all(self, now: int) -> bool:
+        """Take what has arrived, as much as there is time for; return whether any was used."""
+        until = time.monotonic() + min(_MAX_SHARE / self._rate, _MAX_BACKLOG)
+        taken = self._measurements.drain(until=until)
+        if not taken or not self._enabled:
+            return False
+        self._is_new = False
+        messages = [data for data, _ in taken]
+        self._publisher.take(messages)
+        self._newest = messages[-1]
+        batch = self._reader.read(messages)
+        innovations = []
+        for joint, y, u, codes in zip(self._joints, batch.y, batch.u, batch.codes, strict=True):
+            innovations.append(joint.offer(batch.stamps, y, u, codes, now))
+            for place in np.flatnonzero(codes > 0).tolist() if codes.any() else ():
+                if self.may_log(code := int(codes[place])):
+                    self._warn(joint, code, messages[batch.order[place]], now)
+        of_all = np.concatenate(innovations, axis=1)
+        used = np.flatnonzero((of_all == of_all).any(axis=1))
+        self._publisher.publish_innovations(batch.stamps[used], of_all[used])
+        self._unanswered += [
+            taken[batch.order[place]][1]["received_timestamp"] for place in used.tolist()
+        ]
+        return len(used) > 0
+
+    def _warn(self, joint: ObservedJoint, code: int, data: bytes, now: int) -> None:
+        what, reason = "torque" if code in OF_INPUT else "measurement", REASONS[code]
+        assert reason is not None
+        found = f"{self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f}"
+        self.log(
+            Level.WARN,
+            f"{what} of {joint.name} rejected: {reason.value} ({found}): {meaning(reason).remedy}",
+        )
+
+    def _publish(self, now: int) -> bool:
+        """Publish the estimates for the present; return whether there were any."""
+        if not self._enabled:
+            return False
+        if now <= self._last_output:
+            self._publisher.publish_tick(now, estimated=False)
+            return False
+        hold, estimates = self.parameters.when_stale == "hold", list[Estimate | None]()
+        for joint in self._joints:
+            estimate, contact = joint.estimate(now, hold=hold)
+            estimates.append(estimate)
+            if contact is not None:
+                self.log(contact.level, f"{joint.name}: {contact.message}")
+        # One that is held is of an earlier time.
+        fresh = [each if each is not None and each.stamp == now else None for each in estimates]
+        self._publisher.publish_tick(now, estimated=any(fresh))
+        published = self._publisher.publish(now, estimates)
+        if published:
+            self._last_output = now
+            done = time.time_ns()
+            for arrived in self._unanswered:
+                self._meter.answered(done - arrived)
+            self._unanswered.clear()
+        self._report_health(now, fresh)
+        return published
+
+    def _report_health(self, now: int, fresh: Sequence[Estimate | None]) -> None:
+        """Publish what the estimates are worth, if that is due, and log what has changed."""
+        due = self._publisher.publish_health(now, fresh)
+        for joint, estimate in zip(self._joints, fresh, strict=True):
+            events: Sequence[Event] = ()
+            if estimate is None:
+                events = joint.events.silence(now)
+            elif due:
+                events = joint.events.update(estimate)
+            for event in events:
+                self.log(event.level, f"{joint.name}: {joint.explained(event)}")
+
+    def _report_missing(self, now: int) -> None:
+        """Log the outputs that messages have lacked for some seconds, each time once."""
+        for joint in self._joints:
+            names = joint.loaded.design.request.output_names
+            for output, place, monitor in zip(
+                names, joint.signals.outputs, joint.faults, strict=True
+            ):
+                fault, key = monitor.fault, (joint.name, output)
+                if fault.kind is not FaultKind.MISSING or fault.since is None:
+                    self._missing.discard(key)
+                elif fault.since <= now - _PATIENCE and key not in self._missing:
+                    self._missing.add(key)
+                    text = (
+                        f"{joint.name}: {output} is missing for {_PATIENCE * 1e-9:g} s: expected "
+                        f"{place.described}; the newest message: "
+                        f"{self._reader.describe(self._newest, joint.name)}; "
+                        "estimation goes on without it"
+                    )
+                    self.log(Level.WARN, text)
+
+    def _restart(self, why: str) -> None:
+        """Reset everything that is computed from data; the counts are those of a new node."""
+        if self.may_log("restart"):
+            self.log(Level.WARN, f"restarting: {why}")
+        for joint in self._joints:
+            joint.reset()
+        self._resets += 1
+        self._is_new = True
+        self._unanswered.clear()
+        self._publish_restart()
+
+    def _publish_record(self) -> None:
+        """Publish what runs, for those who come later too."""
+        text = record_text(
+            self.resolve_topic_name("joint_measurements"),
+            [joint.name for joint in self._joints],
+            [joint.loaded for joint in self._joints],
+            self.parameters.settings.as_parameters(),
+        )
+        self._record.publish(String(data=text))
+
+    def _publish_restart(self) -> None:
+        self._publisher.publish_restart(int(self.get_clock().now().nanoseconds), self._resets)
+
+    def _on_reset(self) -> tuple[bool, str]:
+        # What was received before the reset must not be used after it.
+        self._measurements.discard()
+        self._restart("reset service")
+        return True, "restarted"
+
+    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if request.data and not self._enabled:
+            self._measurements.discard()
+            self._restart("enabled")
+        self._enabled = request.data
+        response.success = True
+        response.message = "enabled" if request.data else "disabled: nothing is published"
+        return response
+
+    def _statuses(self) -> Statuses:
+        if not self.active:
+            return [Status("state", Level.WARN, "INACTIVE", {})], {}
+        failures = sum(joint.tracker.failures for joint in self._joints)
+        failed, self._reported_failures = failures > self._reported_failures, failures
+        if failed and self.may_log("failure"):
+            self.log(Level.ERROR, "numerical failure: an estimate was not finite; restarted")
+        now = int(self.get_clock().now().nanoseconds)
+        self._report_missing(now)
+        steady = time.monotonic_ns()
+        for joint in self._joints:
+            if (news := joint.pace_news(steady)) is not None:
+                level, text = news
+                self.log(level, f"{joint.name}: {text}")
+        timing = self._meter.status(steady)
+        return statuses_of(
+            self._joints,
+            timing,
+            now,
+            steady=steady,
+            resets=self._resets,
+            enabled=self._enabled,
+            failed=failed,
+        )
+
+    def _log_designs(self) -> None:
+        """Log each joint's design, and warn of methods that cannot work."""
+        by_path = {joint.loaded.name: joint.loaded for joint in self._joints}
+        for path, loaded in by_path.items():
+            names = ", ".join(each.name for each in self._joints if each.loaded.name == path)
+            self.log(Level.OK, f"{names}: design {path} ({loaded.identity}): certificate holds")
+        method = self.parameters.method
+        for text in dict.fromkeys(warning(each.design, method) for each in by_path.values()):
+            if text:
+                self.log(Level.WARN, text)
+
+
+Parameters, create = ObserverParameters, Observer

@@ -12,34 +12,12 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.signals import signals
+from tsobs_ros.estimation import health, records
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import Event, EventKind, EventLog
-from tsobs_ros.estimation.faults import (
-    FaultMonitor,
-    add_estimates,
-    add_samples,
-    new_watches,
-)
-from tsobs_ros.estimation.health import (
-    Debounce,
-    LastMinute,
-    Level,
-    Phase,
-    Status,
-    judge_rate,
-    meaning,
-    phase_of,
-)
-from tsobs_ros.estimation.records import (
-    CORRECTING,
-    GATED,
-    IMPLAUSIBLE_TORQUE,
-    REASONS,
-    UNKNOWN_INPUT,
-    USED,
-    Estimate,
-    RejectReason,
-)
+from tsobs_ros.estimation.faults import FaultMonitor, add_estimates, add_samples, new_watches
+from tsobs_ros.estimation.health import Debounce, Level, Phase, Status
+from tsobs_ros.estimation.records import REASONS, USED, Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
 from tsobs_ros.nodes.observer.messages import NOT_NAMED
@@ -50,10 +28,10 @@ from tsobs_ros.series import NANOSECONDS, Stamps
 
 NAMES = tuple(reason.value if reason else "" for reason in REASONS)
 """Names of the reasons of rejection by their codes."""
-OF_INPUT = (IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT)
+OF_INPUT = (records.IMPLAUSIBLE_TORQUE, records.UNKNOWN_INPUT)
 """Of such a sample the outputs are used all the same."""
 
-_ACCEPTED = (*CORRECTING, GATED)
+_ACCEPTED = (*records.CORRECTING, records.GATED)
 # For how many seconds measurements must come at another rate before that is worth a word.
 _LASTING = 3.0
 # Stamps that make a median period.
@@ -151,6 +129,7 @@ class ObservedJoint:
         faults: Recognise the faults of its outputs, one each.
         events: Finds changes of what its estimates are worth.
         torques: Watches its torque disturbance.
+        method: Name of the method that estimates.
         recent: Counts over the last minute: `received`, the reasons of rejection and the
             estimator's events, by name.
         newly: The same since the counts before, a second or so.
@@ -169,6 +148,7 @@ class ObservedJoint:
     ) -> None:
         self.name = name
         self.loaded = loaded
+        self.method = parameters.method
         request, settings = loaded.design.request, parameters.settings
         self.signals = signals(request, name, alone=len(parameters.joints) == 1)
         self.learnt = settings.learnt(loaded.design)
@@ -183,7 +163,7 @@ class ObservedJoint:
         self.tracker.reset()
         self.events.restart()
         self.received = 0
-        self.recent = LastMinute()
+        self.recent = health.LastMinute()
         self.newly = Counter[str]()
         self.in_vain = Counter[str]()
         self.measured_rate = math.nan
@@ -219,7 +199,9 @@ class ObservedJoint:
 
     def phase(self, now: int) -> Phase:
         """Return how fresh its measurements are."""
-        return phase_of(self.age(now), self._parameters.coast_after, self._parameters.stale_after)
+        return health.phase_of(
+            self.age(now), self._parameters.coast_after, self._parameters.stale_after
+        )
 
     def offer(self, stamps: Stamps, y: Array, u: Array, codes: Stamps, now: int) -> Array:
         """Use the samples of N messages, and count those that cannot be used.
@@ -287,7 +269,7 @@ class ObservedJoint:
             return None
         self.measured_rate = NANOSECONDS / max(1.0, float(np.median(np.diff(stamps))))
         before = self._pace.value
-        off, text = judge_rate(self.measured_rate, self.loaded.design.request.rate)
+        off, text = health.judge_rate(self.measured_rate, self.loaded.design.request.rate)
         if self._pace.update(steady, off, _LASTING) == before:
             return None
         return Level.WARN if off else Level.OK, text
@@ -305,7 +287,7 @@ class ObservedJoint:
         text = event.text.replace("no measurement", "no usable measurement")
         return (
             f"{text}; {self.in_vain.total()} came and all were rejected, most: {main}; "
-            f"{meaning(RejectReason(main)).remedy}"
+            f"{health.meaning(RejectReason(main)).remedy}"
         )
 
     def estimate(self, now: int, *, hold: bool) -> tuple[Estimate | None, Status | None]:

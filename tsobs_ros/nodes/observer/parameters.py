@@ -8,8 +8,7 @@ from tsobs_ros.errors import ParameterError
 from tsobs_ros.estimation.events import COAST_AFTER
 from tsobs_ros.estimation.health import DisturbanceLimits
 from tsobs_ros.methods import ObserverSettings
-from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import design_paths
+from tsobs_ros.nodes.parameters import ManagedParameters, design_paths
 from tsobs_ros.settings import live_setting, setting, settings_group
 
 

@@ -8,18 +8,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.estimation import health
 from tsobs_ros.estimation.events import NOISY, EventKind
-from tsobs_ros.estimation.health import (
-    LastMinute,
-    Level,
-    Phase,
-    Status,
-    duration_text,
-    judged,
-    meaning,
-    words,
-)
+from tsobs_ros.estimation.health import Level, Phase, Status, judged, meaning, words
 from tsobs_ros.estimation.records import IMPLAUSIBLE_TORQUE, Estimate, Learning, RejectReason
+from tsobs_ros.nodes.messages import Statuses
 from tsobs_ros.nodes.observer.joints import NAMES, ObservedJoint, main_of
 
 _FROM_BEST_TO_WORST = (Phase.TRACKING, Phase.COASTING, Phase.WAITING, Phase.STALE)
@@ -36,24 +29,22 @@ _FASTEST = 100
 _ROUNDING = 1e-3
 
 
-def of_node(
+def statuses_of(
     joints: Sequence[ObservedJoint],
-    meter: "TickMeter",
+    timing: Status,
     now: int,
-    method: str,
     *,
     steady: int,
     resets: int,
     enabled: bool,
     failed: bool,
-) -> tuple[list[Status], dict[str, list[Status]]]:
+) -> Statuses:
     """Return the statuses of the node and, if it has several joints, of each joint.
 
     Args:
         joints: The joints.
-        meter: The meter of the node's ticks, which starts a new interval.
+        timing: That of the node's ticks.
         now: Time on the node's clock [ns].
-        method: The node's `method`.
         steady: Time that neither stands still nor goes back [ns], for the last minute.
         resets: Number of restarts of the whole node.
         enabled: Whether the node works.
@@ -61,22 +52,21 @@ def of_node(
     """
     for joint in joints:
         joint.count(steady)
+    parts = {
+        joint.name: [
+            _state_status([joint], now, _tracking_values(joint, now), enabled=enabled),
+            _measurement_status([joint]),
+            *_estimate_statuses(joint, now),
+        ]
+        for joint in joints
+    }
     values = {"resets": str(resets)}
-    parts: dict[str, list[Status]] = {}
+    further = [_summary_status(parts)]
     if len(joints) == 1:
-        values |= _tracking_values(joints[0], now)
-        further = _estimate_statuses(joints[0], method, now)
-    else:
-        for joint in joints:
-            own = _tracking_values(joint, now)
-            parts[joint.name] = [
-                _state_status([joint], now, own, enabled=enabled, failed=False),
-                _measurement_status([joint]),
-                *_estimate_statuses(joint, method, now),
-            ]
-        further = [_summary_status(parts)]
+        (state, _, *further), parts = parts[joints[0].name], {}
+        values |= state.values
     state = _state_status(joints, now, values, enabled=enabled, failed=failed)
-    return [state, _measurement_status(joints), meter.status(steady), *further], parts
+    return [state, _measurement_status(joints), timing, *further], parts
 
 
 def _state_status(
@@ -85,7 +75,7 @@ def _state_status(
     values: dict[str, str],
     *,
     enabled: bool,
-    failed: bool,
+    failed: bool = False,
 ) -> Status:
     """Return the worst state of joints, and why their samples are all refused if they are."""
     phases = [joint.phase(now) for joint in joints]
@@ -101,7 +91,7 @@ def _state_status(
         message += f": all that comes is rejected, most: {refused}"
     if losses := sum(joint.recent.growth["losses of track"] for joint in joints):
         level = max(level, Level.WARN)
-        message += f", after {_times(losses, 'loss', 'losses')} of track in the last minute"
+        message += f", after {losses} loss{'es' * (losses != 1)} of track in the last minute"
     return Status("state", level, message, values)
 
 
@@ -148,7 +138,7 @@ def _measurement_status(joints: Sequence[ObservedJoint]) -> Status:
     return Status("measurements", Level.WARN if many else Level.OK, message, values)
 
 
-def _estimate_statuses(joint: ObservedJoint, method: str, now: int) -> list[Status]:
+def _estimate_statuses(joint: ObservedJoint, now: int) -> list[Status]:
     estimate, request = joint.latest, joint.loaded.design.request
     names = request.output_names
     faults = [monitor.status(now) for monitor in joint.faults]
@@ -162,7 +152,7 @@ def _estimate_statuses(joint: ObservedJoint, method: str, now: int) -> list[Stat
         _innovation_status(joint),
         *faults,
         *joint.torques.statuses(),
-        _certificate_status(joint, method, now),
+        _certificate_status(joint, now),
     ]
     if estimate is None:
         return statuses
@@ -186,7 +176,7 @@ def _estimate_statuses(joint: ObservedJoint, method: str, now: int) -> list[Stat
 def _since(joint: ObservedJoint, kind: EventKind, now: int) -> dict[str, str]:
     """Return for how long something has been as it is, if it has changed."""
     since = joint.events.since(kind)
-    return {} if since is None else {"since": duration_text(now - since)}
+    return {} if since is None else {"since": health.duration_text(now - since)}
 
 
 def _innovation_status(joint: ObservedJoint) -> Status:
@@ -231,9 +221,9 @@ def _domain_status(request: ArmRequest | TSRequest, estimate: Estimate | None) -
     return Status("premise domain", Level.WARN, "outside: the bound is void", values)
 
 
-def _certificate_status(joint: ObservedJoint, method: str, now: int) -> Status:
-    if method != "certified":
-        return Status("certificate", Level.WARN, f"method {method}: nothing is certified", {})
+def _certificate_status(joint: ObservedJoint, now: int) -> Status:
+    if joint.method != "certified":
+        return Status("certificate", Level.WARN, f"method {joint.method}: nothing is certified", {})
     loaded, estimate = joint.loaded, joint.latest
     request = loaded.design.request
     values = {
@@ -267,20 +257,20 @@ def _summary_status(statuses: Mapping[str, Sequence[Status]]) -> Status:
 class TickMeter:
     """Measures how regular ticks are and how long they take; `status` starts a new interval.
 
-    Attributes:
-        missed: Number of ticks that fell out since the start.
-        jumps: Number of jumps of the clock ahead, which make no ticks fall out.
+    Args:
+        rate: The wanted rate [Hz].
     """
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
-        self.missed = self.jumps = self._ticks = 0
+        # How many ticks fell out, and how often the clock jumped ahead, which makes none fall out.
+        self._missed = self._jumps = self._ticks = 0
         # Of the latest work: the time, the steady time, and whether a tick started it.
         self._latest: tuple[int, int, bool] | None = None
         self._late = 0.0
         self._periods: list[int] = []
         self._times: dict[str, list[int]] = {"tick time": [], "latency": []}
-        self._recent = LastMinute()
+        self._recent = health.LastMinute()
 
     def begin(self, now: int, *, tick: bool = True) -> None:
         """Note the start of work.
@@ -294,14 +284,14 @@ class TickMeter:
             before, began, was_tick = self._latest
             period = now - before
             if period > _JUMP and period > _FASTEST * (steady - began):
-                self.jumps += 1
+                self._jumps += 1
             else:
                 self._periods.append(period)
                 if tick and was_tick:
                     # What a late tick lacks, the next one may make good.
                     self._late = max(0.0, self._late + period * 1e-9 * self._rate - 1.0)
                     missed = int(self._late + _ROUNDING)
-                    self.missed += missed
+                    self._missed += missed
                     self._late -= missed
         self._latest = now, steady, tick
 
@@ -328,11 +318,11 @@ class TickMeter:
         periods, self._periods = self._periods, []
         times, self._times = self._times, {name: [] for name in self._times}
         self._ticks += len(times["tick time"])
-        self._recent.update(steady, {"missed": self.missed, "ticks": self._ticks})
+        self._recent.update(steady, {"missed": self._missed, "ticks": self._ticks})
         missed, made = self._recent.growth["missed"], self._recent.growth["ticks"]
-        values = {"wanted rate [Hz]": f"{self._rate:g}", "missed ticks": str(self.missed)}
-        if self.jumps:
-            values["clock jumps ahead"] = str(self.jumps)
+        values = {"wanted rate [Hz]": f"{self._rate:g}", "missed ticks": str(self._missed)}
+        if self._jumps:
+            values["clock jumps ahead"] = str(self._jumps)
         if not times["tick time"]:
             return Status("timing", Level.STALE, "no ticks", values)
         if sum(periods) > 0:
@@ -342,11 +332,6 @@ class TickMeter:
             for percent in (50, 99) if ordered else ():
                 place = math.ceil(percent / 100.0 * len(ordered)) - 1
                 values[f"{name} p{percent} [ms]"] = f"{ordered[place] * 1e-6:.3f}"
-        late = missed > _MANY_MISSED * (made + missed)
-        level = Level.WARN if late else Level.OK
-        message = f"missed {_times(missed, 'tick', 'ticks')} in the last minute"
+        level = Level.WARN if missed > _MANY_MISSED * (made + missed) else Level.OK
+        message = f"missed {missed} tick{'s' * (missed != 1)} in the last minute"
         return Status("timing", level, message if missed else "on time", values)
-
-
-def _times(count: int, one: str, several: str) -> str:
-    return f"{count} {one if count == 1 else several}"

@@ -19,9 +19,263 @@ services:
   ~/reset                          std_srvs/srv/Trigger: start again at t = 0
 """
 
-from tsobs_ros.nodes.plant_simulator.node import PlantSimulatorNode
-from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters as Parameters
+import math
+import time
+from collections.abc import Collection, Iterator
+from typing import Any
 
-create = PlantSimulatorNode
+from rclpy.clock import JumpThreshold
+from rclpy.duration import Duration
 
-__all__ = ["Parameters", "PlantSimulatorNode", "create"]
+from tsobs_ros.bag.timeline import Ticks, Timeline
+from tsobs_ros.estimation.health import Level
+from tsobs_ros.model.arm import SIDES
+from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
+from tsobs_ros.nodes.plant_simulator.topics import SamplePublisher, TorqueCommands
+from tsobs_ros.nodes.runtime import Ticker
+from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.simulation.plant import Plant, PlantScenario
+from tsobs_ros.simulation.signals import Signal
+
+# A process that was stopped for longer does not flood its subscribers when it goes on.
+_LONGEST_LAG = NANOSECONDS
+# The system clock may be slewed a little; simulated time never goes back unless it restarts.
+_SLEW_MARGIN = NANOSECONDS
+# Driven time starts here: a zero stamp means "no time" to most of ROS.
+_DRIVEN_START = NANOSECONDS
+# Without a callback the first tick, and so t = 0, would come with the message after the jump.
+_BACKWARD = JumpThreshold(
+    min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
+)
+# Seeds of the joints lie apart, so that no joint repeats another one at a later seed.
+SEED_STEP = 2**32
+_START_POLL = 0.02
+_CLOCK_PATIENCE = 5 * NANOSECONDS
+
+
+class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
+    """Publishes the simulated sensor, the truth behind it and, if asked, the time.
+
+    Configuring makes the arm, activating lets its time run. While the node is inactive the arm
+    stands still in time; the next activation goes on from there, with stamps of the present.
+
+    The simulation decides every number, the node only when to publish it: all samples that are due
+    are published, late or not, so a run's data do not depend on how the process was scheduled. Time
+    comes from the system clock, from an external /clock (use_sim_time), or from the node itself,
+    which then publishes /clock (publish_clock) ahead of each sample.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("plant_simulator", PlantSimulatorParameters, **node_kwargs)
+        self.start()
+
+    def configure(self) -> None:
+        """Make the arm at t = 0 with its topics and services."""
+        self._settings = parameters = self.parameters
+        self._publish_sample = SamplePublisher(self, parameters)
+        self._commands = TorqueCommands(self, parameters)
+        self.offer_triggers({"reset": self._reset})
+        self._schedule = Ticks(parameters.sample_rate)
+        self._schedule.start(_DRIVEN_START if parameters.publish_clock else 0)
+        self._driven: Timeline | None = None
+        if parameters.publish_clock:
+            self._driven = Timeline(_DRIVEN_START, parameters.real_time_factor)
+        else:
+            jumps = self.get_clock().create_jump_callback(_BACKWARD, post_callback=self._tick)
+            self.at_cleanup(jumps.unregister)
+        self._new_plant()
+        self._latest = 0
+        # A timer on the node's clock wakes up with each /clock message; only then does it serve,
+        # since a system clock that is set back would stop it.
+        self.ticker = self._ticker = Ticker(
+            self,
+            1.0 / parameters.sample_rate,
+            self._tick,
+            executor_clock=None if self._follows_clock else self.steady,
+        )
+
+    def activate(self) -> None:
+        """Start sampling, or go on, as soon as there are a time and the wanted subscribers."""
+        self._commands.subscription.discard()  # what arrived was meant for an arm that stood still
+        self._activated = time.monotonic_ns()
+        self._start_timer = self.create_timer(_START_POLL, self._start, clock=self.steady)
+
+    def deactivate(self) -> None:
+        """Stop sampling."""
+        self.destroy_timer(self._start_timer)
+        self._ticker.stop()
+
+    def cleanup(self) -> None:
+        """Let the last truth reach its subscribers."""
+        self._publish_sample.wait_for_acknowledgement()
+
+    @property
+    def rejected_commands(self) -> int:
+        """Number of torque commands that were not one finite number since `configure`."""
+        return self._commands.rejected
+
+    @property
+    def finished(self) -> bool:
+        """Whether the duration has been simulated; a process then ends."""
+        return super().finished or (self.configured and self._is_over)
+
+    @property
+    def _is_over(self) -> bool:
+        duration = self._settings.duration
+        return duration > 0.0 and self._index >= self._plants[0].scenario.sample_count
+
+    @property
+    def _index(self) -> int:
+        """Index of the next sample, which all joints have in common."""
+        return self._plants[0].index
+
+    def _now_ns(self) -> int:
+        """Return the time that samples are stamped by [ns]; 0 before the first /clock."""
+        if self._driven is not None:
+            return self._driven.at(time.monotonic_ns())
+        return int(self.get_clock().now().nanoseconds)
+
+    @property
+    def _follows_clock(self) -> bool:
+        """Whether time is an external /clock."""
+        return self._driven is None and bool(self.get_clock().ros_time_is_active)
+
+    def _start(self) -> None:
+        """Start sampling if there are a time and the wanted subscribers."""
+        waited = time.monotonic_ns() - self._activated
+        if self._driven is None and self._now_ns() == 0:
+            if waited > _CLOCK_PATIENCE and self.may_log("clock"):
+                self.log(Level.WARN, "waiting for /clock")
+            return
+        if self._index == 0 and not self._is_subscribed(waited):
+            return
+        self.destroy_timer(self._start_timer)
+        if self._driven is not None:
+            self._driven.anchor(self._schedule.due, time.monotonic_ns())
+            self._driven.paused = False
+        elif (now := self._now_ns()) > self._schedule.due:
+            self._schedule.start(now)
+        what = "going on" if self._index else "started"
+        subscribers = self._publish_sample.subscribers
+        self.get_logger().info(f"{what}: {subscribers} subscriptions of joint_measurements")
+        self._ticker.start()
+        self._tick()
+
+    def _is_subscribed(self, waited: int) -> bool:
+        wanted, there = self._settings.wait_for_subscribers, self._publish_sample.subscribers
+        timeout = self._settings.wait_timeout
+        is_over = timeout > 0.0 and waited >= timeout * NANOSECONDS
+        if there < wanted and is_over:
+            self.log(
+                Level.WARN,
+                f"starting with {there} of {wanted} subscriptions of joint_measurements "
+                f"after {timeout:g} s",
+            )
+        return there >= wanted or is_over
+
+    def _tick(self, _jump: Any = None) -> int | None:
+        """Publish every sample that is due; return the time until the next one is [ns]."""
+        now = self._now_ns()
+        if not self._ticker.running or now == 0:
+            return None
+        back = self._latest - now
+        if back > (0 if self._follows_clock else _SLEW_MARGIN):
+            text = f"the clock went back by {back / NANOSECONDS:g} s: the plant restarts"
+            self.log(Level.WARN, text)
+            self._new_plant()
+            self._schedule.start(now)
+        self._latest = now
+        self._commands.take(self._index)
+        now = self._limit_lag(now)
+        while not self._is_over and now >= self._schedule.due:
+            torques = self._commands.at(self._index)
+            samples = [
+                plant.step(torque) for plant, torque in zip(self._plants, torques, strict=True)
+            ]
+            self._publish_sample(self._schedule.take(), samples)
+        if self._is_over:
+            self._ticker.stop()
+        wait = self._schedule.due - self._now_ns()
+        pace = 1.0 if self._driven is None else self._settings.real_time_factor
+        return math.ceil(wait / pace)
+
+    def _limit_lag(self, now: int) -> int:
+        """Give up catching up after too long a stop; return the time to publish up to."""
+        lag = now - self._schedule.due
+        pace = 1.0 if self._driven is None else self._settings.real_time_factor
+        if lag <= _LONGEST_LAG * max(1.0, pace):
+            return now
+        if self.may_log("lag"):
+            self.log(Level.WARN, f"{lag / NANOSECONDS:.3f} s behind: going on from here")
+        if self._driven is None:
+            self._schedule.start(now)
+            return now
+        self._latest = now - lag
+        self._driven.anchor(self._latest, time.monotonic_ns())
+        return self._latest
+
+    def _new_plant(self) -> None:
+        self._plants = plants_of(self._settings)
+        self._commands.forget()
+
+    def retune(self, parameters: PlantSimulatorParameters, names: Collection[str]) -> None:
+        """Take changed parameters over from the next sample on."""
+        old, new = self._settings.scenarios(), parameters.scenarios()
+        self._settings = parameters
+        self._commands.parameters = parameters
+        for joint, plant in zip(new, self._plants, strict=True):
+            for what in exchange(plant, old[joint], new[joint]):
+                self.get_logger().info(f"{joint}: {what}, counted from t = {plant.time:g} s")
+
+    def _reset(self) -> tuple[bool, str]:
+        """Restart the plant at the next sample; the stamps go on."""
+        was_over = self._is_over
+        self._new_plant()
+        if was_over and self.active:
+            self._schedule.start(self._now_ns())
+            self._ticker.start()
+        message = f"restarted with seed {self._settings.seed}"
+        self.get_logger().info(message)
+        return True, message
+
+
+def plants_of(parameters: PlantSimulatorParameters) -> list[Plant]:
+    """Return each joint's plant at t = 0; the numbers of one do not depend on the others."""
+    return [
+        Plant(scenario, parameters.seed + place * SEED_STEP)
+        for place, scenario in enumerate(parameters.scenarios().values())
+    ]
+
+
+def exchange(plant: Plant, old: PlantScenario, new: PlantScenario) -> Iterator[str]:
+    """Let a plant go on by another scenario.
+
+    Args:
+        plant: The plant.
+        old: Its scenario so far.
+        new: One with other signals and sensors.
+
+    Yields:
+        What is disturbed otherwise from the next sample on.
+    """
+    former, signals = old.signals, new.signals
+    for place, after in enumerate(signals.outputs):
+        if after.disturbance != former.outputs[place].disturbance:
+            plant.exchange_disturbance(after.disturbance, place)
+            yield f"disturbance of {after.measures} is now {_kinds_of(after.disturbance)}"
+        plant.exchange_sensor(after.sensor, place)
+    for side, torque in enumerate(signals.torques):
+        if torque != former.torques[side]:
+            plant.exchange_torque_disturbance(torque, side)
+            yield f"torque disturbance of the {SIDES[side]} is now {_kinds_of(torque)}"
+    for place, excitation in enumerate(signals.inputs):
+        plant.exchange_excitation(excitation, place)
+
+
+def _kinds_of(components: tuple[Signal, ...]) -> str:
+    """Return the kinds of components as a parameter has them."""
+    return "+".join(each.kind for each in components) or "none"
+
+
+Parameters, create = PlantSimulatorParameters, PlantSimulatorNode

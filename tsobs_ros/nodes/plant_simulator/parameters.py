@@ -7,23 +7,26 @@ its process noise. A joint without is the one arm of the parameters, with an enc
 """
 
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, lru_cache, partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from tsobs_ros.checks import finite
 from tsobs_ros.design.request import ArmRequest, TSRequest
-from tsobs_ros.errors import ParameterError, TsobsError
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.errors import ModelError, ParameterError, TsobsError
+from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import design_paths
-from tsobs_ros.nodes.plant_simulator.scenarios import scenarios_of
-from tsobs_ros.nodes.plant_simulator.torque_file import PLAYED, TorqueFile
-from tsobs_ros.plants import request_in
+from tsobs_ros.nodes.parameters import ManagedParameters, design_paths
+from tsobs_ros.nodes.plant_simulator.entries import PLAYED, Readers, TorqueFile, by_joint
+from tsobs_ros.plants import request_in, scenario_of
 from tsobs_ros.settings import live_setting, setting, settings_group
 from tsobs_ros.simulation.integrator import Friction, Payload
-from tsobs_ros.simulation.plant import Mismatch, Scenario
+from tsobs_ros.simulation.plant import Mismatch, Scenario, TorqueDisturbance
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
     EXCITATIONS,
@@ -38,6 +41,7 @@ from tsobs_ros.simulation.signals import (
     TwoTone,
     numbers_of,
     parse_kinds,
+    signal_of,
 )
 from tsobs_ros.simulation.systems import SystemScenario
 
@@ -50,6 +54,8 @@ _ARM = {
     "motor_damping": (0.0, "Motor damping b2", "N m s/rad"),
 }
 """Default, description and unit of each parameter of an arm."""
+_TORQUES = {side: f"{side}_torque" for side in SIDES}
+"""What entries of `signals` call the torque disturbance of each side."""
 
 
 def _numbers(
@@ -344,7 +350,7 @@ class PlantSimulatorParameters(ManagedParameters):
         """Samples a second of all joints [Hz]: `rate`, or the design's; of several the fastest."""
         return self.rate or max(request.rate for request in self.requests.values())
 
-    def sensor(self, noise_std: float) -> Sensor:
+    def _sensor(self, noise_std: float) -> Sensor:
         """Return the sensor of an output with a standard deviation of its noise."""
         noise, outliers, dropouts = self.noise, self.outliers, self.dropouts
         return Sensor(
@@ -370,7 +376,96 @@ class PlantSimulatorParameters(ManagedParameters):
             ModelError: They do not describe a plant.
             ParameterError: An entry of a list names no signal of the joints.
         """
-        return scenarios_of(self)
+        signals: dict[str, Readers] = {}
+        changes: dict[str, Readers] = {}
+        outputs: dict[str, Readers] = {}
+        for joint, request in self.requests.items():
+            is_arm = isinstance(request, ArmRequest)
+            disturbed = (*request.output_names, *(_TORQUES.values() if is_arm else ()))
+            signals[joint] = {
+                name: partial(signal_of, KINDS if name in disturbed else PLAYED)
+                for name in (*request.output_names, *request.input_names, *disturbed)
+            }
+            names = _ARM if is_arm else request.uncertainty_model.names
+            changes[joint] = {name: partial(finite, "value") for name in names}
+            outputs[joint] = dict.fromkeys(request.output_names, bool)
+        given = by_joint("signals", self.signals, signals)
+        changed = by_joint("joint_mismatch", self.joint_mismatch, changes)
+        affected = by_joint("affected", [f"{name}: true" for name in self.affected], outputs)
+        starts, spreads = self._states("initial_state"), self._states("initial_spread")
+        return {
+            joint: self._scenario(
+                joint,
+                {name: each[-1] for name, each in changed[joint].items()},
+                given[joint],
+                affected[joint] if self.affected else outputs[joint],
+                {"initial_state": starts[joint], "initial_spread": spreads[joint]},
+            )
+            for joint in self.requests
+        }
+
+    def _scenario(
+        self,
+        joint: str,
+        mismatch: dict[str, float],
+        signals: Mapping[str, list[Signal]],
+        affected: Iterable[str],
+        states: dict[str, Any],
+    ) -> Scenario | SystemScenario:
+        """Return the scenario of one joint: that of its request, with what parameters change."""
+        request, factor = self.requests[joint], self.process_noise.factor
+        common = asdict(self.mismatch) if isinstance(request, ArmRequest) else {}
+        base = scenario_of(request, common | mismatch)
+        outputs = []
+        for output in base.signals.outputs:
+            sensor, disturbance = output.sensor, tuple(signals.get(output.measures, ()))
+            if not self.design_of[joint]:
+                sensor = replace(sensor, noise_std=self.noise_std)
+            if output.measures in affected:
+                sensor = self._sensor(sensor.noise_std)
+                disturbance = self.disturbance.build() + disturbance
+            outputs.append(replace(output, sensor=sensor, disturbance=disturbance))
+        own: dict[str, Any] = {
+            "rate": self.sample_rate, "duration": self.duration, "outputs": tuple(outputs)
+        }  # fmt: skip
+        count = base.signals.input_count
+        free = (self.excitation.build(),) * count + base.signals.inputs[count:]
+        inputs = tuple(
+            signals[name][-1] if name in signals and name not in request.output_names else default
+            for name, default in zip(request.input_names, free, strict=True)
+        )
+        if isinstance(base, SystemScenario):
+            noise = np.asarray(base.process_noise) * factor
+            return replace(base, **own, **states, process_noise=noise, inputs=inputs)
+        density, is_loaded = base.process_noise, joint in (self.payload.joints or (joint,))
+        torques = {side: tuple(signals.get(name, ())) for side, name in _TORQUES.items()}
+        own |= {name: tuple(base.arm.from_physical(each).tolist()) for name, each in states.items()}
+        return replace(
+            base,
+            **own,
+            process_noise=ProcessNoise(density.link * factor, density.motor * factor),
+            friction=self.friction,
+            payload=self.payload.build() if is_loaded else Payload(),
+            excitation=inputs[0],
+            torque_disturbance=TorqueDisturbance(**torques),
+            torque_error=(self.effort_error,) if self.effort_error.amplitude else (),
+            sensor=Sensor(),
+        )
+
+    def _states(self, name: str) -> dict[str, tuple[float, ...]]:
+        """Return the numbers of a parameter that each joint's states get."""
+        values: tuple[float, ...] = getattr(self, name)
+        sizes = {joint: len(each.state_names) for joint, each in self.requests.items()}
+        if values == getattr(type(self), name):
+            designed = self.design_of
+            return {joint: (0.0,) * n if designed[joint] else values for joint, n in sizes.items()}
+        if len(values) == sum(sizes.values()):
+            numbers = iter(values)
+            return {joint: tuple(islice(numbers, n)) for joint, n in sizes.items()}
+        if set(sizes.values()) == {len(values)}:
+            return dict.fromkeys(sizes, values)
+        expected = " + ".join(map(str, sizes.values()))
+        raise ModelError(f"{name}: expected {expected} numbers, got {len(values)}")
 
 
 def _request(path: str) -> ArmRequest | TSRequest:

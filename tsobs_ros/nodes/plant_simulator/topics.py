@@ -18,13 +18,14 @@ from std_msgs.msg import Float64MultiArray
 from tsobs_ros.bag.estimate_topics import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, sides
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.signals import Place, positions, signals
+from tsobs_ros.estimation.health import Level
+from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import set_stamp
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.wire import QUIET, DrainedSubscription, JointStatePublisher
 from tsobs_ros.simulation.plant import Sample
 
 _ACKNOWLEDGE_TIMEOUT = 1.0
-_WARN_EVERY = 5.0
 
 
 class TorqueCommands:
@@ -34,16 +35,17 @@ class TorqueCommands:
 
     Attributes:
         parameters: Of commands from the next one on; may be exchanged.
+        subscription: That of the topic.
         rejected: Number of commands that were not so many finite numbers.
     """
 
-    def __init__(self, node: Node, parameters: PlantSimulatorParameters) -> None:
+    def __init__(self, node: ManagedNode[Any], parameters: PlantSimulatorParameters) -> None:
         self.parameters = parameters
         self.rejected = 0
         self._is_arm = [isinstance(each, ArmRequest) for each in parameters.requests.values()]
         self._counts = [each.signals.input_count for each in parameters.scenarios().values()]
         self._node = node
-        self._subscription = DrainedSubscription(
+        self.subscription = DrainedSubscription(
             node, Float64MultiArray, "joint_torque_command", QoSProfile(depth=10)
         )
         self.forget()
@@ -53,21 +55,18 @@ class TorqueCommands:
         self._torques: list[list[float]] = []
         self._end = 0.0
 
-    def discard(self) -> None:
-        """Throw away what has arrived."""
-        self._subscription.drain()
-
     def take(self, sample: int) -> None:
         """Take what has arrived, to hold from a sample on."""
         given = self.parameters
-        for message, _ in self._subscription.drain():
+        for message, _ in self.subscription.drain():
             if len(message.data) != sum(self._counts) or not all(map(math.isfinite, message.data)):
                 self.rejected += 1
-                self._node.get_logger().warning(
-                    f"rejected {self.rejected} torque commands so far: expected "
-                    f"{sum(self._counts)} finite numbers, got {list(message.data)[:4]}",
-                    throttle_duration_sec=_WARN_EVERY,
-                )
+                if self._node.may_log("commands"):
+                    self._node.log(
+                        Level.WARN,
+                        f"rejected {self.rejected} torque commands so far: expected "
+                        f"{sum(self._counts)} finite numbers, got {list(message.data)[:4]}",
+                    )
                 continue
             numbers = iter(message.data)
             self._torques = []

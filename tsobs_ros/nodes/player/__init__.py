@@ -15,9 +15,298 @@ services, std_srvs/srv/Trigger:
   ~/play_next         publish one message in a pause
 """
 
-from tsobs_ros.nodes.player.node import Player
-from tsobs_ros.nodes.player.parameters import PlayerParameters as Parameters
+import sys
+import time
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any
 
-create = Player
+import numpy as np
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy
+from rosgraph_msgs.msg import Clock as ClockMessage
 
-__all__ = ["Parameters", "Player", "create"]
+from tsobs_ros.bag.playback import BagSource, Event, Playback
+from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
+from tsobs_ros.errors import BagReadError, ParameterError
+from tsobs_ros.estimation.health import Level, Status
+from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.messages import Statuses, set_stamp
+from tsobs_ros.nodes.player.topics import CLOCK, PlayerParameters, played_topics
+from tsobs_ros.nodes.runtime import Ticker
+
+_READ_AHEAD = 8 * 2**20
+# While the reader's thread unpacks a chunk of the bag, a message that is due waits for the
+# interpreter so long; Python's own 5 ms are too much [s].
+_SWITCH_INTERVAL = 0.0005
+# Longest time of catching up, in which services wait [ns].
+_MAX_BURST = 5_000_000
+_WAIT_POLL = 10_000_000
+_ACKNOWLEDGE_TIMEOUT = 5_000_000_000
+# Longest wait, after which a change of the position or the rate is noticed [s].
+_MAX_WAIT = 0.02
+# A best-effort subscriber receives nothing before it has matched the publisher too, and others may
+# be discovered at the same time [ns].
+_SETTLING = 200_000_000
+
+
+class Player(ManagedNode[PlayerParameters]):
+    """Plays a bag while it is active; deactivating is a pause, cleaning up releases the bag.
+
+    `bag.playback` decides when to publish what; the node adds the time, the publishers and the
+    user's means: services named as those of rosbag2's player, and live parameters.
+
+    Args:
+        node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
+
+    Raises:
+        ParameterError: A parameter has a wrong type or value, or does not fit the bag.
+        BagReadError: The bag cannot be read. Damage further on is raised where playing reaches it.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("player", PlayerParameters, **node_kwargs)
+        self._finished = False
+        self._ended: int | None = None
+        self.start()
+
+    def configure(self) -> None:
+        """Open the bag, offer its topics and read ahead."""
+        parameters = self.parameters
+        if not parameters.bag:
+            raise ParameterError("parameter 'bag' must name a bag folder or an .mcap file")
+        if self.get_parameter("use_sim_time").value:
+            self.log(Level.WARN, "use_sim_time does not matter: the player makes the time")
+        self._reader = reader = BagReader(Path(parameters.bag).expanduser())
+        self._warned = False
+        self._bag_start = reader.start_time or 0
+        self._length = (reader.end_time or 0) - self._bag_start
+        self.check(parameters)
+        start, end = parameters.window(self._bag_start, self._bag_start + self._length)
+        selected = [reader.topics[name] for name in parameters.select(reader.topics)]
+        self._played = played_topics(self, selected, parameters.queue_depth)
+        self._counts = dict.fromkeys(self._played, 0)
+        self._clock_publisher: Any = None
+        if parameters.clock:
+            self._clock_publisher = self.create_publisher(ClockMessage, CLOCK, 10)
+        self._lags: list[int] = []
+        self._held_back_before = 0
+        latched = {
+            name: each.qos_profile.depth
+            for name, each in self._played.items()
+            if each.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        }
+        source = BagSource(reader, list(self._counts), latched, start, end, _READ_AHEAD)
+        self.at_cleanup(source.close)
+        self.at_cleanup(sys.setswitchinterval, sys.getswitchinterval())
+        sys.setswitchinterval(_SWITCH_INTERVAL)
+        self._playback = Playback(
+            lambda time, again: self._until_damage(source.read(time, again)),
+            start,
+            end,
+            rate=parameters.rate,
+            clock_rate=parameters.clock,
+            loop=parameters.loop,
+        )
+        self._paused = parameters.start_paused
+        self._seek(parameters.position)
+        self.offer_diagnostics(str(reader.path), self._statuses)
+        self.offer_triggers(
+            {
+                "pause": lambda: self._pause(True),
+                "resume": lambda: self._pause(False),
+                "toggle_paused": lambda: self._pause(not self._paused),
+                "is_paused": lambda: (self._paused, self._state_text),
+                "play_next": self.step,
+            }
+        )
+        self._ticker = Ticker(self, _MAX_WAIT, self._play, executor_clock=self.steady)
+        self.ticker = self._ticker
+        self.log(
+            Level.OK,
+            f"opened {reader.path}: {sum(t.count for t in selected)} messages of "
+            f"{len(selected)} topics, {self._length * 1e-9:.3f} s",
+        )
+
+    def _until_damage(self, messages: Iterator[BagMessage | None]) -> Iterator[BagMessage | None]:
+        """Wait until subscribers have what was played, before damage of the bag ends the player."""
+        try:
+            yield from messages
+        except BagReadError:
+            self._is_acknowledged(_ACKNOWLEDGE_TIMEOUT)
+            raise
+
+    def activate(self) -> None:
+        """Play, as soon as there are subscribers, unless paused."""
+        self._is_awaited = True
+        self._activated = self._since = time.monotonic_ns()
+        self._there = 0
+        self._ticker.start()
+
+    def deactivate(self) -> None:
+        """Stand still."""
+        self._ticker.stop()
+        self._playback.pause(time.monotonic_ns())
+
+    def cleanup(self) -> None:
+        """Log what has been played."""
+        self._warn_of_unchecked()
+        self.get_logger().info(f"played {self.messages} messages of {len(self._counts)} topics")
+
+    def check(self, parameters: PlayerParameters) -> None:
+        """Refuse a position beyond the bag's end."""
+        if self.configured and parameters.position > (length := self._length * 1e-9):
+            raise ParameterError(
+                f"parameter 'position' must be at most {length:.9g} s, the bag's length"
+            )
+
+    def retune(self, parameters: PlayerParameters, names: Collection[str]) -> None:
+        """Play at another rate, with or without a loop; go to a position, even to the same."""
+        self._playback.set_rate(parameters.rate, time.monotonic_ns())
+        self._playback.loop = parameters.loop
+        if "position" in names:
+            self._seek(parameters.position)
+
+    @property
+    def finished(self) -> bool:
+        """Whether all has been played and has arrived; a process then ends."""
+        return super().finished or self._finished
+
+    @property
+    def messages(self) -> int:
+        """The number of messages published since it was configured."""
+        return sum(self._counts.values())
+
+    @property
+    def position(self) -> float:
+        """The present position, from the bag's start [s]."""
+        return (self._playback.position(time.monotonic_ns()) - self._bag_start) * 1e-9
+
+    @property
+    def doing(self) -> str:
+        """The state, in words."""
+        if not self.active:
+            return "inactive"
+        if self._paused:
+            return "paused"
+        if self._is_awaited:
+            return "waiting for subscribers"
+        return "ended" if self._playback.ended else "playing"
+
+    def step(self) -> tuple[bool, str]:
+        """Publish the next message, in a pause; return whether there was one, and which or why."""
+        if not (self.active and self._paused):
+            return False, f"only a paused player steps; it is {self.doing}"
+        self._play()  # what is latched here is no step
+        events = self._playback.step(time.monotonic_ns())
+        for event in events:
+            self._publish(event)
+        if not events or (message := events[-1].message) is None:
+            return False, "the bag has ended"
+        return True, f"{message.topic} at {self.position:.3f} s"
+
+    def _play(self) -> int:
+        """Publish what is due; return the time until more is [ns]."""
+        playback, now = self._playback, time.monotonic_ns()
+        if playback.paused and not (self._paused or playback.ended):
+            if not self._may_start(now):
+                return _WAIT_POLL
+            playback.position(now)  # reads the first message, which may take a while after a seek
+            now = time.monotonic_ns()
+            playback.resume(now)
+        burst_end = now + _MAX_BURST
+        held_back = playback.held_back
+        while now < burst_end and (event := playback.take(now)) is not None:
+            self._lags.append(now - event.due)
+            self._publish(event)
+            now = time.monotonic_ns()
+        if playback.held_back > held_back and self.may_log("lag"):
+            self.log(
+                Level.WARN,
+                f"{(playback.held_back - held_back) * 1e-9:.3f} s behind: continuing from here, "
+                "with nothing left out",
+            )
+        if playback.ended and not self._finished:
+            self._finished = self._has_arrived(now)
+        return playback.wait(now)
+
+    def _publish(self, event: Event) -> None:
+        if event.message is not None:
+            self._played[event.message.topic].publish(event.message.data)
+            self._counts[event.message.topic] += 1
+            return
+        message = ClockMessage()
+        set_stamp(message.clock, event.time)
+        self._clock_publisher.publish(message)
+
+    def _may_start(self, now: int) -> bool:
+        """Return whether enough subscribers are there and settled, or the wait is over."""
+        parameters = self.parameters
+        there = sum(each.get_subscription_count() for each in self._played.values())
+        if self._is_awaited:
+            wanted = parameters.wait_for_subscribers if self._counts else 0
+            if there != self._there:
+                self._there, self._since = there, now
+            is_over = 0.0 < parameters.wait_timeout <= (now - self._activated) * 1e-9
+            if is_over and there < wanted:
+                self.log(Level.WARN, f"playing to {there} of {wanted} subscriptions")
+            has_settled = there >= wanted and now - self._since >= _SETTLING
+            self._is_awaited = wanted > 0 and not is_over and not has_settled
+        return not self._is_awaited
+
+    def _has_arrived(self, now: int) -> bool:
+        """Return whether subscribers have all that was played, or too much time has passed."""
+        if self._ended is None:
+            self._ended = now
+        return self._is_acknowledged() or now - self._ended > _ACKNOWLEDGE_TIMEOUT
+
+    def _is_acknowledged(self, timeout: int = 0) -> bool:
+        """Return whether reliable subscribers have everything, after a timeout for each [ns]."""
+        limit = Duration(nanoseconds=timeout)
+        return all(each.wait_for_all_acked(limit) for each in self._played.values())
+
+    def _seek(self, seconds: float) -> None:
+        self._finished = False
+        self._ended = None
+        target = self._bag_start + round(seconds * 1e9)
+        self._playback.seek(target, time.monotonic_ns())
+
+    @property
+    def _state_text(self) -> str:
+        return f"{self.doing} at {self.position:.3f} s"
+
+    def _pause(self, paused: bool) -> tuple[bool, str]:
+        """Stand still, or play on; return the answer of a service."""
+        self._paused = paused
+        if paused:
+            self._playback.pause(time.monotonic_ns())
+        return True, self._state_text
+
+    def _warn_of_unchecked(self) -> None:
+        if self._reader.unchecked and not self._warned:
+            self._warned = True
+            self.log(Level.WARN, f"{self._reader.path}: {UNCHECKED}")
+
+    def _statuses(self) -> Statuses:
+        self._warn_of_unchecked()
+        lags, self._lags = self._lags, []
+        held_back, before = self._playback.held_back, self._held_back_before
+        self._held_back_before = held_back
+        values = {
+            "position [s]": f"{self.position:.3f}",
+            "length [s]": f"{self._length * 1e-9:.3f}",
+            "rate": f"{self.parameters.rate:g}",
+            "paused": str(self._paused).lower(),
+            "held back [s]": f"{held_back * 1e-9:.3f}",
+        }
+        if lags:
+            median, high = np.percentile(lags, (50, 99)) * 1e-6
+            values |= {"lag p50 [ms]": f"{median:.3f}", "lag p99 [ms]": f"{high:.3f}"}
+        values["messages"] = str(self.messages)
+        values |= {f"messages of {name}": str(count) for name, count in self._counts.items()}
+        late = held_back > before
+        level, message = (Level.WARN, "too slow for the rate") if late else (Level.OK, self.doing)
+        return [Status("playing", level, message, values)], {}
+
+
+Parameters, create = PlayerParameters, Player

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tsobs_ros.bag.recording import Recording, SnapshotBuffer
-from tsobs_ros.nodes.selection import SelectingParameters
+from tsobs_ros.nodes.parameters import SelectingParameters
 from tsobs_ros.settings import live_setting, setting
 
 _MIB = 2**20

@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recorder's counts, of lost messages too, and its statuses in /diagnostics."""
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from tsobs_ros.bag.recording import SnapshotBuffer
+from tsobs_ros.bag.recording import Recording
 from tsobs_ros.estimation.health import Level, Status
+from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 
 _MIB = 2**20
 # How much later than planned a sync may end without a warning [s].
@@ -112,38 +112,26 @@ class RecorderStatistics:
 
     Attributes:
         topics: What is missing of each topic, by its full name.
-        counts: Messages recorded of each.
-        discarded: Messages discarded in pauses.
-        bytes: Bytes of the messages recorded.
-        files: Files of the bag.
+        recording: The bag with its counts.
+        parameters: The recorder's.
         is_recording: Whether what arrives is recorded.
         awaits_clock: Whether messages wait for the first time on /clock.
         missing: Listed topics without a publisher.
         free_disk: Free disk space [MiB].
-        minimum_free_disk: That at which recording ends [MiB].
-        sync_age: Time since the last sync of the disk [s].
-        sync_period: That between two syncs [s].
-        snapshot: The last seconds, in snapshot mode.
     """
 
     topics: Mapping[str, LossCounter]
-    counts: Mapping[str, int]
-    discarded: int = 0
-    bytes: int = 0
-    files: int = 1
-    is_recording: bool = True
-    awaits_clock: bool = False
-    missing: Sequence[str] = ()
-    free_disk: float = math.inf
-    minimum_free_disk: int = 0
-    sync_age: float = 0.0
-    sync_period: float = 0.0
-    snapshot: SnapshotBuffer | None = None
+    recording: Recording
+    parameters: RecorderParameters
+    is_recording: bool
+    awaits_clock: bool
+    missing: Sequence[str]
+    free_disk: float
 
     @property
     def messages(self) -> int:
         """The messages recorded."""
-        return sum(self.counts.values())
+        return sum(self.recording.counts.values())
 
     @property
     def lost(self) -> int:
@@ -163,7 +151,7 @@ class RecorderStatistics:
     @property
     def disk_is_filling(self) -> bool:
         """Whether recording will soon end for want of disk space."""
-        return self.free_disk < _FREE_DISK_WARNING * self.minimum_free_disk
+        return self.free_disk < _FREE_DISK_WARNING * self.parameters.minimum_free_disk
 
 
 def statuses(counts: RecorderStatistics, rate: float) -> list[Status]:
@@ -173,47 +161,49 @@ def statuses(counts: RecorderStatistics, rate: float) -> list[Status]:
         counts: The recorder's.
         rate: Messages per second [1/s].
     """
+    recording, topics = counts.recording, sorted(counts.topics.items())
     values = {
         "messages": str(counts.messages),
         "messages a second": f"{rate:.1f}",
-        "MiB": f"{counts.bytes / _MIB:.1f}",
+        "MiB": f"{recording.bytes / _MIB:.1f}",
         "lost": str(counts.lost),
         "published before the first": str(counts.earlier),
         "losses unknown of": ", ".join(counts.loss_unknown),
-        "discarded while paused": str(counts.discarded),
+        "discarded while paused": str(recording.discarded),
         "topics": str(len(counts.topics)),
         "waiting for": ", ".join(counts.missing),
         "paused": str(not counts.is_recording).lower(),
-        "files": str(counts.files),
+        "files": str(recording.file_count),
         "free disk space (MiB)": f"{counts.free_disk:.0f}",
-        "last sync (s ago)": f"{counts.sync_age:.1f}",
+        "last sync (s ago)": f"{recording.sync_age:.1f}",
     }
-    if (buffer := counts.snapshot) is not None:
+    if (buffer := recording.snapshot) is not None:
         duration, size = buffer.duration_ns * 1e-9, buffer.size / _MIB
         values["snapshot buffer"] = f"{len(buffer)} messages, {duration:.1f} s, {size:.1f} MiB"
         values["too large for the snapshot buffer"] = str(buffer.refused)
-    topics = {name: one.text(counts.counts[name]) for name, one in sorted(counts.topics.items())}
     level, message = Level.OK, "nothing lost since the first of each"
-    if lossy := sorted(name for name, topic in counts.topics.items() if topic.lost):
+    if lossy := [name for name, losses in topics if losses.lost]:
         level, message = Level.WARN, f"messages lost of {', '.join(lossy)}"
     elif counts.loss_unknown:
         message = f"losses unknown of {', '.join(counts.loss_unknown)}"
+    texts = {name: losses.text(recording.counts[name]) for name, losses in topics}
     return [
         Status("recording", *_verdict(counts), values),
-        Status("topics", level, message, topics),
+        Status("topics", level, message, texts),
     ]
 
 
 def _verdict(counts: RecorderStatistics) -> tuple[Level, str]:
     """Return the most serious thing there is to report."""
-    refused = 0 if counts.snapshot is None else counts.snapshot.refused
+    snapshot, sync_age = counts.recording.snapshot, counts.recording.sync_age
+    refused = 0 if snapshot is None else snapshot.refused
     warnings = (
         (counts.lost, f"{counts.lost} messages lost"),
         (refused, f"{refused} messages too large for the snapshot buffer"),
         (counts.disk_is_filling, f"{counts.free_disk:.0f} MiB of disk space are left"),
         (
-            counts.sync_age > counts.sync_period + _SYNC_GRACE,
-            f"the disk has not kept up for {counts.sync_age:.0f} s",
+            sync_age > counts.parameters.sync_period + _SYNC_GRACE,
+            f"the disk has not kept up for {sync_age:.0f} s",
         ),
         (counts.awaits_clock, "waiting for /clock"),
         (counts.missing, f"waiting for {', '.join(counts.missing[:1])}"),
@@ -223,4 +213,4 @@ def _verdict(counts: RecorderStatistics) -> tuple[Level, str]:
             return Level.WARN, message
     if not counts.is_recording:
         return Level.OK, "paused"
-    return Level.OK, "recording" if counts.snapshot is None else "keeping the last seconds"
+    return Level.OK, "recording" if snapshot is None else "keeping the last seconds"

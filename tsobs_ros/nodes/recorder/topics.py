@@ -3,15 +3,16 @@
 """The topics a recorder subscribes to: found in the graph, with the QoS their publishers offer."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import Enum
-from typing import Any, NamedTuple
+from typing import Any
 
 from rclpy.duration import Duration
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from tsobs_ros.bag.definitions import MessageDefinition, find_definition
+from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import QosProfile, QosTime
 from tsobs_ros.bag.recording import BufferedMessage, Latch
 from tsobs_ros.errors import BagWriteError, NodeError
@@ -28,14 +29,8 @@ _POLLS_PER_FULL_LOOK = 10
 # Messages of a topic remembered at least, to recognise those that arrive by two subscriptions.
 _REMEMBERED = 5000
 
-
-class QosKind(NamedTuple):
-    """The policies that decide which publishers a subscription matches."""
-
-    latched: bool
-    reliable: bool
-
-
+# Whether a subscription is latched and reliable, which decides on the publishers it matches.
+_Kind = tuple[bool, bool]
 # Publication time, number and length: of two messages of a topic, one is never the same.
 _Key = tuple[int, int | None, int]
 
@@ -47,31 +42,37 @@ class RecordedTopic:
     recorded with all it offers; one, if all offer the same. A subscription that asks for less also
     matches those that offer more, and what arrives twice is recorded once.
 
+    Args:
+        node: The node that owns the subscriptions.
+        name: The full topic name.
+        given: The name before remappings, which subscribing applies.
+        publishers: Its publishers, all of one type.
+        depth: Messages that may wait in the queue of a subscription.
+
     Attributes:
         name: The full topic name.
         definition: Its type.
         offers: What its publishers offered when it was found.
         losses: What is missing of it.
+
+    Raises:
+        BagWriteError: The type has no definition.
+        NodeError: The type is not installed, or rclpy refuses to subscribe.
     """
 
     def __init__(
-        self,
-        name: str,
-        definition: MessageDefinition,
-        publishers: Sequence[TopicEndpointInfo],
-        subscribe: Callable[[QosKind], DrainedSubscription],
-        current_publishers: Callable[[], frozenset[bytes]],
+        self, node: Node, name: str, given: str, publishers: Sequence[TopicEndpointInfo], depth: int
     ) -> None:
         self.name = name
-        self.definition = definition
-        self.offers = tuple(to_bag_qos(info.qos_profile) for info in publishers)
+        self.definition = find_definition(publishers[0].topic_type)
         self.losses = LossCounter()
-        self._subscribe = subscribe
-        self._current_publishers = current_publishers
-        self._subscriptions: dict[QosKind, DrainedSubscription] = {}
+        self._node, self._given, self._depth = node, given, depth
+        self._msg_type = message_class(self.definition.type)
+        self._subscriptions: dict[_Kind, DrainedSubscription] = {}
         self._latched_publishers: set[bytes] = set()
         self._recent: set[_Key] = set()
         self._older: set[_Key] = set()
+        self.offers = tuple(to_bag_qos(info.qos_profile) for info in publishers)
         self.subscribe(publishers)
 
     @property
@@ -82,14 +83,12 @@ class RecordedTopic:
     def subscribe(self, publishers: Sequence[TopicEndpointInfo]) -> None:
         """Subscribe to all the publishers there are, as far as that is not done yet."""
         for info in publishers:
-            kind = QosKind(
-                info.qos_profile.durability == _LATCHED,
-                info.qos_profile.reliability == _RELIABLE,
-            )
-            if kind.latched:
+            qos = info.qos_profile
+            kind = (qos.durability == _LATCHED, qos.reliability == _RELIABLE)
+            if qos.durability == _LATCHED:
                 self._latched_publishers.add(bytes(info.endpoint_gid))
             if kind not in self._subscriptions:
-                self._subscriptions[kind] = self._subscribe(kind)
+                self._subscriptions[kind] = self._subscription(*kind)
                 # Latched ones last: when their queue is emptied, a copy has not arrived before.
                 self._subscriptions = dict(sorted(self._subscriptions.items()))
         self.losses.see(_gids(publishers))
@@ -103,9 +102,9 @@ class RecordedTopic:
         only_one = len(taken) == 1
         received: list[tuple[BufferedMessage, Latch | None]] = []
         numbers: list[int | None] = []
-        for kind, subscription, messages in reversed(taken):
+        for (is_latched, _), subscription, messages in reversed(taken):
             publishers = 0
-            if kind.latched and messages:
+            if is_latched and messages:
                 publishers = max(subscription.publisher_count, len(self._latched_publishers))
             for data, info in messages:
                 source_ns, number = info["source_timestamp"], info["publication_sequence_number"]
@@ -113,7 +112,7 @@ class RecordedTopic:
                 if (key in self._recent or key in self._older) and not only_one:
                     continue
                 self._recent.add(key)
-                latch = Latch(number, publishers) if kind.latched else None
+                latch = Latch(number, publishers) if is_latched else None
                 received_ns = info["received_timestamp"] or time.time_ns()
                 message = BufferedMessage(self.name, data, received_ns, max(source_ns, 0))
                 received.append((message, latch))
@@ -121,10 +120,23 @@ class RecordedTopic:
         if received:
             if self.losses.since_ns is None:
                 self.losses.since_ns = min(message.log_time_ns for message, _ in received)
-            self.losses.add(numbers, self._current_publishers)
+            self.losses.add(
+                numbers, lambda: _gids(self._node.get_publishers_info_by_topic(self.name))
+            )
         if len(self._recent) > _REMEMBERED:
             self._recent, self._older = set(), self._recent
         return received
+
+    def _subscription(self, latched: bool, reliable: bool) -> DrainedSubscription:
+        qos = QoSProfile(
+            depth=self._depth,
+            reliability=_RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            durability=_LATCHED if latched else DurabilityPolicy.VOLATILE,
+        )
+        try:
+            return DrainedSubscription(self._node, self._msg_type, self._given, qos, raw=True)
+        except Exception as error:  # such as another type of the same topic in this process
+            raise NodeError(f"{self.name}: cannot subscribe: {error}") from error
 
 
 class TopicFinder:
@@ -144,7 +156,7 @@ class TopicFinder:
         self._node = node
         self._selection = parameters.resolved(node.resolve_topic_name, node.resolve_service_name)
         self._listed = self._selection.listed()
-        # Subscribing applies remappings, so it needs the names from before them.
+        # Full names and those before remappings, which subscribing applies.
         self._given = {node.resolve_topic_name(n): n for n in parameters.topics if n != "*"}
         # The types a topic was tried with, and the warnings given: neither is repeated.
         self._tried: dict[str, Sequence[str]] = {}
@@ -191,35 +203,16 @@ class TopicFinder:
         self._tried[name] = types
         if len(types) > 1:
             raise BagWriteError(f"its publishers disagree about its type: {', '.join(types)}")
-        definition = find_definition(types[0])
-        msg_type = message_class(types[0])
-        hashes = {str(info.topic_type_hash) for info in publishers} - {definition.type_hash}
-        if definition.type_hash and any(text.startswith("RIHS01_") for text in hashes):
+        given, depth = self._given.get(name, name), self._selection.queue_depth
+        topic = RecordedTopic(self._node, name, given, publishers, depth)
+        own = topic.definition.type_hash
+        hashes = {str(info.topic_type_hash) for info in publishers} - {own}
+        if own and any(text.startswith("RIHS01_") for text in hashes):
             self._node.log(
                 Level.WARN,
-                f"{name}: a publisher's definition of {definition.type} is not the installed one",
+                f"{name}: a publisher's definition of {types[0]} is not the installed one",
             )
-        return RecordedTopic(
-            name,
-            definition,
-            publishers,
-            lambda kind: self._subscription(name, msg_type, kind),
-            lambda: _gids(self._node.get_publishers_info_by_topic(name)),
-        )
-
-    def _subscription(self, name: str, msg_type: Any, kind: QosKind) -> DrainedSubscription:
-        # As much as is offered.
-        qos = QoSProfile(
-            depth=self._selection.queue_depth,
-            reliability=_RELIABLE if kind.reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=_LATCHED if kind.latched else DurabilityPolicy.VOLATILE,
-        )
-        try:
-            return DrainedSubscription(
-                self._node, msg_type, self._given.get(name, name), qos, raw=True
-            )
-        except Exception as error:  # such as another type of the same topic in this process
-            raise NodeError(f"{name}: cannot subscribe: {error}") from error
+        return topic
 
     def _look_at(self, topic: RecordedTopic) -> None:
         """Subscribe to publishers that came later."""

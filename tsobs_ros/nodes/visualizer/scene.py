@@ -18,7 +18,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.nodes.managed import ManagedParameters
+from tsobs_ros.nodes.parameters import ManagedParameters
 from tsobs_ros.settings import live_setting, setting
 from tsobs_ros.style import BLUE, GREEN, GRID, MUTED, ORANGE, PURPLE, RED
 
