@@ -4,16 +4,42 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
+
+from tsobs_ros.bag.container import MAGIC, RECORD
 
 STRING = "std_msgs/msg/String"
 SCHEMA = (STRING, "ros2msg", b"string data\n")
 CHANNEL = ("/a", "cdr", 1, {})
 
-HELLO = b"\0\1\0\0\6\0\0\0hello\0"
-"""A message of the type `STRING`."""
+
+class Entry(NamedTuple):
+    """A message of a bag."""
+
+    topic: str
+    data: bytes
+    log_time: int
+    publish_time: int
+
+
+def cdr(text: str) -> bytes:
+    """Return a message of the type `STRING`."""
+    return b"\0\1\0\0" + (len(text) + 1).to_bytes(4, "little") + text.encode() + b"\0"
+
+
+def places(data: bytes, opcode: Opcode) -> list[tuple[int, int]]:
+    """Return where the records of a kind start and end."""
+    found, at = [], len(MAGIC)
+    while at < len(data) - len(MAGIC):
+        kind, length = RECORD.unpack_from(data, at)
+        if kind == opcode:
+            found.append((at, at + RECORD.size + length))
+        at += RECORD.size + length
+    return found
+
 
 Call = tuple[int, int, bytes, int]
 """Channel, log time, data and publish time of a message."""

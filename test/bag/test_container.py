@@ -10,7 +10,7 @@ from pathlib import Path
 import lz4.frame
 import pytest
 import zstandard
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.records import (
@@ -59,6 +59,7 @@ def written_chunk(calls, compression: CompressionType) -> Chunk:
     return next(record for record in records if isinstance(record, Chunk))
 
 
+@settings(max_examples=30)
 @given(CALLS.filter(bool), st.sampled_from(CompressionType))
 def test_messages_are_those_that_the_library_reads(calls, compression: CompressionType) -> None:
     chunk = written_chunk(calls, compression)

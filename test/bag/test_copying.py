@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
-from rosbags.rosbag2 import Reader as RosbagsReader
 
 from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
 from tsobs_ros.bag.copying import ChunkCopy
@@ -108,15 +107,10 @@ def check(source: Path, target: Path, topics: tuple[str, ...]) -> None:
     # A message that was made comes behind the recorded ones of its time.
     assert [one for one in made if one.log_time == 60][-1:][0].topic == "/made"
     verification = verify(target)
-    assert verification.holds, verification.text()
-    assert verification.unchecked == 0
-    with RosbagsReader(target) as rosbags:
-        assert sorted((c.topic, time, data) for c, time, data in rosbags.messages()) == sorted(
-            (one.topic, one.log_time, one.data) for one in made
-        )
+    assert (verification.errors, verification.unchecked) == ((), 0)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10)
 @given(
     entries,
     st.sampled_from(["none", "lz4", "zstd"]),
@@ -156,15 +150,10 @@ def stay(source: Path, target: Path) -> tuple[int, int]:
     return len(old), sum(data in new for data in old)
 
 
-def test_chunks_of_which_all_is_wanted_are_copied_as_they_are(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", WRITTEN)
-    new = copy(bag, tmp_path / "new", TOPICS)
-    check(bag, new, TOPICS)
-    assert stay(bag, new) == (6, 6)
-
-
 # What is wanted, how it was written, and how many chunks there are and have the same bytes after.
+OURS = {"compression": "zstd"}
 OTHERS: dict[str, tuple[tuple[str, ...], dict[str, Any], tuple[int, int]]] = {
+    "as we write it": (TOPICS, OURS, (6, 6)),
     "as others write it": (TOPICS, {"chunk_size": 500}, (6, 6)),
     "schemas with other ids": (TOPICS, {"skipped": 2}, (13, 12)),
     "messages that nobody wants": (("/a", "/b"), {"chunk_size": 500}, (6, 0)),
@@ -173,10 +162,11 @@ OTHERS: dict[str, tuple[tuple[str, ...], dict[str, Any], tuple[int, int]]] = {
 
 
 @pytest.mark.parametrize(("topics", "options", "expected"), OTHERS.values(), ids=OTHERS)
-def test_of_other_chunks_the_messages_are_picked_out(
+def test_chunks_are_copied_as_they_are_or_the_messages_picked_out(
     tmp_path: Path, topics: tuple[str, ...], options: dict[str, Any], expected: tuple[int, int]
 ) -> None:
-    file = foreign(tmp_path / "other.mcap", WRITTEN, **options)
+    write = write_bag if options == OURS else foreign
+    file = write(tmp_path / "other.mcap", WRITTEN, **options)
     new = copy(file, tmp_path / "new", topics)
     check(file, new, topics)
     assert stay(file, new) == expected

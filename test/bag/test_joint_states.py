@@ -4,7 +4,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
@@ -57,6 +57,7 @@ def by_rclpy(message: JointState) -> bytes:
     return bytes(serialize_message(ros))
 
 
+@settings(max_examples=25)
 @given(MESSAGES)
 def test_a_message_has_the_bytes_that_rosbags_and_rclpy_write(message: JointState) -> None:
     data, theirs = encoded(message), by_rclpy(message)
@@ -69,6 +70,7 @@ def test_a_message_has_the_bytes_that_rosbags_and_rclpy_write(message: JointStat
     assert (back.name, list(back.position)) == (list(message.names), list(message.position))
 
 
+@settings(max_examples=25)
 @given(st.lists(st.tuples(MESSAGES, st.booleans()), max_size=12), st.integers(1, 3))
 def test_messages_in_either_byte_order_come_back_one_by_one_and_at_once(items, copies) -> None:
     messages = [message for message, _ in items] * copies
@@ -99,6 +101,7 @@ def test_messages_of_another_layout_are_left_out_of_a_group() -> None:
     assert group.velocity.shape == (5, 0)
 
 
+@settings(max_examples=25)
 @given(MESSAGES, st.lists(STAMPS, min_size=1, max_size=4))
 def test_many_messages_encoded_at_once_are_those_encoded_one_by_one(message, stamps) -> None:
     encode = JointStateEncoder(message.names, message.frame_id)

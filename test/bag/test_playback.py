@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tsobs_ros.bag import BagReader, BagWriter
@@ -88,6 +88,7 @@ def ticks(events: Sequence[Event]) -> list[int]:
     return [e.time - START for e in events if e.message is None]
 
 
+@settings(max_examples=30)
 @given(
     st.lists(st.integers(0, 3 * S), min_size=1, max_size=40),
     rates,

@@ -20,14 +20,13 @@ from typing import Any, NamedTuple
 
 import pytest
 import zstandard
-from foreign import CHANNEL, SCHEMA, STRING, write_mcap
+from foreign import CHANNEL, SCHEMA, STRING, Entry, cdr, places, write_mcap
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
-from tsobs_ros.bag.container import MAGIC, RECORD
+from tsobs_ros.bag.container import RECORD
 from tsobs_ros.bag.metadata import read_metadata
 from tsobs_ros.bag.recovery import Recovery, recover
 from tsobs_ros.bag.summary import summarise
@@ -35,16 +34,8 @@ from tsobs_ros.bag.verification import verify
 from tsobs_ros.bag.walker import FileWalker
 from tsobs_ros.errors import BagReadError, BagWriteError
 
-COMPRESSIONS = ["none", "lz4", "zstd"]
 CHUNKS, PER_CHUNK = 3, 5
 BOMB = zstandard.compress(bytes(2**28))
-
-
-class Entry(NamedTuple):
-    topic: str
-    data: bytes
-    log_time: int
-    publish_time: int
 
 
 class Sample(NamedTuple):
@@ -53,10 +44,6 @@ class Sample(NamedTuple):
     data: bytes
     entries: list[Entry]
     chunks: list[tuple[int, int]]
-
-
-def cdr(text: str) -> bytes:
-    return b"\0\1\0\0" + (len(text) + 1).to_bytes(4, "little") + text.encode() + b"\0"
 
 
 def entry(number: int) -> Entry:
@@ -83,17 +70,6 @@ def sample(compression: str) -> Sample:
         entries = write_bag(Path(folder) / "bag", compression=compression)
         data = (Path(folder) / "bag" / "bag_0.mcap").read_bytes()
     return Sample(data, entries, places(data, Opcode.CHUNK))
-
-
-def places(data: bytes, opcode: Opcode) -> list[tuple[int, int]]:
-    """Return where the records of a kind start and end."""
-    found, at = [], len(MAGIC)
-    while at < len(data) - len(MAGIC):
-        kind, length = RECORD.unpack_from(data, at)
-        if kind == opcode:
-            found.append((at, at + RECORD.size + length))
-        at += RECORD.size + length
-    return found
 
 
 def scanned(data: bytes) -> list[tuple[bytes, int, int]]:
@@ -128,12 +104,14 @@ def snapshot(folder: Path) -> dict[str, tuple[bytes, int]]:
     return {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in sorted(folder.iterdir())}
 
 
-@pytest.mark.parametrize("tail", [b"", bytes(100)], ids=["cut", "zeros"])
-@pytest.mark.parametrize("compression", ["none", "zstd"])
-def test_a_cut_at_any_byte_loses_only_what_comes_after(compression: str, tail: bytes) -> None:
+@pytest.mark.parametrize("step", [13, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("compression", "tail"), [("none", bytes(100)), ("zstd", b"")])
+def test_a_cut_at_any_byte_loses_only_what_comes_after(
+    compression: str, tail: bytes, step: int
+) -> None:
     data, entries, chunks = sample(compression)
     expected = [e[1:] for e in entries]
-    for cut in range(len(data) % 5, len(data) + 1, 5):
+    for cut in range(len(data) % step, len(data) + 1, step):
         found = scanned(data[:cut] + tail)
         assert len(found) >= PER_CHUNK * sum(end <= cut for _, end in chunks), f"cut at {cut}"
         assert found == expected[: len(found)], f"cut at byte {cut}"
@@ -143,7 +121,7 @@ def zero(data: bytes, start: int, end: int) -> bytes:
     return data[:start] + bytes(end - start) + data[end:]
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
 def test_the_front_of_a_large_chunk_is_kept_and_unchecked(tmp_path: Path, compression: str) -> None:
     with BagWriter(tmp_path / "bag", compression=compression) as writer:
         writer.add_topic("/a", STRING)
@@ -186,37 +164,27 @@ def test_messages_outside_of_chunks_are_recovered_up_to_any_cut(tmp_path: Path) 
     path = write_mcap(tmp_path / "x.mcap", messages, enable_crcs=False, use_chunking=False)
     data = path.read_bytes()
     ends = [end for _, end in places(data, Opcode.MESSAGE)]
-    for cut in range(0, len(data), 3):
-        for tail in (b"", bytes(50)):
-            found = [m[2] for m in scanned(data[:cut] + tail)]
-            assert found == list(range(len(found)))
-            # Whether the zeros at the end of the last message are its own is unknown.
-            assert len(found) >= sum(end <= cut for end in ends) - 1
+    for cut in range(0, len(data), 7):
+        found = [m[2] for m in scanned(data[:cut] + bytes(cut % 2 * 50))]
+        assert found == list(range(len(found)))
+        # Whether the zeros at the end of the last message are its own is unknown.
+        assert len(found) >= sum(end <= cut for end in ends) - 1
 
 
 def test_topics_of_a_lost_chunk_are_found_in_the_folders_metadata(tmp_path: Path) -> None:
     """The first chunk alone describes the topics, and without an end nothing repeats them."""
     entries = write_bag(tmp_path / "bag", compression="none")
-    path = tmp_path / "bag" / "bag_0.mcap"
-    data, chunks = path.read_bytes(), sample("none").chunks
-    (start, middle), (_, last) = chunks[0], chunks[-1]
-    path.write_bytes(zero(data[:last], start, middle))
+    path, description = tmp_path / "bag" / "bag_0.mcap", tmp_path / "bag" / "metadata.yaml"
+    chunks = sample("none").chunks
+    path.write_bytes(zero(path.read_bytes()[: chunks[-1][1]], *chunks[0]))
     recover(tmp_path / "bag", tmp_path / "new")
     assert in_recorded_order(tmp_path / "new") == entries[PER_CHUNK:]
-    assert verify(tmp_path / "new").holds
-
-
-def test_without_a_known_topic_nothing_is_recovered(tmp_path: Path) -> None:
-    write_bag(tmp_path / "bag", compression="none")
-    path, chunks = tmp_path / "bag" / "bag_0.mcap", sample("none").chunks
-    path.write_bytes(zero(path.read_bytes()[: chunks[-1][1]], *chunks[0]))
-    description = tmp_path / "bag" / "metadata.yaml"
     text = re.sub("RIHS01_....", "RIHS01_0000", description.read_text())
     for change in (lambda: description.write_text(text), description.unlink):
         change()
         with pytest.raises(BagReadError, match=r"no message can be recovered: .*bytes"):
-            recover(tmp_path / "bag", tmp_path / "new")
-        assert not (tmp_path / "new").exists()
+            recover(tmp_path / "bag", tmp_path / "none")
+        assert not (tmp_path / "none").exists()
 
 
 def make_split(path: Path) -> list[Entry]:
@@ -240,13 +208,7 @@ def forget_last_file(bag: Path) -> None:
 
 @pytest.mark.parametrize(
     "damage",
-    [
-        lambda bag: None,
-        cut_last_file,
-        forget_last_file,
-        lambda bag: (bag / "metadata.yaml").unlink(),
-        lambda bag: (bag / "metadata.yaml").write_bytes(b"\xff" * 100),
-    ],
+    [cut_last_file, forget_last_file, lambda bag: (bag / "metadata.yaml").write_bytes(b"\xff")],
 )
 def test_a_folder_is_recovered_file_by_file_and_not_touched(
     tmp_path: Path, damage: Callable[[Path], object]
@@ -264,11 +226,8 @@ def test_a_folder_is_recovered_file_by_file_and_not_touched(
     assert sum(read) == 2 * sum(path.stat().st_size for path in bag.glob("*.mcap"))
     assert result.is_whole == ("nothing known to be lost" in result.text())
     assert in_recorded_order(new) == entries
-    verification = verify(new)
-    assert (verification.errors, verification.remarks) == ((), ())
-    assert [BagReader(p).message_count for p in sorted(new.glob("*.mcap"))] == [
-        len(scanned(p.read_bytes())) for p in sorted(bag.glob("*.mcap"))
-    ]
+    assert verify(new).holds
+    assert len(list(new.iterdir())) == len(list(bag.iterdir()))
     assert read_metadata(new).custom_data == {"why": "a test"}
 
 
@@ -357,13 +316,10 @@ def bytes_read() -> int:
         return int(counts.readline().split()[1])
 
 
-@pytest.mark.parametrize("read", [lambda p: recover(p, p.parent / "new"), summarise])
-def test_chunk_look_alikes_are_read_a_few_times_at_most(
-    tmp_path: Path, read: Callable[[Path], object]
-) -> None:
+def test_chunk_look_alikes_are_read_a_few_times_at_most(tmp_path: Path) -> None:
     """Each reaches to the end of the file: to check all of them would take the square of it."""
     data, _, chunks = sample("none")
-    size = 2_000_000
+    size = 500_000
     alike = b"".join(
         RECORD.pack(Opcode.CHUNK, left - 9)
         + struct.pack("<QQQIIQ", 0, 0, left - 49, 1, 0, left - 49)
@@ -372,7 +328,7 @@ def test_chunk_look_alikes_are_read_a_few_times_at_most(
     path = tmp_path / "x.mcap"
     path.write_bytes(data[: chunks[1][1]] + alike)
     before = bytes_read()
-    read(path)
+    recover(path, tmp_path / "new")
     assert bytes_read() - before < 2 * (80 * path.stat().st_size + 2**30)
 
 
@@ -558,15 +514,10 @@ def attack(folder: Path, kind: Callable[[Made, random.Random], bytes], seed: int
     if report:
         found = in_recorded_order(new)
         assert report.message_count == len(found) == summarise(new)["messages"]
-        assert ("more than the file states" in report.text()) == any(
-            file.excess for file in report.files
-        )
         assert Counter(found) <= Counter(true), "made up or doubled"
         assert verify(new).holds
         with RosbagsReader(new) as rosbags:
             assert rosbags.message_count == len(list(rosbags.messages())) == len(found)
-        with (new / "new_0.mcap").open("rb") as stream:
-            assert len(list(make_reader(stream, validate_crcs=True).iter_messages())) == len(found)
         if report.is_whole:
             assert Counter(found) == Counter(true)
     assert not verification.holds or Counter(found) == Counter(true)
@@ -584,7 +535,7 @@ def attack(folder: Path, kind: Callable[[Made, random.Random], bytes], seed: int
 
 
 @pytest.mark.parametrize(
-    "seeds", [range(6), pytest.param(range(1000, 1100), marks=pytest.mark.slow)]
+    "seeds", [range(4), pytest.param(range(1000, 1100), marks=pytest.mark.slow)]
 )
 @pytest.mark.parametrize("kind", KINDS)
 def test_damaged_bags(

@@ -16,7 +16,7 @@ from tsobs_ros.bag.summary import summarise
 WRITTEN = st.lists(st.tuples(st.sampled_from(["/a", "/b"]), st.integers(0, 60)), max_size=30)
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(WRITTEN, st.integers(1, 6))
 def test_gaps_are_those_of_all_messages(written: list[tuple[str, int]], chunk: int) -> None:
     with TemporaryDirectory() as folder:
@@ -47,9 +47,9 @@ def test_the_last_time_there_is_and_an_empty_bag_are_told(tmp_path: Path) -> Non
 
 
 def test_chunks_that_overlap_in_any_way_are_looked_at_in_a_few_steps(tmp_path: Path) -> None:
-    """A thousand chunks of two messages each, the first and the last there are."""
-    times = [time for number in range(1_000) for time in (number, 10**9 - number)]
+    """Chunks of two messages each, the first and the last there are."""
+    times = [time for number in range(300) for time in (number, 10**9 - number)]
     write_mcap(tmp_path / "x.mcap", [(1, time, b"", 0) for time in times], chunk_size=1)
-    assert summarise(tmp_path / "x.mcap")["topics"][0]["largest_gap_ns"] == 10**9 - 1_998
+    assert summarise(tmp_path / "x.mcap")["topics"][0]["largest_gap_ns"] == 10**9 - 598
     times = [message.log_time for message in BagReader(tmp_path / "x.mcap").messages()]
     assert times == sorted(times)

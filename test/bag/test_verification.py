@@ -11,19 +11,20 @@ from typing import Any
 
 import pytest
 import yaml
-from foreign import HELLO, STRING, write_mcap
+from foreign import STRING, cdr, places, write_mcap
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import IndexType
 
 from tsobs_ros.bag import BagWriter, QosProfile
-from tsobs_ros.bag.container import MAGIC, RECORD, parse_record
+from tsobs_ros.bag.container import MAGIC, parse_record
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import profiles_to_yaml
 from tsobs_ros.bag.verification import Verification, verify
 from tsobs_ros.errors import BagReadError
 
 JOINTS = "sensor_msgs/msg/JointState"
+HELLO = cdr("hello")
 DEFINITION = find_definition(STRING)
 # Of the names before the first joint: header, stamp, frame and an empty sequence of names.
 EMPTY_JOINTS = b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0" + bytes(16)
@@ -100,7 +101,6 @@ def list_first_as(values: dict[str, Any], name: str) -> None:
 @pytest.mark.parametrize(
     ("change", "pattern"),
     [
-        (lambda v: v.update(version=8), "version"),
         (lambda v: v.update(storage_identifier="sqlite3"), "is stated as sqlite3, but is mcap"),
         (lambda v: v.update(duration={"nanoseconds": 7}), "duration is stated as .*7.*, but is .*"),
         (lambda v: v.update(message_count=3), "message_count is stated as 3, but is 40"),
@@ -121,7 +121,6 @@ def list_first_as(values: dict[str, Any], name: str) -> None:
         ),
         (lambda v: other_topic(v, offered_qos_profiles=[]), "/a: its QoS is not the one in"),
         (lambda v: list_first_as(v, "./bag_0.mcap"), r"'\./bag_0.mcap' is not given by its name"),
-        (lambda v: list_first_as(v, "x" * 300), "the file 'x{300}' is not there"),
     ],
 )
 def test_metadata_that_does_not_agree_is_an_error(
@@ -175,21 +174,12 @@ def test_what_is_no_regular_file_is_not_opened(bag: Path, make: Callable[[Path],
 def rewrite(path: Path, opcode: Opcode, change: Callable[[Any], object]) -> None:
     """Change the first record of a kind, in place, and make the summary's checksum fit again."""
     data = bytearray(path.read_bytes())
-    at, summary, is_changed = len(MAGIC), 0, False
-    while at < len(data) - len(MAGIC):
-        kind, length = RECORD.unpack_from(data, at)
-        end = at + RECORD.size + length
-        if kind == opcode and not is_changed:
-            record, builder = parse_record(bytes(data[at:end])), RecordBuilder()
-            change(record)
-            record.write(builder)
-            assert builder.count == end - at
-            data[at:end] = builder.end()
-            is_changed = True
-        summary = end if kind == Opcode.DATA_END else summary
-        at = end
-    assert is_changed
-    crc_at = len(data) - len(MAGIC) - 4
+    at, end = places(data, opcode)[0]
+    record, builder = parse_record(bytes(data[at:end])), RecordBuilder()
+    change(record)
+    record.write(builder)
+    data[at:end] = builder.end()
+    summary, crc_at = places(data, Opcode.DATA_END)[0][1], len(data) - len(MAGIC) - 4
     data[crc_at : crc_at + 4] = zlib.crc32(data[summary:crc_at]).to_bytes(4, "little")
     path.write_bytes(data)
 
@@ -229,18 +219,10 @@ def test_a_wrong_record_is_an_error(
     assert_error(verify(bag), pattern)
 
 
-def patched(path: Path, change: Callable[[bytes], bytes]) -> None:
-    data = path.read_bytes()
-    assert change(data) != data
-    path.write_bytes(change(data))
-
-
 def overwritten(data: bytes, opcode: Opcode, place: int, new: bytes) -> bytes:
     """Return the data with some bytes of the first record of a kind overwritten."""
-    at = len(MAGIC)
-    while data[at] != opcode:
-        at += RECORD.size + RECORD.unpack_from(data, at)[1]
-    return data[: at + place] + new + data[at + place + len(new) :]
+    at = places(data, opcode)[0][0] + place
+    return data[:at] + new + data[at + len(new) :]
 
 
 @pytest.mark.parametrize(
@@ -261,7 +243,8 @@ def overwritten(data: bytes, opcode: Opcode, place: int, new: bytes) -> bytes:
 def test_a_damaged_file_is_an_error(
     bag: Path, damage: Callable[[bytes], bytes], pattern: str
 ) -> None:
-    patched(bag / "bag_0.mcap", damage)
+    path = bag / "bag_0.mcap"
+    path.write_bytes(damage(path.read_bytes()))
     verification = verify(bag)
     assert_error(verification, pattern)
     assert not any(error.startswith("bag_1.mcap") for error in texts(verification)[0])
