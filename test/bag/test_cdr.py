@@ -1,9 +1,13 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Definitions come from bags, so that hostile ones must neither end nor occupy a check."""
+"""Layouts of hostile definitions neither end nor occupy a check; messages of the tick log."""
 
+from zlib import crc32
+
+import numpy as np
 import pytest
 
+from tsobs_ros.bag.cdr import TICK_LOG, TICK_LOG_TEXT, decode_ticks, encode_tick
 from tsobs_ros.bag.definitions import MessageLayout
 from tsobs_ros.errors import MessageError
 
@@ -40,3 +44,26 @@ def test_a_type_of_ever_more_parts_is_given_up_where_the_message_ends() -> None:
 def test_a_type_that_is_nested_too_deep_is_malformed() -> None:
     with pytest.raises(ValueError, match="nested too deep"):
         MessageLayout("p/msg/T0", nested(depth=5000, fields=1))
+
+
+STAMP = 1_700_000_000_123_456_789
+
+
+def as_rows(*messages: bytes) -> "np.ndarray[tuple[int, int], np.dtype[np.uint8]]":
+    return np.stack([np.frombuffer(message, np.uint8) for message in messages])
+
+
+@pytest.mark.parametrize("measured", [[], [b"one"], [b"one", b"one", b"another"]])
+def test_a_tick_is_read_as_written_and_has_the_layout_of_its_type(measured: list[bytes]) -> None:
+    message = encode_tick(STAMP, 7, True, measured)
+    MessageLayout(TICK_LOG, TICK_LOG_TEXT).check(message)
+    expected = [STAMP, 7, 1, *map(crc32, measured)]
+    assert decode_ticks(as_rows(message, message)).tolist() == [expected, expected]
+
+
+@pytest.mark.parametrize(
+    "message", [b"", bytes(60), encode_tick(STAMP, 1, True, [])[:-8], bytes(200)]
+)
+def test_messages_of_another_layout_are_refused(message: bytes) -> None:
+    with pytest.raises(MessageError, match="tick log"):
+        decode_ticks(as_rows(message))

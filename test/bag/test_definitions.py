@@ -18,20 +18,10 @@ SEPARATOR = "=" * 80
 TYPES = ["sensor_msgs/msg/JointState", "visualization_msgs/msg/InteractiveMarkerUpdate"]
 
 
-def installed_text(package: str, name: str) -> str:
-    for folder in share_folders():
-        path = folder / package / "msg" / f"{name}.msg"
-        if path.is_file():
-            return path.read_bytes().decode()
-    raise AssertionError(f"{package}/{name} is not installed")
-
-
-def concatenated(*types: str) -> str:
-    root, *others = types
-    text = installed_text(*root.split("/"))
-    for other in others:
-        text += f"\n{SEPARATOR}\nMSG: {other}\n{installed_text(*other.split('/'))}"
-    return text
+def installed_text(name: str) -> str:
+    package, _, type_ = name.partition("/")
+    paths = (folder / package / "msg" / f"{type_}.msg" for folder in share_folders())
+    return next(path.read_bytes().decode() for path in paths if path.is_file())
 
 
 def write_package(share: Path, package: str, **messages: str) -> None:
@@ -41,19 +31,15 @@ def write_package(share: Path, package: str, **messages: str) -> None:
         (folder / f"{name}.msg").write_bytes(text.encode())
 
 
-@pytest.mark.parametrize(
-    "types",
-    [
-        ("std_msgs/String",),
-        ("diagnostic_msgs/DiagnosticArray", "diagnostic_msgs/DiagnosticStatus",
-         "diagnostic_msgs/KeyValue", "std_msgs/Header", "builtin_interfaces/Time"),
-    ],
-    ids=lambda types: types[0],
-)  # fmt: skip
-def test_dependencies_follow_depth_first_in_bytewise_order(types: tuple[str, ...]) -> None:
-    assert find_definition(types[0]) == find_definition(types[0].replace("/", "/msg/"))
-    assert find_definition(types[0]).type == types[0].replace("/", "/msg/")
-    assert find_definition(types[0]).text == concatenated(*types)
+def test_dependencies_follow_depth_first_in_bytewise_order() -> None:
+    root, *others = (
+        "diagnostic_msgs/DiagnosticArray", "diagnostic_msgs/DiagnosticStatus",
+        "diagnostic_msgs/KeyValue", "std_msgs/Header", "builtin_interfaces/Time",
+    )  # fmt: skip
+    parts = [f"\n{SEPARATOR}\nMSG: {other}\n{installed_text(other)}" for other in others]
+    definition = find_definition(root)
+    assert definition == find_definition(root.replace("/", "/msg/"))
+    assert definition.text == "".join([installed_text(root), *parts])
 
 
 @pytest.mark.parametrize("msgtype", TYPES)

@@ -38,14 +38,6 @@ CHUNKS, PER_CHUNK = 3, 5
 BOMB = zstandard.compress(bytes(2**28))
 
 
-class Sample(NamedTuple):
-    """A finished file, what it holds, and where its chunks are."""
-
-    data: bytes
-    entries: list[Entry]
-    chunks: list[tuple[int, int]]
-
-
 def entry(number: int) -> Entry:
     # Text that hardly compresses, of several lengths, and log times out of order.
     text = random.Random(number).randbytes(8 + number % 5).hex()
@@ -65,11 +57,12 @@ def write_bag(path: Path, **options: object) -> list[Entry]:
 
 
 @cache
-def sample(compression: str) -> Sample:
+def sample(compression: str) -> tuple[bytes, list[Entry], list[tuple[int, int]]]:
+    """Return a finished file, what it holds, and where its chunks are."""
     with TemporaryDirectory() as folder:
         entries = write_bag(Path(folder) / "bag", compression=compression)
         data = (Path(folder) / "bag" / "bag_0.mcap").read_bytes()
-    return Sample(data, entries, places(data, Opcode.CHUNK))
+    return data, entries, places(data, Opcode.CHUNK)
 
 
 def scanned(data: bytes) -> list[tuple[bytes, int, int]]:
@@ -94,14 +87,8 @@ def recovered(folder: Path, data: bytes, **options: bool) -> tuple[Recovery, lis
 
 
 def in_recorded_order(bag: Path) -> list[Entry]:
-    messages = [
-        Entry(m.topic, m.data, m.log_time, m.publish_time) for m in BagReader(bag).messages()
-    ]
+    messages = [Entry(m.topic, *m[2:]) for m in BagReader(bag).messages()]
     return sorted(messages, key=lambda e: e.publish_time)
-
-
-def snapshot(folder: Path) -> dict[str, tuple[bytes, int]]:
-    return {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in sorted(folder.iterdir())}
 
 
 @pytest.mark.parametrize("step", [13, pytest.param(1, marks=pytest.mark.slow)])
@@ -122,21 +109,20 @@ def zero(data: bytes, start: int, end: int) -> bytes:
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_the_front_of_a_large_chunk_is_kept_and_unchecked(tmp_path: Path, compression: str) -> None:
+@pytest.mark.parametrize("tail", [b"", bytes(5000)], ids=["cut", "zeros"])
+def test_the_front_of_a_large_chunk_is_kept_and_unchecked(
+    tmp_path: Path, compression: str, tail: bytes
+) -> None:
+    written = [random.Random(number).randbytes(100_000) for number in range(7)]
     with BagWriter(tmp_path / "bag", compression=compression) as writer:
         writer.add_topic("/a", STRING)
-        for number in range(7):
-            writer.write("/a", random.Random(number).randbytes(100_000), number, number)
+        for number, one in enumerate(written):
+            writer.write("/a", one, number, number)
     data = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
-    for tail in (b"", bytes(5000)):
-        folder = tmp_path / str(len(tail))
-        folder.mkdir()
-        result, found = recovered(folder, data[:500_000] + tail)
-        assert [e.data for e in found] == [
-            random.Random(i).randbytes(100_000) for i in range(len(found))
-        ]
-        assert len(found) == result.unchecked >= 3
-        assert f"unchecked {result.unchecked}: no checksum covers" in result.text()
+    result, found = recovered(tmp_path, data[:500_000] + tail)
+    assert [e.data for e in found] == written[: len(found)]
+    assert len(found) == result.unchecked >= 3
+    assert f"unchecked {result.unchecked}: no checksum covers" in result.text()
 
 
 def test_what_a_damaged_chunk_held_is_told_by_its_index(tmp_path: Path) -> None:
@@ -150,9 +136,7 @@ def test_what_a_damaged_chunk_held_is_told_by_its_index(tmp_path: Path) -> None:
     assert sum(result.files[0].missing.values()) == PER_CHUNK
     assert re.search(rf"bytes {part.offset} to .* {PER_CHUNK} messages: .*checksum", result.text())
     assert "NOT EVERYTHING" in result.text()
-    mapping = result.as_mapping()
-    assert (mapping["messages"], mapping["whole"]) == (len(found), False)
-    assert mapping["files"][0]["damage"] == [vars(part)]
+    assert result.as_mapping()["files"][0]["damage"] == [vars(part)]
     shutil.rmtree(tmp_path / "new")
     result, found = recovered(tmp_path, damaged, keep_unchecked=True)
     assert (len(found), result.unchecked) == (len(entries), PER_CHUNK)
@@ -175,7 +159,7 @@ def test_topics_of_a_lost_chunk_are_found_in_the_folders_metadata(tmp_path: Path
     """The first chunk alone describes the topics, and without an end nothing repeats them."""
     entries = write_bag(tmp_path / "bag", compression="none")
     path, description = tmp_path / "bag" / "bag_0.mcap", tmp_path / "bag" / "metadata.yaml"
-    chunks = sample("none").chunks
+    chunks = sample("none")[2]
     path.write_bytes(zero(path.read_bytes()[: chunks[-1][1]], *chunks[0]))
     recover(tmp_path / "bag", tmp_path / "new")
     assert in_recorded_order(tmp_path / "new") == entries[PER_CHUNK:]
@@ -216,13 +200,10 @@ def test_a_folder_is_recovered_file_by_file_and_not_touched(
     bag, new = tmp_path / "bag", tmp_path / "new"
     entries = make_split(bag)
     damage(bag)
-    for path in bag.iterdir():
-        path.chmod(0o444)
-    bag.chmod(0o555)
-    before = snapshot(bag)
+    before = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in bag.iterdir()}
     read: list[int] = []
     result = recover(bag, new, progress=read.append)
-    assert snapshot(bag) == before
+    assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in bag.iterdir()} == before
     assert sum(read) == 2 * sum(path.stat().st_size for path in bag.glob("*.mcap"))
     assert result.is_whole == ("nothing known to be lost" in result.text())
     assert in_recorded_order(new) == entries
@@ -290,21 +271,14 @@ def hostile_chunk(length: int, size: int, data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "hostile",
-    [
-        hostile_chunk(2**62, 100, b"x" * 100),
-        hostile_chunk(2**27, 2**62, b"x" * 100),
-        hostile_chunk(44 + len(BOMB), 100, BOMB),
-        hostile_chunk(44 + len(BOMB), 2**40, BOMB),
-        hostile_chunk(2**20, 1_000, BOMB),
-    ],
-    ids=range(5),
+    ("length", "size"),
+    [(2**62, 100), (2**27, 2**62), (44 + len(BOMB), 100), (44 + len(BOMB), 2**40), (2**20, 1_000)],
 )
-def test_a_stated_length_costs_no_memory(tmp_path: Path, hostile: bytes) -> None:
+def test_a_stated_length_costs_no_memory(tmp_path: Path, length: int, size: int) -> None:
     data, entries, chunks = sample("zstd")
     tracemalloc.start()
     try:
-        _, found = recovered(tmp_path, data[: chunks[0][1]] + hostile)
+        _, found = recovered(tmp_path, data[: chunks[0][1]] + hostile_chunk(length, size, BOMB))
         assert found == entries[:PER_CHUNK]
         assert tracemalloc.get_traced_memory()[1] < 50_000_000
     finally:
@@ -375,15 +349,13 @@ def test_what_no_bag_can_hold_is_counted(tmp_path: Path) -> None:
         "of /lost, whose type is lost",
         "of /wrong, whose type is lost",
     ]
-    assert result.remarks == ("x.mcap: its profile is 'x', expected 'ros2'",)
+    assert "its profile is 'x', expected 'ros2'" in result.text()
     assert "dropped 1: of /json" in result.text()
     definition = BagReader(tmp_path / "new").topics["/idl"].definition
-    assert definition is not None
-    assert (definition.encoding, definition.text) == ("ros2idl", "module std_msgs {};")
+    assert definition == ("std_msgs/msg/Bool", "module std_msgs {};", "", "ros2idl")
 
 
 BYTES = "std_msgs/msg/UInt8MultiArray"
-TEXT = b"uint8[] data\n"
 
 
 class Made(NamedTuple):
@@ -394,17 +366,13 @@ class Made(NamedTuple):
     entries: list[list[Entry]]
 
 
-def blob(payload: bytes) -> bytes:
-    return b"\0\1\0\0" + struct.pack("<I", len(payload)) + payload
-
-
 def make(choose: random.Random, topics: str = "abc", nested: tuple[bytes, ...] = ()) -> Made:
     """Return a finished file of our layout with some chunks; its messages may carry others."""
     stream, entries = BytesIO(), list[list[Entry]]()
     compression = choose.choice(list(CompressionType))
     writer: Any = Writer(stream, 10**9, compression)
     writer.start("ros2", "some recorder")
-    schema = writer.register_schema(BYTES, "ros2msg", TEXT)
+    schema = writer.register_schema(BYTES, "ros2msg", b"uint8[] data\n")
     ids = {f"/{name}": writer.register_channel(f"/{name}", "cdr", schema) for name in topics}
     time = choose.randrange(10**18)
     for _ in range(choose.randint(2, 7)):
@@ -413,13 +381,14 @@ def make(choose: random.Random, topics: str = "abc", nested: tuple[bytes, ...] =
             topic = choose.choice(list(ids))
             payload = choose.choice([*nested, choose.randbytes(choose.randrange(150))])
             time += choose.randrange(1, 1000)
-            entry = Entry(topic, blob(payload), time + choose.randrange(2000), time)
+            data = b"\0\1\0\0" + struct.pack("<I", len(payload)) + payload
+            entry = Entry(topic, data, time + choose.randrange(2000), time)
             writer.add_message(ids[topic], entry[2], entry[1], entry[3])
             entries[-1].append(entry)
         writer.flush()
     writer.finish()
-    data = stream.getvalue()
-    return Made(data, places(data, Opcode.CHUNK), entries)
+    made = stream.getvalue()
+    return Made(made, places(made, Opcode.CHUNK), entries)
 
 
 def flip(made: Made, choose: random.Random) -> bytes:
