@@ -9,6 +9,7 @@ import pytest
 
 from tsobs_ros.bag.cdr import TICK_LOG, TICK_LOG_TEXT, decode_ticks, encode_tick
 from tsobs_ros.bag.definitions import MessageLayout
+from tsobs_ros.bag.estimate_topics import parameter_names, sides
 from tsobs_ros.errors import MessageError
 
 HEADER = b"\x00\x01\x00\x00"
@@ -67,3 +68,9 @@ def test_a_tick_is_read_as_written_and_has_the_layout_of_its_type(measured: list
 def test_messages_of_another_layout_are_refused(message: bytes) -> None:
     with pytest.raises(MessageError, match="tick log"):
         decode_ticks(as_rows(message))
+
+
+def test_names_of_sides_and_parameters_name_their_joint_unless_it_is_alone() -> None:
+    assert sides("elbow") == ("elbow_link", "elbow_motor")
+    assert parameter_names("elbow", ("k",), alone=True) == ("k",)
+    assert parameter_names("elbow", ("k",), alone=False) == ("elbow/k",)

@@ -11,7 +11,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from tsobs_ros.bag import BagReader, BagWriter
 from tsobs_ros.bag.cdr import DIAGNOSTICS, read_statuses
-from tsobs_ros.bag.estimate_topics import parameter_names, sides
 from tsobs_ros.bag.joint_series import read_blocks
 from tsobs_ros.bag.joint_states import (
     JOINT_STATE,
@@ -111,9 +110,3 @@ def test_statuses_are_those_that_rosbags_writes_up_to_where_they_are_cut_off() -
     ]
     assert list(read_statuses(data)) == expected
     assert list(read_statuses(data[:-3])) == expected[:1]
-
-
-def test_names_of_sides_and_parameters_name_their_joint_unless_it_is_alone() -> None:
-    assert sides("elbow") == ("elbow_link", "elbow_motor")
-    assert parameter_names("elbow", ("k",), alone=True) == ("k",)
-    assert parameter_names("elbow", ("k",), alone=False) == ("elbow/k",)

@@ -202,12 +202,16 @@ def test_a_folder_is_recovered_file_by_file_and_not_touched(
     damage(bag)
     before = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in bag.iterdir()}
     read: list[int] = []
+    info = summarise(bag)
     result = recover(bag, new, progress=read.append)
     assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in bag.iterdir()} == before
     assert sum(read) == 2 * sum(path.stat().st_size for path in bag.glob("*.mcap"))
     assert result.is_whole == ("nothing known to be lost" in result.text())
     assert in_recorded_order(new) == entries
     assert verify(new).holds
+    if info["problem"]:
+        assert (info["messages"], info["unchecked"]) == (len(entries), 0)
+        assert info.text().startswith("NOT FINISHED: ")
     assert len(list(new.iterdir())) == len(list(bag.iterdir()))
     assert read_metadata(new).custom_data == {"why": "a test"}
 

@@ -130,7 +130,7 @@ def test_metadata_that_does_not_agree_is_an_error(
     assert_error(verify(bag), pattern)
 
 
-@pytest.mark.parametrize("content", [b"[", b"rosbag2_bagfile_information: 1", b"\xff", None])
+@pytest.mark.parametrize("content", [b"rosbag2_bagfile_information: 1", None])
 def test_without_metadata_the_files_are_checked(bag: Path, content: bytes | None) -> None:
     path = bag / "metadata.yaml"
     path.unlink() if content is None else path.write_bytes(content)
@@ -199,7 +199,6 @@ def setter(**values: object) -> Callable[[Any], object]:
         (Opcode.CHUNK_INDEX, setter(message_start_time=1), "of the chunk at byte .* is stated as"),
         (Opcode.CHUNK_INDEX, setter(chunk_length=1), "at byte .* index of the file does not state"),
         (Opcode.CHUNK_INDEX, setter(message_index_offsets={1: 5, 2: 6}), "index offsets of the"),
-        (Opcode.CHUNK_INDEX, setter(chunk_start_offset=1), "no index of the chunk at byte"),
         (Opcode.CHUNK_INDEX, setter(chunk_start_offset=1), "chunk at byte 1, where none is"),
         (
             Opcode.MESSAGE_INDEX,

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 import pytest
 import yaml
 from foreign import STRING, Entry
@@ -19,6 +20,7 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
+from tsobs_ros.bag.cdr import MessageSeries
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import read_metadata
 from tsobs_ros.bag.recovery import recover
@@ -154,6 +156,7 @@ def test_a_topic_is_registered_once_with_a_type_that_there_is(tmp_path: Path) ->
             (lambda: writer.write_all([("/b", STRING, b"", 1, 1)]), "/b has not been added"),
             (lambda: writer.add_topic("/a", "std_msgs/msg/Empty"), f"/a is {STRING} already"),
             (lambda: writer.add_topic("/b", "no_msgs/msg/None"), "None is not installed"),
+            (lambda: writer.write("/a", b"", -1, 1), "times must be at least 0 and fit 63 bits"),
         ):
             with pytest.raises(BagWriteError, match=reason):
                 call()
@@ -173,8 +176,10 @@ def test_a_closed_bag_stays_as_it_is_after_an_error_too(tmp_path: Path) -> None:
     content = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
     writer.close()
     writer.sync()
+    series = MessageSeries("/a", STRING, *np.ones((2, 1), np.int64), np.zeros((1, 4), np.uint8))
     for use in (
         writer.flush,
+        lambda: writer.write_series([series]),
         lambda: writer.write("/a", b"", 1, 1),
         lambda: writer.add_topic("/b", STRING),
     ):
