@@ -76,38 +76,3 @@ class Spool:
         size = self._file.tell()  # of nothing there is no map
         found = np.memmap(self._file, self._type, "r+") if size else np.zeros(0, self._type)
         return found.view(np.recarray) if self._type.names else found
-
-
-class ThinnedValues:
-    """Every k-th of the finite values that were added; all of them until there are 65,536.
-
-    A quantile of n values kept is one of all values whose share is off by about √(¼/n) at most if
-    neighbours are independent: 0.2 % of the values. Neighbours that are alike make it better.
-
-    >>> thinned = ThinnedValues(max_kept=4)
-    >>> for begin in range(0, 12, 3):
-    ...     thinned.add(np.arange(begin, begin + 3.0))
-    >>> thinned.values.tolist()
-    [0.0, 4.0, 8.0]
-    """
-
-    def __init__(self, max_kept: int = 2**16) -> None:
-        self._max_kept, self._step, self._count = max_kept, 1, 0
-        self._kept, self._parts = 0, list[Array]()
-
-    @property
-    def values(self) -> Array:
-        """The values kept, in the order of adding, shape (k,)."""
-        self._parts = [np.concatenate([np.empty(0), *self._parts])]
-        return self._parts[0]
-
-    def add(self, values: Array) -> None:
-        """Add values, shape (n,); those that are unknown are left out."""
-        values = values[np.isfinite(values)]
-        chosen = values[-self._count % self._step :: self._step].copy()
-        self._count += len(values)
-        self._parts.append(chosen)
-        self._kept += len(chosen)
-        while self._kept > self._max_kept:
-            self._parts = [self.values[::2].copy()]
-            self._kept, self._step = len(self._parts[0]), 2 * self._step

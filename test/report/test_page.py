@@ -11,7 +11,7 @@ from tsobs_ros.bag.cdr import RecordedStatus
 from tsobs_ros.estimation.events import Event, EventKind
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.replay.health import HealthSum, JointEvent
+from tsobs_ros.replay.health import JointEvent, health_of
 from tsobs_ros.report.diagnosed import diagnose
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.page import write_html
@@ -149,17 +149,16 @@ def test_diagnostics_come_to_faults_and_rates(diagnosed) -> None:
 def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> None:
     metrics = measure(simulated)
     timing = picture(simulated, metrics).timing
-    health = HealthSum()
-    health.add(troubled.health.values)
+    health = health_of(troubled.health.values)
 
-    good = summarise(metrics, health.result(), diagnose([], 0, 20.0), timing)
+    good = summarise(metrics, health, diagnose([], 0, 20.0), timing)
     assert good.level is Level.OK
     assert good.text.startswith("All errors of each estimate are inside its 3σ bound, over 10.0 s.")
     assert (
         "The bounds were claimed to hold for 90.5 % of the time, and proved for 90.5 %. "
         "No measurement was lost."
     ) in good.text
-    found = health.result()
+    found = health
     few = found._replace(claimed=0.18, bases={Basis.CERTIFIED: 0.18, Basis.CONTRADICTED: 0.05})
     mind = summarise(metrics, few, diagnose([], 0, 20.0), timing)
     assert mind.level is Level.WARN

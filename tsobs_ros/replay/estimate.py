@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,15 +43,17 @@ from tsobs_ros.estimation.health import judge_rate
 from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import ObserverSettings, contender, make_estimator, make_tracker
 from tsobs_ros.replay.designs import STRING
-from tsobs_ros.replay.health import EventFinder, Health, HealthSum
+from tsobs_ros.replay.health import Health, JointEvent, find_events, health_of
 from tsobs_ros.replay.live import COMPARED, Agreement, digests
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.loop import Loop, Table
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.replay.windows import Window, Windows
-from tsobs_ros.series import Spool
+from tsobs_ros.series import NANOSECONDS, Spool
 
+# So many intervals between measurements show their rate.
+_ENOUGH = 8
 _OF_BAGS = (".mcap", ".yaml", ".db3")
 _STRING = MessageDefinition(STRING, "string data\n", "")
 _TICK_LOG = MessageDefinition(TICK_LOG, TICK_LOG_TEXT, "")
@@ -147,7 +150,6 @@ class Run:
         estimates: Number of ticks with an estimate.
         window: The last window.
         table: The estimates and innovations of this window.
-        events: What the node would have logged until now, in order.
     """
 
     window: Window
@@ -179,11 +181,8 @@ class Run:
         )
         self._made = {topic: Spool(np.dtype(np.int64)) for topic in COMPARED if windows.live}
         self._parameters_due, self._health_due = _Due(), _Due()
-        self._health = {joint: HealthSum() for joint in source.joints}
-        finder = EventFinder(
-            source.joints, source.topic, settings.stale_after, same_clock=source.same_clock
-        )
-        self._find_events, self.events = finder.add, finder.events
+        self._conditions = [Spool(np.dtype(np.float64)) for _ in source.joints]
+        self._slow: list[tuple[NDArray[Any], ...]] = []
         # Numbers of restarts: until now, and before the last health; and of ticks since the last.
         self._restarts, self._restarts_before, self._ticks = 0, 0, 0
         self._is_first = True
@@ -288,16 +287,16 @@ class Run:
             known = [np.where(there[due, None], own[due], np.nan) for own, there in each]
             made += self._encoder.messages(topic, ticks[due], known)
         conditions = self._values(*HEALTH)
-        for health, own in zip(self._health.values(), conditions, strict=True):
-            health.add(own)
+        for spool, own in zip(self._conditions, conditions, strict=True):
+            spool.add(own)
         due = self._health_due.among(ticks.stamps, table.done)
         if len(due):
             chosen = [own[due] for own in conditions]
             if encode:
                 made += self._encoder.messages(topics.HEALTH, ticks[due], chosen)
             restarted = np.diff(restarts[due], prepend=self._restarts_before) > 0
-            together = np.stack(chosen, axis=1)
-            self._find_events(ticks.stamps[due], ticks.log_times[due], together, restarted)
+            times = ticks.stamps[due], ticks.log_times[due]
+            self._slow.append((*times, np.stack(chosen, axis=1), restarted))
             self._restarts_before = int(restarts[due[-1]])
         return made
 
@@ -316,18 +315,37 @@ class Run:
         }
 
     def warnings(self) -> list[str]:
-        """Return what the node would have warned of: measurements at another rate, or no effort."""
-        found = []
-        each = zip(self._source.joints, self.observer.designs, self.loop.rates, strict=True)
-        for joint, design, rate in each:
+        """Return what the node would have warned of: measurements at another rate."""
+        found, samples = [], self._source.samples
+        for joint, (name, design) in enumerate(
+            zip(self._source.joints, self.observer.designs, strict=True)
+        ):
+            apart = np.diff(samples.stamps[samples.complete[:, joint]])
+            apart = apart[apart > 0]
+            rate = NANOSECONDS / float(np.median(apart)) if len(apart) >= _ENOUGH else math.nan
             off, text = judge_rate(rate, design.request.rate)
-            found += [f"warning: {joint}: {text}"] if off else []
+            found += [f"warning: {name}: {text}"] if off else []
         return found
+
+    @property
+    def events(self) -> list[JointEvent]:
+        """What the node would have logged, in order."""
+        if not self._slow:
+            return []
+        source = self._source
+        return find_events(
+            source.joints,
+            source.topic,
+            *map(np.concatenate, zip(*self._slow, strict=True)),
+            stale_after=self.observer.settings.stale_after,
+            same_clock=source.same_clock,
+        )
 
     def health(self) -> dict[str, Health]:
         """Return the health of each joint that has estimates."""
-        found = {joint: one.result() for joint, one in self._health.items()}
-        return {joint: one for joint, one in found.items() if one is not None}
+        each = (health_of(spool.read().reshape(-1, len(HEALTH))) for spool in self._conditions)
+        found = zip(self._source.joints, each, strict=True)
+        return {joint: one for joint, one in found if one is not None}
 
     def agreement(self) -> Agreement | None:
         """Return the comparison with the recorded estimates, if there is a tick log."""

@@ -21,7 +21,7 @@ from tsobs_ros.estimation.events import (
 )
 from tsobs_ros.estimation.health import judged, words
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
-from tsobs_ros.series import NANOSECONDS, ThinnedValues
+from tsobs_ros.series import NANOSECONDS
 
 C = TypeVar("C", bound=IntEnum)
 
@@ -191,104 +191,70 @@ class Health(NamedTuple):
         )
 
 
-def _parts(kind: type[C], counts: NDArray[np.int64]) -> dict[C, float]:
-    shares = zip(kind, (counts / counts.sum()).tolist(), strict=True)
-    return {code: share for code, share in shares if share}
-
-
 def _shares(parts: Mapping[Any, float]) -> str:
     return ", ".join(f"{100.0 * share:.3g} % {words(one)}" for one, share in parts.items())
 
 
-class HealthSum:
-    """The health of a joint's estimates, gathered part by part."""
+def health_of(conditions: Array) -> Health | None:
+    """Return the health of a joint's estimates, None without any.
 
-    def __init__(self) -> None:
-        self._scales = ThinnedValues()
-        self._bases = np.zeros(len(Basis), np.int64)
-        self._hypotheses = np.zeros(len(Hypothesis), np.int64)
-        self._claimed = 0
-        self._max, self._last = 0.0, list[float]()
+    Args:
+        conditions: Their numbers, NaN without an estimate, shape (n, 7).
+    """
+    known = np.flatnonzero(~np.isnan(conditions[:, 0]))
+    if not len(known):
+        return None
 
-    def add(self, conditions: Array) -> None:
-        """Add conditions' numbers, NaN without an estimate, shape (n, 7)."""
-        known = conditions[~np.isnan(conditions[:, 0])]
-        if not len(known):
-            return
-        self._scales.add(known[:, 0])
-        self._max = max(self._max, float(known[:, 0].max()))
-        self._claimed += int(known[:, CLAIMED].sum())
-        self._bases += [(known[:, BASIS] == basis).sum() for basis in Basis]
-        self._hypotheses += [(known[:, HYPOTHESIS] == one).sum() for one in Hypothesis]
-        self._last = known[-1].tolist()
+    def parts(kind: type[C], place: int) -> dict[C, float]:
+        counts = np.bincount(conditions[known, place].astype(int), minlength=len(kind))
+        shares = zip(kind, (counts / len(known)).tolist(), strict=True)
+        return {code: share for code, share in shares if share}
 
-    def result(self) -> Health | None:
-        """Return the health, None without an estimate."""
-        if not self._last:
-            return None
-        last = Estimate.of_health(0, self._last)
-        return Health(
-            noise_scale=float(np.median(self._scales.values)),
-            max_noise_scale=self._max,
-            claimed=self._claimed / int(self._bases.sum()),
-            bases=_parts(Basis, self._bases),
-            hypotheses=_parts(Hypothesis, self._hypotheses),
-            learning=last.learning,
-            hypothesis=last.hypothesis,
-        )
+    scales, last = conditions[known, 0], Estimate.of_health(0, conditions[known[-1]].tolist())
+    return Health(
+        noise_scale=float(np.median(scales)),
+        max_noise_scale=float(scales.max()),
+        claimed=float(conditions[known, CLAIMED].mean()),
+        bases=parts(Basis, BASIS),
+        hypotheses=parts(Hypothesis, HYPOTHESIS),
+        learning=last.learning,
+        hypothesis=last.hypothesis,
+    )
 
 
-class EventFinder:
-    """Finds the events that a node would have logged, part by part.
+def find_events(
+    joints: Sequence[str],
+    source: str,
+    stamps: Times,
+    log_times: Times,
+    conditions: Array,
+    restarted: NDArray[Any] | None = None,
+    *,
+    stale_after: float = STALE_AFTER,
+    same_clock: bool = True,
+) -> list[JointEvent]:
+    """Return the events that a node would have logged, in order.
 
     Args:
         joints: Names of J joints.
         source: Where the measurements come from.
+        stamps: Of the conditions [ns], shape (n,).
+        log_times: Of the same, ns since the epoch, shape (n,).
+        conditions: Their numbers, NaN without an estimate, shape (n, J, 7).
+        restarted: Whether the observer was restarted before a condition, shape (n,); never if None.
         stale_after: Age of the newest measurement for STALE [s].
-        coast_after: Age of it for COASTING [s].
         same_clock: Whether stamps and log times are of the same clock.
-
-    Attributes:
-        events: Those found until now, in order.
     """
-
-    def __init__(
-        self,
-        joints: Sequence[str],
-        source: str,
-        stale_after: float = STALE_AFTER,
-        coast_after: float = COAST_AFTER,
-        *,
-        same_clock: bool = True,
-    ) -> None:
-        self._joints, self._same_clock = joints, same_clock
-        self._logs = [EventLog(source, coast_after, stale_after) for _ in joints]
-        self.events: list[JointEvent] = []
-
-    def add(
-        self,
-        stamps: Times,
-        log_times: Times,
-        conditions: Array,
-        restarted: NDArray[Any] | None = None,
-    ) -> None:
-        """Find the events in the next conditions.
-
-        Args:
-            stamps: Of the conditions [ns], shape (n,).
-            log_times: Of the same, ns since the epoch, shape (n,).
-            conditions: Their numbers, NaN without an estimate, shape (n, J, 7).
-            restarted: Whether the observer was restarted before a condition, shape (n,); never if
-                None.
-        """
-        times = zip(stamps.tolist(), log_times.tolist(), strict=True)
-        for place, ((stamp, log_time), rows) in enumerate(
-            zip(times, conditions.tolist(), strict=True)
-        ):
-            for joint, log, row in zip(self._joints, self._logs, rows, strict=True):
-                if restarted is not None and restarted[place]:
-                    log.restart()
-                if row[0] == row[0]:
-                    for event in log.update(Estimate.of_health(stamp, row)):
-                        before = stamp - event.stamp if self._same_clock else 0
-                        self.events.append(JointEvent(joint, log_time - before, event))
+    logs = [EventLog(source, COAST_AFTER, stale_after) for _ in joints]
+    restarted = np.zeros(len(stamps), np.bool_) if restarted is None else restarted
+    found = []
+    columns = (each.tolist() for each in (stamps, log_times, restarted, conditions))
+    for stamp, log_time, is_restarted, rows in zip(*columns, strict=True):
+        for joint, log, row in zip(joints, logs, rows, strict=True):
+            if is_restarted:
+                log.restart()
+            if row[0] == row[0]:
+                for event in log.update(Estimate.of_health(stamp, row)):
+                    before = stamp - event.stamp if same_clock else 0
+                    found.append(JointEvent(joint, log_time - before, event))
+    return found

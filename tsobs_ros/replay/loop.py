@@ -19,10 +19,9 @@ from tsobs_ros.estimation.records import GATED, NON_FINITE, REASONS, USED, Rejec
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.replay.source import Records
 from tsobs_ros.replay.windows import Window
-from tsobs_ros.series import NANOSECONDS, ThinnedValues
+from tsobs_ros.series import NANOSECONDS
 
 _FOREVER = 2**62
-_ENOUGH = 8
 
 
 class JointResults(NamedTuple):
@@ -134,13 +133,6 @@ class Loop:
         self.rejected: Counter[RejectReason] = Counter()
         self.outputs = [np.zeros((one.estimator.shape.p, 2), np.int64) for one in trackers]
         self._last = 0
-        self._periods = [ThinnedValues() for _ in trackers]
-
-    @property
-    def rates(self) -> list[float]:
-        """Rate of each joint's measurements by the median of their distances [Hz], NaN of few."""
-        values = [one.values for one in self._periods]
-        return [1.0 / float(np.median(one)) if len(one) >= _ENOUGH else math.nan for one in values]
 
     @property
     def rewinds(self) -> int:
@@ -173,8 +165,6 @@ class Loop:
     def _run_joint(self, window: Window, joint: int) -> JointResults:
         samples, ticks, tracker = window.samples, window.ticks, self.trackers[joint]
         own, shape = samples.complete[:, joint], tracker.estimator.shape
-        apart: Array = np.asarray(np.diff(np.sort(samples.stamps[own])) / NANOSECONDS)
-        self._periods[joint].add(apart[apart > 0.0])
         known = np.append(0, np.cumsum(own))[ticks.known]
         return run_tracker(
             tracker,

@@ -18,10 +18,10 @@ from tsobs_ros.errors import TsobsError, missing_library, printable
 from tsobs_ros.files import require_new, written_whole
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs
 from tsobs_ros.replay.health import (
-    EventFinder,
     Health,
-    HealthSum,
     JointEvent,
+    find_events,
+    health_of,
     list_events,
     map_events,
 )
@@ -164,11 +164,11 @@ def make_bag_report(
     run = found.run(joint, request)
     expected = innovation_std(file.design)
     metrics = measure(run, expected)
-    health, events = HealthSum(), EventFinder([joint], run.topic)
+    health, events = None, list[JointEvent]()
     if run.health is not None:
         stamps, values = run.health
-        health.add(values)
-        events.add(stamps, stamps, values[:, np.newaxis])
+        health = health_of(values)
+        events = find_events([joint], run.topic, stamps, stamps, values[:, np.newaxis])
     diagnosed = diagnose(found.statuses(joint), run.origin, metrics.last)
     comparison, rival = None, None
     remarks = [*ran.doubt(given), *ran.remarks]
@@ -200,22 +200,21 @@ def make_bag_report(
             diagnosed=diagnosed,
             rival=rival,
         )
-        summed = health.result()
         report = BagReport(
             bag=bag,
             joint=joint,
             design=file,
             metrics=metrics,
-            health=summed,
-            events=tuple(events.events),
+            health=health,
+            events=tuple(events),
             begin=run.origin,
             comparison=comparison,
             summary=summarise(
                 metrics,
-                summed,
+                health,
                 diagnosed,
                 shown.timing,
-                events.events,
+                events,
                 int(run.measurements.stamps.max()),
             ),
             diagnosed=diagnosed,
