@@ -55,15 +55,14 @@ def test_a_late_output_and_its_zero_are_those_of_the_design() -> None:
     request = request_of(ARM, outputs=late)
     recording = recording_of(request)
     joint = Joint.of(request)
-    assert joint.output_delays == (0.0, 0.004)
-    shifted = replace(joint, output_offsets=(0.0, 0.3))
+    shifted = with_values(joint, {"link_angle.offset": 0.3})
     moved = replace(recording, y=recording.y + np.array([0.0, 0.3]))
 
     np.testing.assert_allclose(
         innovations(shifted, moved).errors, innovations(joint, recording).errors, atol=1e-12
     )
     small = np.abs(innovations(joint, recording).errors).mean()
-    blind = replace(joint, output_delays=(0.0, 0.0))
+    blind = with_values(joint, {"link_angle.delay": 0.0})
     assert np.abs(innovations(blind, recording).errors).mean() > 1.05 * small
 
 
@@ -88,7 +87,7 @@ def test_friction_of_the_filter_is_that_of_a_rubbing_arm() -> None:
     recording = recording_of(request_of(), friction={"motor_coulomb": 0.02})
     joint = Joint.of(request_of())
     costs = [
-        np.square(innovations(replace(joint, friction=(each, 0.0)), recording).errors).sum()
+        np.square(innovations(with_values(joint, {"motor_friction": each}), recording).errors).sum()
         for each in (0.0, 0.01, 0.02, 0.03)
     ]
 

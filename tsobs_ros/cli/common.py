@@ -35,6 +35,20 @@ def add_command(commands: Commands, name: str, run: Run, text: str) -> argparse.
     return command
 
 
+def add_log_options(command: argparse.ArgumentParser) -> None:
+    """Let a command read CSV logs whose header does not say all."""
+    add = command.add_argument_group("for CSV logs", "if the header does not say it").add_argument
+    add(
+        "--columns", type=pairs, default={}, metavar="WHAT=COLUMN,...",
+        help="time=t,angle=q,torque=tau, or names of outputs, as motor_angle=q2; "
+        "angle.JOINT=… and torque.JOINT=… for several joints",
+    )  # fmt: skip
+    add(
+        "--units", type=pairs, default={}, metavar="WHAT=UNIT,...",
+        help="time=ms,angle=deg,torque=mNm, for columns whose name has no unit, as in 'q [deg]'",
+    )  # fmt: skip
+
+
 def keywords(options: argparse.Namespace, function: Callable[..., Any]) -> dict[str, Any]:
     """Return the options that are called as the keyword-only arguments of a function."""
     parameters = inspect.signature(function).parameters.values()

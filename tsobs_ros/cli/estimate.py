@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tsobs_ros.cli.common import (
     Commands,
     add_command,
+    add_log_options,
     complain,
     joined,
     keywords,
@@ -83,16 +84,7 @@ def add_observer_options(
         help="when to estimate (default: when the recorded observer did, if there is one)",
     )  # fmt: skip
     add("--rate", type=positive, metavar="HZ", help="estimate at a fixed rate")
-    add = command.add_argument_group("for CSV logs", "if the header does not say it").add_argument
-    add(
-        "--columns", type=pairs, default={}, metavar="WHAT=COLUMN,...",
-        help="time=t,angle=q,torque=tau, or names of the design's outputs, as motor_angle=q2; "
-        "angle.JOINT=… and torque.JOINT=… for several joints",
-    )  # fmt: skip
-    add(
-        "--units", type=pairs, default={}, metavar="WHAT=UNIT,...",
-        help="time=ms,angle=deg,torque=Nm, for columns whose name has no unit, as in 'q [deg]'",
-    )  # fmt: skip
+    add_log_options(command)
     add = command.add_argument_group("parameters", "named as those of the node").add_argument
     add("--params-file", type=Path, metavar="FILE", help="YAML as for the node")
     add(

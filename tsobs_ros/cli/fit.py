@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from tsobs_ros.cli.common import (
     Commands,
     add_command,
+    add_log_options,
     at_least_one,
     keywords,
     load_arm_request,
     note,
-    pairs,
     positive,
     progress,
     show,
@@ -59,7 +59,8 @@ def add_parser(commands: Commands) -> None:
     add("--seed", type=int, default=0, help="of the search (default: 0)")
 
     text = "fit a request's numbers to recordings of the arm"
-    add = add_command(commands, "fit", _fit, text).add_argument
+    command = add_command(commands, "fit", _fit, text)
+    add = command.add_argument
     add("request", type=Path, help="YAML with the numbers of data sheets")
     add("logs", type=Path, nargs="+", metavar="LOG", help="CSV logs or bags")
     add("--output", type=Path, required=True, metavar="FILE", help="fitted request")
@@ -79,14 +80,7 @@ def add_parser(commands: Commands) -> None:
     )  # fmt: skip
     add("--joint", help="the joint's name in the logs, if they have several")
     add("--topic", help="the measurements' topic in bags, if they have several")
-    add(
-        "--columns", type=pairs, default={}, metavar="WHAT=COLUMN,...",
-        help="columns of CSV logs: time=t,motor_angle=q,torque=tau",
-    )  # fmt: skip
-    add(
-        "--units", type=pairs, default={}, metavar="WHAT=UNIT,...",
-        help="their units: time=ms,angle=deg,torque=mNm",
-    )  # fmt: skip
+    add_log_options(command)
 
 
 def _excite(options: argparse.Namespace) -> int:

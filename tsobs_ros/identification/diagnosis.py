@@ -16,7 +16,14 @@ from scipy.stats import chi2
 from tsobs_ros.checks import Array
 from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import TorqueDisturbance
-from tsobs_ros.identification.joint import DELAY, FRICTION, OFFSET, Joint, Unknowns
+from tsobs_ros.identification.joint import (
+    DELAY,
+    FRICTION,
+    OFFSET,
+    Joint,
+    Unknowns,
+    with_values,
+)
 from tsobs_ros.identification.likelihood import GATE, Recording, innovations
 from tsobs_ros.identification.result import Found, Lack, OutputFit, Traces, Unseen
 
@@ -233,7 +240,7 @@ def _torques(joint: Joint, recording: Recording) -> list[Lack]:
     """Return what a torque depends on that the model has not."""
     request = joint.request
     skip = min(recording.count // 10, round(1.0 / request.period))
-    smooth = replace(joint, friction=(0.0, 0.0))
+    smooth = with_values(joint, dict.fromkeys(FRICTION, 0.0))
     torque, states = (each[skip:] for each in _unexplained(smooth, recording))
     link, link_speed, motor, motor_speed = states.T
     deflection = link - motor

@@ -263,7 +263,7 @@ def _observable(
             request = replace(request, torque_disturbance=torques)
             known += [f"torque_disturbance.{side}.0.{key}" for key in values]
     if significant.intersection(FRICTION):
-        smooth = replace(joint, request=request, friction=(0.0, 0.0))
+        smooth = with_values(replace(joint, request=request), dict.fromkeys(FRICTION, 0.0))
         noises = replace(Unknowns.of(request).noises().without(*known), joint=smooth)
         request = maximise(noises, recordings, advance, starts=1).joint.request
     bounds = dict(request.uncertainty)

@@ -113,35 +113,34 @@ class Joint:
 
     Attributes:
         request: Of an arm; its torque path and its outputs' delays are those below.
-        gain: Torque at the motor by that of the log.
-        offset: Torque at the motor without one in the log [N m].
-        delay: Of the torque [s]; below 0 it acts before its stamp.
-        output_delays: Of the outputs [s].
-        output_offsets: Of the outputs (rad, rad/s): what they show at 0.
-        friction: Coulomb friction at motor and link [N m].
+        extras: Numbers by their names: the torque's gain, offset [N m] and delay [s], which acts
+            before its stamp below 0; Coulomb friction [N m]; of each output its delay [s] and its
+            offset, what it shows at 0 (rad, rad/s).
     """
 
     request: ArmRequest
-    gain: float = 1.0
-    offset: float = 0.0
-    delay: float = 0.0
-    output_delays: tuple[float, ...] = ()
-    output_offsets: tuple[float, ...] = ()
-    friction: tuple[float, float] = (0.0, 0.0)
+    extras: Mapping[str, float]
 
     @classmethod
     def of(cls, request: ArmRequest) -> "Joint":
         """Return a request's joint, without friction."""
-        path, sensors = request.torque, request.sensors
+        path, extras = request.torque, dict.fromkeys(FRICTION, 0.0)
+        extras |= {TORQUE_GAIN: path.gain, OFFSET: path.offset, DELAY: path.delay}
+        for output in request.sensors:
+            extras[f"{output.measures}.delay"] = output.delay
+            extras[f"{output.measures}.offset"] = 0.0
         direct = tuple(replace(output, delay=0.0) for output in request.outputs)
-        return cls(
-            replace(request, torque=DIRECT, outputs=direct),
-            path.gain,
-            path.offset,
-            path.delay,
-            tuple(output.delay for output in sensors),
-            (0.0,) * len(sensors),
-        )
+        return cls(replace(request, torque=DIRECT, outputs=direct), extras)
+
+    @property
+    def friction(self) -> tuple[float, float]:
+        """Coulomb friction at motor and link [N m]."""
+        motor, link = (self.extras[name] for name in FRICTION)
+        return motor, link
+
+    def of_outputs(self, key: str) -> list[float]:
+        """Return the "delay" or "offset" of each output."""
+        return [self.extras[f"{output.measures}.{key}"] for output in self.request.sensors]
 
     def with_path(self, shown: Collection[str]) -> ArmRequest:
         """Return the request with the torque's path and the outputs' delays.
@@ -149,18 +148,12 @@ class Joint:
         Args:
             shown: Names of the numbers that are surely not 0; others of the path are left out.
         """
-        delays = [
-            delay if f"{output.measures}.delay" in shown else 0.0
-            for output, delay in zip(self.request.sensors, self.output_delays, strict=True)
-        ]
+        kept = {name: value if name in shown else 0.0 for name, value in self.extras.items()}
+        delays = [kept[f"{output.measures}.delay"] for output in self.request.sensors]
         # What counts is when an output is measured after the torque was commanded.
         late = max(0.0, -min(delays))
-        delay = self.delay if DELAY in shown else 0.0
-        path = TorquePath(
-            _rounded(self.gain),
-            _rounded(self.offset) if OFFSET in shown else 0.0,
-            _rounded(max(0.0, delay - late)),
-        )
+        gain, delay = self.extras[TORQUE_GAIN], max(0.0, kept[DELAY] - late)
+        path = TorquePath(_rounded(gain), _rounded(kept[OFFSET]), _rounded(delay))
         outputs = tuple(
             replace(output, delay=_rounded(own + late))
             for output, own in zip(self.request.outputs, delays, strict=False)
@@ -228,25 +221,16 @@ class Unknowns:
 
 def with_values(joint: Joint, values: Mapping[str, float]) -> Joint:
     """Return a joint with some numbers changed, by their names."""
+    extras = {name: values.get(name, own) for name, own in joint.extras.items()}
     tree: dict[str, Any] = {}
-    for name, value in values.items():
+    for name in [each for each in values if each not in extras]:
         *groups, last = name.split(".")
         branch = tree
         for group in groups:
             branch = branch.setdefault(group, {})
-        branch[last] = value
+        branch[last] = values[name]
     request = joint.request
-    outputs, delays, offsets = [], [], []
-    for output, delay, offset in zip(
-        request.sensors, joint.output_delays, joint.output_offsets, strict=True
-    ):
-        own = tree.pop(output.measures, {})
-        delays.append(own.pop("delay", delay))
-        offsets.append(own.pop("offset", offset))
-        outputs.append(_changed(output, own))
-    friction = zip(FRICTION, joint.friction, strict=True)
-    motor, link = (tree.pop(name, known) for name, known in friction)
-    path = tree.pop("torque", {})
+    outputs = [_changed(output, tree.pop(output.measures, {})) for output in request.sensors]
     changed = replace(
         request,
         measurement_std=outputs[0].measurement_std,
@@ -254,14 +238,7 @@ def with_values(joint: Joint, values: Mapping[str, float]) -> Joint:
         outputs=tuple(outputs) if request.outputs else (),
         **{name: _changed(getattr(request, name), branch) for name, branch in tree.items()},
     )
-    return replace(
-        joint,
-        request=changed,
-        output_delays=tuple(delays),
-        output_offsets=tuple(offsets),
-        friction=(motor, link),
-        **path,
-    )
+    return Joint(changed, extras)
 
 
 def _changed(value: Any, tree: Any) -> Any:

@@ -23,7 +23,14 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.estimation.estimator import model_of
-from tsobs_ros.identification.joint import Joint, Unknowns, delayed
+from tsobs_ros.identification.joint import (
+    DELAY,
+    OFFSET,
+    TORQUE_GAIN,
+    Joint,
+    Unknowns,
+    delayed,
+)
 from tsobs_ros.model.arm import QUANTITIES
 
 WORKERS = 2
@@ -102,20 +109,21 @@ def innovations(
     covariances = (request.measurement_covariance, request.initial_covariance)
     shape, model = model_of(request.flow, *covariances, None, auxiliary=False)
     scale = request.arm.to_physical(np.ones(4))
-    for place, (output, delay) in enumerate(zip(request.sensors, joint.output_delays, strict=True)):
+    for place, delay in enumerate(joint.of_outputs("delay")):
         if delay:
-            angle = QUANTITIES.index(output.measures)
+            angle = QUANTITIES.index(request.sensors[place].measures)
             model["C"][0, place, angle + 1] -= delay * scale[angle]
     gaps = recording.durations < 0.0
     durations = np.where(gaps, request.period, recording.durations)
-    u = joint.gain * delayed(recording.u, durations, joint.delay) + joint.offset
+    gain, offset, delay = (joint.extras[name] for name in (TORQUE_GAIN, OFFSET, DELAY))
+    u = gain * delayed(recording.u, durations, delay) + offset
     n, count = shape.n, recording.count
     errors, variances = np.empty((count, shape.p)), np.empty((count, shape.p))
     states, arm, (motor, link) = np.empty((count, n)), request.arm, joint.friction
     native.estimator_innovations(
         model.view(np.float64),
         recording.durations,
-        recording.y - np.array(joint.output_offsets),
+        recording.y - np.array(joint.of_outputs("offset")),
         u,
         link / arm.link_inertia,
         motor / arm.motor_inertia * arm.stiffness / arm.link_inertia,
