@@ -1,8 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The motion of arms against physics, against SciPy and against the textbook's formula."""
+"""The motion of arms against physics and against SciPy, and its delays."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,11 @@ from scipy.integrate import solve_ivp
 
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.model.torque_path import TorquePath
 from tsobs_ros.simulation.integrator import CREEP, Friction
-from tsobs_ros.simulation.plant import Plant, Scenario
+from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import BiasStep
 
 Vector = NDArray[np.float64]
 ARM = ElasticJointArm()
@@ -74,3 +78,67 @@ def test_friction_agrees_with_its_formula() -> None:
 
     ours = moved(ARM, START, 0.7, 5.0, friction=Friction(0.2, 0.1, 0.3, 0.15))
     np.testing.assert_allclose(ours, exact(rate, 5.0, "LSODA"), rtol=0.0, atol=1e-6)
+
+
+PERIOD = 0.005
+QUIET = Scenario(
+    initial_state=(0.3, 0.4, 2.0, -1.0),
+    initial_spread=(0.0,) * 4,
+    process_noise=ProcessNoise(0.0, 0.0),
+    sensor=Sensor(noise_std=0.0),
+)
+COMMANDS = np.random.default_rng(0).normal(0.0, 3.0, (2, 120, 1))
+
+
+def later(commands: Vector, periods: int) -> Vector:
+    first = np.repeat(commands[:, :1], periods, axis=1)
+    return np.concatenate([first, commands], axis=1)[:, : commands.shape[1]]
+
+
+@pytest.mark.parametrize("periods", [0.3, 1.0, 20.0])
+def test_a_command_reaches_the_motor_by_the_mean_over_a_period(periods: float) -> None:
+    torque = TorquePath(0.7, 0.4, periods * PERIOD)
+    moved = Plant(replace(QUIET, torque=torque), [1, 2]).run(120, COMMANDS)
+    share = periods % 1.0
+    before, after = (later(COMMANDS, int(periods) + more) for more in (0, 1))
+    applied = 0.7 * ((1.0 - share) * before + share * after) + 0.4
+    plain = Plant(QUIET, [1, 2]).run(120, applied)
+    np.testing.assert_allclose(moved.physical, plain.physical, rtol=0.0, atol=1e-12)
+    # The command is what is logged, and nothing else moves the arm.
+    np.testing.assert_array_equal(moved.torques, COMMANDS)
+    assert not moved.torque_disturbances.any()
+
+
+def test_an_error_of_the_report_is_worth_what_would_reach_the_motor() -> None:
+    torque = TorquePath(0.5, 0.4, 2.0 * PERIOD)
+    scenario = replace(QUIET, torque=torque, torque_error=(BiasStep(0.2, 0.1),))
+    run = Plant(scenario).run(40)
+    np.testing.assert_allclose(run.torque_disturbances[:22, 0], 0.0, atol=1e-15)
+    np.testing.assert_allclose(run.torque_disturbances[22:, 0], -0.1, atol=1e-15)
+
+
+def fine(delay: float, samples: int, scenario: Scenario) -> Vector:
+    """Return angles that were `delay` earlier, of samples of 5 ms, from steps of 1 ms."""
+    run = Plant(replace(scenario, rate=1000.0)).run(5 * samples, 1.0)
+    places = np.round(1000.0 * (PERIOD * np.arange(samples) - delay)).astype(int)
+    return np.asarray(run.physical[np.maximum(places, 0)][:, [0, 2]])
+
+
+@pytest.mark.parametrize("delay", [0.002, 0.013])
+def test_an_angle_is_measured_as_it_was(delay: float) -> None:
+    outputs = (
+        SimulatedOutput("link_angle", Sensor(noise_std=0.0), (BiasStep(0.1, 0.0),), delay),
+        SimulatedOutput("motor_angle", Sensor(noise_std=0.0), delay=delay),
+        SimulatedOutput("link_velocity", Sensor(noise_std=0.0)),
+    )
+    scenario = replace(QUIET, sensor=Sensor(), outputs=outputs)
+    run = Plant(scenario).run(200, 1.0)
+    first = round(delay / PERIOD) + 1
+    seen = run.measurements - run.disturbances
+    np.testing.assert_allclose(
+        seen[first:, :2], fine(delay, 200, scenario)[first:], rtol=0.0, atol=1e-8
+    )
+    np.testing.assert_array_equal(seen[:, 2], run.physical[:, 1])
+    # Before the first sample it moved as at the first.
+    start = run.physical[0]
+    np.testing.assert_allclose(seen[0, :2], start[[0, 2]] - delay * start[[1, 3]], atol=1e-12)

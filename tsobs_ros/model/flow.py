@@ -163,11 +163,9 @@ class ArmFlow(Flow):
         self.motor_torque, self.link_torque = self._placed(torques, 4 + disturbance.state_count)
 
     def to_physical(self, x: ArrayLike) -> Array:
-        """Return [q₁, q̇₁, q₂, q̇₂] (rad, rad/s) of augmented states of shape (..., n)."""
         return self.arm.to_physical(super().to_physical(x))
 
     def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
-        """Return what only arms have in their record; see `Flow.numbers`."""
         numbers: dict[str, Any] = {
             "gravity_gain": self.gravity_gain,
             "motor_torque": self.motor_torque,

@@ -195,7 +195,8 @@ class Flow(ABC):
         return matrix
 
     def to_physical(self, x: ArrayLike) -> Array:
-        """Return the plant's states in physical units for augmented states, shape (..., n)."""
+        """Return the plant's states in physical units, of an arm rad and rad/s, for augmented ones
+        of shape (..., n)."""
         return np.asarray(x, dtype=np.float64)[..., : self.plant_count]
 
     def transition(self, duration: float) -> Transition:

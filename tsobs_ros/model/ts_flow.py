@@ -75,7 +75,6 @@ class TSFlow(Flow):
         super().__init__((self._mean, mean[:, n:], model.C), densities, disturbance, period)
 
     def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
-        """Return what only T–S systems have in their record; see `Flow.numbers`."""
         shapes, parameters = self.model.rule_base.coded
         return {
             "deviations": self.deviations,

@@ -128,7 +128,7 @@ def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncert
     return Uncertainty(bounds, stack)
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Direction:
     """An uncertain direction of a T–S system's state matrices, Aᵢ + θ Eᵢ with |θ| ≤ bound.
 

@@ -249,7 +249,6 @@ class ArmMotion(Motion):
         self._noise = RandomStream(seeds, Source.PROCESS)
 
     def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
-        """Move on over samples; see `Motion.move`."""
         samples, payload = inputs.shape[1], self._scenario.payload
         since = np.arange(start, start + samples) / self._scenario.rate - payload.start
         states = np.empty((len(self.states), samples, 4))

@@ -143,7 +143,7 @@ class PlantScenario(ABC):
         """Return the plants at the first sample, ready to move."""
 
     def to_design(self, physical: Array) -> Array:
-        """Return states in the coordinates of designs, shape (..., n)."""
+        """Return states in the coordinates of designs, of an arm the nominal one's, (..., n)."""
         return physical
 
     @property
@@ -222,7 +222,6 @@ class Scenario(PlantScenario):
 
     @property
     def signals(self) -> PlantSignals:
-        """What moves it, and what is measured."""
         alone = SimulatedOutput(sensor=self.sensor, disturbance=self.disturbance)
         torques = (self.torque_disturbance.motor, self.torque_disturbance.link)
         outputs = self.outputs or (alone,)
@@ -230,11 +229,9 @@ class Scenario(PlantScenario):
         return PlantSignals(outputs, inputs, 1, torques, self.torque_error, self.torque)
 
     def motion(self, seeds: Sequence[int]) -> Motion:
-        """Return the arms at the first sample, ready to move."""
         return ArmMotion(self, seeds)
 
     def to_design(self, physical: Array) -> Array:
-        """Return states in the nominal arm's design coordinates, shape (..., 4)."""
         return self.arm.from_physical(physical)
 
 

@@ -95,11 +95,9 @@ class SystemScenario(PlantScenario):
 
     @property
     def signals(self) -> PlantSignals:
-        """What moves it, and what is measured."""
         return PlantSignals(self.outputs, self.inputs, self.model.input_count)
 
     def motion(self, seeds: Sequence[int]) -> Motion:
-        """Return the systems at the first sample, ready to move."""
         return SystemMotion(self, seeds)
 
 
@@ -140,7 +138,6 @@ class SystemMotion(Motion):
         )
 
     def known_output(self, output: int) -> Array:
-        """Return the present true value of an output that is fed back, shape (runs,)."""
         value = np.zeros(len(self.states))
         # Term by term: a product of matrices has other last bits for another number of runs.
         for gain, state in zip(self._outputs[0, output], self.states.T, strict=True):
@@ -148,7 +145,6 @@ class SystemMotion(Motion):
         return value
 
     def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
-        """Move on over samples; see `Motion.move`."""
         shape = inputs.shape[:2]
         states = np.empty((*shape, self.states.shape[1]))
         truths = np.empty((*shape, self._outputs.shape[1]))
