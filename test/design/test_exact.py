@@ -117,9 +117,7 @@ REQUESTS = {
         outputs=(Output("motor_angle", 0.001, delay=0.004), Output("link_angle", 0.01, (BIAS,))),
         torque_disturbance=TorqueDisturbance((), (CONTACT,)),
     ),
-    "uncertain": ArmRequest(
-        uncertainty={"gravity": 0.05, "stiffness": 0.1}, certify_uncertainty=True
-    ),
+    "uncertain": ArmRequest(uncertainty={"gravity": 0.05}, certify_uncertainty=True),
     "no gravity": ArmRequest(
         arm=ElasticJointArm(gravity_torque=0.0),
         outputs=(Output("motor_velocity", 0.01), Output("motor_angle", 0.001)),
@@ -137,6 +135,9 @@ def test_designs_of_every_sort_are_proved(name: str) -> None:
     assert report.holds
     margins = [inequality.margin for inequality in design.certificate.inequalities]
     assert [each.margin for each in report.inequalities] == pytest.approx(margins, rel=2e-3)
+    summary = design.summary()
+    assert (summary["holds"], summary["rate"]) == (True, design.request.rate)
+    assert all(text in design.text() for text in ("the certificate holds", design.request.headline))
 
 
 @pytest.mark.parametrize(

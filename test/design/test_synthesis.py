@@ -205,7 +205,8 @@ def lorenz() -> TSRequest:
         pytest.param(ArmRequest(disturbance=tone(1.4)),
          ["x_max below 0.5722 rad", "a disturbance frequency away", "motor_ang"],
          id="tone", marks=SLOW),
-        pytest.param(ArmRequest(disturbance=(*BIAS, *BIAS)), ["fewer terms"], id="two biases"),
+        pytest.param(ArmRequest(disturbance=(*BIAS, *BIAS)), ["fewer terms"],
+         id="two biases", marks=SLOW),
         pytest.param(of(("motor_angle", CLEAN), ("link_angle", (DisturbanceTerm("arbitrary"),))),
          ["a model of the disturbance"], id="arbitrary"),
         pytest.param(ArmRequest(process_noise=ProcessNoise(0.0, 0.0)), ["process_noise above 0"],
@@ -235,7 +236,7 @@ def test_every_remedy_that_is_suggested_has_a_design(
         (lambda: Output("link_angle", 0.1, ()), "disturbance: expected at least one term"),
         (
             lambda: ArmRequest(outputs=[Output("link_angle", 0.1)], measurement_std=0.2),
-            "measurement_std: expected in outputs, one an output, got 0.2 besides them",
+            "measurement_std: expected in outputs, one per output, got 0.2 beside them",
         ),
         (
             lambda: of(("link_angle", CLEAN), motor=tone(629.0)),
@@ -252,7 +253,7 @@ def test_every_remedy_that_is_suggested_has_a_design(
                     ("stiffness", "link_damping", "motor_damping", "link_inverse_inertia"), 0.1
                 ),
             ),
-            "certify_uncertainty: expected at most 3 uncertain parameters besides gravity",
+            "certify_uncertainty: expected at most 3 uncertain parameters beside gravity",
         ),
         (
             lambda: DisturbanceTerm("bias", {"density": "much"}),

@@ -179,7 +179,10 @@ def test_the_covariance_follows_the_jacobian_of_the_step(predicted: Any, flow: T
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"A": np.eye(2)}, r"A: expected one matrix a rule, shape \(r, ·, ·\), got shape \(2, 2\)"),
+        (
+            {"A": np.eye(2)},
+            r"A: expected one matrix per rule, shape \(r, ·, ·\), got shape \(2, 2\)",
+        ),
         ({"B": np.zeros((3, 1))}, r"B: expected shape \(2, 2, 1\), got \(2, 3, 1\)"),
         ({"C": np.zeros((1, 3))}, r"C: expected shape \(1, 2\), got \(1, 3\)"),
         ({"C": np.zeros(2)}, r"C: expected a matrix, got shape \(2,\)"),

@@ -113,7 +113,7 @@ SYSTEM = SystemScenario(
 
 
 def measured(run: Any, number: int = 0) -> Array:
-    """Return what a sensor adds to the link angle besides its disturbance."""
+    """Return what a sensor adds to the link angle beside its disturbance."""
     rest = run.measurements - run.disturbances - run.physical[..., :1]
     return np.asarray(rest[..., number])
 

@@ -75,7 +75,7 @@ def test_commands_move_the_inputs_and_outputs_have_sensors_of_their_own() -> Non
     [
         ({"initial_state": (1.0,)}, r"initial_state: expected shape \(2,\), got \(1,\)"),
         ({"process_noise": (0.0, -1.0)}, "process_noise: expected numbers of at least 0"),
-        ({"outputs": (SimulatedOutput("angle"),)}, "outputs: expected 2, one an output, got 1"),
+        ({"outputs": (SimulatedOutput("angle"),)}, "outputs: expected 2, one per output, got 1"),
         ({"inputs": (Sine(), Sine())}, "inputs: expected 1 signals, .*, got 2"),
         ({"change": np.zeros((2, 2, 2))}, r"change: expected shape \(2, 2, 3\)"),
     ],

@@ -41,7 +41,7 @@ Numbers: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 VERSION = 1
 _ANSWER = ("gain", "certificate", "solver")
-"""What a design file has besides its request."""
+"""What a design file has beside its request."""
 _ARM_PARAMETERS = ("link_inertia", "motor_inertia", "stiffness", "gravity_torque")
 """Those of an arm that have no default in a file; dampings are 0."""
 IDENTITY_LENGTH = 12
@@ -245,7 +245,7 @@ def _arm_request(data: dict[Any, Any], place: str) -> ArmRequest:
             raise DesignFileError(located(place, "outputs: expected at least one"))
         for name in ("disturbance", "measurement_std"):
             if name in entries:
-                message = f"{name}: expected in outputs, one per output, not besides them"
+                message = f"{name}: expected in outputs, one per output, not beside them"
                 raise DesignFileError(located(place, message))
     return decode(data, _ArmFile).design if place else decode(data, ArmRequest)
 
@@ -262,7 +262,7 @@ class _Certificate:
 
 @dataclass
 class _Answer:
-    """What a design file has besides its request."""
+    """What a design file has beside its request."""
 
     gain: _Gain
     certificate: _Certificate

@@ -119,7 +119,7 @@ class Request(ABC):
         signal_names: The names of all signals, alone.
         signal_units: The units of all signals, empty texts if they are not known.
         headline: The problem in words, for reports.
-        details: What reports of this kind of problem have besides, as plain data.
+        details: What reports of this kind of problem have, too, as plain data.
         domain: The domain in words, after "for", e.g. "gravity slopes [0.7317, 1]".
         default_torque_rate: 1σ of the rate at which a torque may move in a gap [N m/s].
         max_angle: Half width of the domain of an arm's link angle [rad], infinite if there is none.

@@ -110,7 +110,7 @@ class Output:
 
 @dataclass(frozen=True)
 class TorqueDisturbance:
-    """Unknown torques of an arm besides the known one [N m].
+    """Unknown torques of an arm beside the known one [N m].
 
     Attributes:
         motor: Terms of the torque at the motor: friction, offset, an error of the drive's gain.
@@ -242,7 +242,7 @@ class ArmRequest(Request):
             given, own = getattr(self, name), getattr(first, name)
             if given not in (own, getattr(type(self), name)):
                 raise ModelError(
-                    f"{name}: expected in outputs, one an output, got {shown(given)} besides them"
+                    f"{name}: expected in outputs, one per output, got {shown(given)} beside them"
                 )
             self._take(**{name: own})
         self.arm.measured(
@@ -507,7 +507,7 @@ class TSRequest(Request):
         if count > _MAX_MATRICES:
             raise ModelError(
                 f"vertices: expected at most {_MAX_MATRICES} matrices (rules or slope vertices, "
-                f"times 2 a certified direction), got {count}"
+                f"times 2 per certified direction), got {count}"
             )
 
     @cached_property

@@ -4,7 +4,7 @@
 
 An arm has angles, velocities and torques. A driver publishes the side that its encoder is on under
 the joint's name; only with encoders on both sides the motor has an entry of its own. A T–S system
-has an entry a signal, whose value is its `position`.
+has an entry per signal, whose value is its `position`.
 """
 
 from collections.abc import Iterable

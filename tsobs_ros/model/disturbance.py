@@ -167,7 +167,7 @@ def ramp(
 
 
 def per_channel(models: Sequence[DisturbanceModel]) -> DisturbanceModel:
-    """Return independent one-channel models side by side, one an output channel."""
+    """Return independent one-channel models side by side, one per output channel."""
     if not models:
         raise ModelError("per_channel: expected at least one disturbance model")
     return DisturbanceModel(

@@ -162,7 +162,7 @@ class RuleBase:
             raise ModelError("rules: expected at least one rule with one premise variable")
         if len(set(lengths)) != 1:
             raise ModelError(
-                f"rules: every rule needs one membership function a premise variable, got {lengths}"
+                f"rules: expected one membership function per premise variable, got {lengths}"
             )
 
     @property

@@ -137,7 +137,7 @@ class Flow(ABC):
         n, m = len(A), B.shape[1]
         if disturbance.channel_count != len(C):
             raise ModelError(
-                f"disturbance: expected {len(C)} channels, one an output, "
+                f"disturbance: expected {len(C)} channels, one per output, "
                 f"got {disturbance.channel_count}"
             )
         self.disturbance, self.torque_disturbance = disturbance, torque_disturbance

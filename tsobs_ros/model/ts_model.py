@@ -119,6 +119,6 @@ def _length(name: str, matrix: ArrayLike, axis: int, axes: int) -> int:
     """Return the length of an axis of a matrix with so many axes, or raise `ModelError`."""
     shape = np.shape(matrix)
     if len(shape) != axes:
-        kind = "one matrix a rule, shape (r, ·, ·)" if axes == 3 else "a matrix"
+        kind = "one matrix per rule, shape (r, ·, ·)" if axes == 3 else "a matrix"
         raise ModelError(f"{name}: expected {kind}, got shape {shape}")
     return int(shape[axis])

@@ -35,7 +35,7 @@ ARM_DIRECTIONS = (
 damping [N m s/rad]."""
 
 _MAX_DIRECTIONS = 3
-"""Uncertain directions of a proof besides gravity: k of them make 4·4^k vertices."""
+"""Uncertain directions of a proof beside gravity: k of them make 4·4^k vertices."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Uncertainty:
         if len(places) > _MAX_DIRECTIONS:
             raise ModelError(
                 f"certify_uncertainty: expected at most {_MAX_DIRECTIONS} uncertain parameters "
-                f"besides gravity, got {', '.join(self.names[k] for k in places)}"
+                f"beside gravity, got {', '.join(self.names[k] for k in places)}"
             )
         return places
 

@@ -106,7 +106,7 @@ class TorqueDelay:
 
     Args:
         path: Gain, offset and delay.
-        rate: Samples a second [Hz].
+        rate: Samples per second [Hz].
     """
 
     def __init__(self, path: TorquePath, rate: float) -> None:
@@ -138,7 +138,7 @@ class AngleDelay:
     Args:
         places: Places of the angles in a state, each followed by that of its velocity.
         delays: Of each [s]; a state of a delay of 0 is taken as it is, and need not be an angle.
-        rate: Samples a second [Hz].
+        rate: Samples per second [Hz].
     """
 
     def __init__(self, places: Sequence[int], delays: Sequence[float], rate: float) -> None:

@@ -83,7 +83,7 @@ class SimulatedOutput:
 
 @dataclass(frozen=True)
 class TorqueDisturbance:
-    """Torques on an arm besides the drive's [N m]; each is held from a sample to the next.
+    """Torques on an arm beside the drive's [N m]; each is held from a sample to the next.
 
     Attributes:
         motor: Components of the torque on the motor, added up.
@@ -126,7 +126,7 @@ class PlantScenario(ABC):
     """A plant, what moves it and what its outputs measure.
 
     Attributes:
-        rate: Samples a second [Hz].
+        rate: Samples per second [Hz].
         duration: How long a campaign simulates [s].
     """
 
@@ -159,8 +159,8 @@ class Scenario(PlantScenario):
     Attributes:
         arm: The nominal arm, the one an estimator knows.
         mismatch: How the true arm differs from it.
-        friction: What the true arm has besides.
-        rate: Samples a second [Hz].
+        friction: What the true arm has in addition.
+        rate: Samples per second [Hz].
         duration: How long a campaign simulates [s].
         initial_state: Mean of x(0) in the nominal arm's design coordinates.
         initial_spread: 1σ of x(0) in the same coordinates.
@@ -172,7 +172,7 @@ class Scenario(PlantScenario):
             `signals` in N m, added up; of a drift its mean.
         outputs: What is measured, each with a sensor and a disturbance of its own; empty for the
             link angle alone, by `sensor` and with `disturbance`.
-        torque_disturbance: Torques besides the drive's.
+        torque_disturbance: Torques beside the drive's.
         payload: What the link carries for a time.
         backlash: Play of the true arm's gear [rad], half of it to either side.
         torque: How the commanded torque, which is the one that is reported, reaches the motor.
@@ -252,7 +252,7 @@ class Trajectories(NamedTuple):
             error, shape (runs, samples, 1).
         physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, samples, 4).
         torque_disturbances: Torques on motor and link that the true arm (with its mismatch) would
-            need besides the reported one, which reaches it as the design says, without friction,
+            need beside the reported one, which reaches it as the design says, without friction,
             payload and backlash, to accelerate as it does, shape (runs, samples, 2) [N m]. They
             count the torque disturbance, friction, the payload's inertia and weight, what the
             spring lacks by play, and the error of the reported torque; not the mismatch, which is a
@@ -362,7 +362,7 @@ class Plant:
     def run(self, samples: int, torque: ArrayLike | None = None) -> Trajectories:
         """Step many times and return all samples; other threads of Python can run meanwhile.
 
-        Everything is kept: 104 bytes a run and sample of an arm with one output.
+        Everything is kept: 104 bytes per run and sample of an arm with one output.
 
         Args:
             samples: Number of steps.

@@ -194,7 +194,7 @@ def simulate(
 ) -> Trajectories:
     """Run a scenario once for each seed, all runs at once.
 
-    Everything is kept: 104 bytes a run and sample, 75 MB for 60 runs of a minute.
+    Everything is kept: 104 bytes per run and sample, 75 MB for 60 runs of a minute.
 
     Args:
         scenario: What happens.

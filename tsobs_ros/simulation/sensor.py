@@ -73,7 +73,7 @@ class Disturbance:
         seeds: One for each run.
         source: What the random numbers of drifts are for.
         channel: Number of the output or torque.
-        rate: Samples a second [Hz].
+        rate: Samples per second [Hz].
         signals: What it is the sum of.
     """
 
@@ -134,7 +134,7 @@ class Output:
     Args:
         seeds: One for each run.
         number: Number of the output.
-        rate: Samples a second [Hz].
+        rate: Samples per second [Hz].
         sensor: Its sensor.
         signals: Its disturbance.
     """

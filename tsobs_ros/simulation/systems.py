@@ -30,7 +30,7 @@ class SystemScenario(PlantScenario):
     Attributes:
         model: The nominal system, the one an estimator knows.
         outputs: What measures each output, p of them.
-        rate: Samples a second [Hz].
+        rate: Samples per second [Hz].
         duration: How long a campaign simulates [s].
         initial_state: Mean of x(0), shape (n,); zero by default.
         initial_spread: 1σ of x(0), shape (n,); none by default.
@@ -41,8 +41,7 @@ class SystemScenario(PlantScenario):
         fed_back: Names of the outputs whose measurements are scheduled signals, one for each of
             these, None of a signal of its own; none by default. What is held is the last finite
             value.
-        change: [ΔAᵢ ΔBᵢ] that the true system's rules have besides, shape (r, n, n + m); none by
-            default.
+        change: [ΔAᵢ ΔBᵢ] of the true system's rules, shape (r, n, n + m); none by default.
 
     Raises:
         ModelError: A number is not finite, of the wrong sign or shape.
@@ -73,11 +72,11 @@ class SystemScenario(PlantScenario):
                 raise ModelError(f"{name}: expected numbers of at least 0, got {values.tolist()}")
             object.__setattr__(self, name, values)
         if len(self.outputs) != p:
-            raise ModelError(f"outputs: expected {p}, one an output, got {len(self.outputs)}")
+            raise ModelError(f"outputs: expected {p}, one per output, got {len(self.outputs)}")
         object.__setattr__(self, "inputs", self.inputs or (NoTorque(),) * signals)
         if len(self.inputs) != signals:
             raise ModelError(
-                f"inputs: expected {signals} signals, one an input and scheduled signal, "
+                f"inputs: expected {signals} signals, one per input and scheduled signal, "
                 f"got {len(self.inputs)}"
             )
         shape = model.rates.shape
