@@ -43,6 +43,7 @@ SHORTER = {
     "tsobs compare --output comparison": (
         "tsobs compare --output comparison --scenario noise --seeds 1 --duration 8"
     ),
+    "tsobs compare first_run": "tsobs compare first_run --method certified ekf",
     "tsobs campaign $(tsobs config)/campaign.yaml": (
         "tsobs campaign $(tsobs config)/campaign.yaml --runs 8 --output my_campaign"
     ),
