@@ -154,6 +154,7 @@ COMMAND_PAGES = [
     and any(b.language in ("sh", "yaml") for b in blocks(page))
 ]
 SLOW = pytest.mark.slow
+LONG = pytest.mark.xdist_group("pages")  # groups start first, so that no worker ends with these
 PYTHON_PAGES = [page for page in PAGES if any(b.language == "python" for b in blocks(page))]
 
 
@@ -369,6 +370,7 @@ class LiveShell(Shell):
             assert process.finish().exit_code == 0
 
 
+@LONG
 def test_the_tutorial_runs(
     folder: Path,
     ros_process: Callable[..., Any],
@@ -435,6 +437,7 @@ QUICK = {
 """What runs in place of the page's commands in `make test`."""
 
 
+@LONG
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=SLOW)])
 def test_the_numbers_of_a_robot_are_found(
     quick: bool,
