@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chunks copied from bag to bag: every reader gives the same messages in the same order."""
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -70,7 +69,7 @@ def write_bag(path: Path, written: list[Entry], **options: Any) -> Path:
 
 
 def copy(source: Path, target: Path, topics: tuple[str, ...], **options: Any) -> Path:
-    """Copy in steps of time, as an estimation does, with a message made in each."""
+    """Copy as an estimation does, and write some messages of another topic."""
     reader = BagReader(source)
     chunks = ChunkCopy(reader, topics)
     with BagWriter(target, **options) as writer:
@@ -80,9 +79,8 @@ def copy(source: Path, target: Path, topics: tuple[str, ...], **options: Any) ->
                 name, one.type, one.qos_profiles, definition=one.definition, ids=chunks.ids(name)
             )
         writer.add_topic("/made", BYTES, [QosProfile()])
-        for horizon in (15.0, 30.0, math.inf):
-            chunks.up_to(horizon, writer)
-            time = 60 if horizon == math.inf else int(horizon) - 1
+        chunks.copy(writer)
+        for time in (14, 29, 60):
             writer.write("/made", message(0), time, time)
     return target
 

@@ -134,11 +134,6 @@ class MessageSeries(NamedTuple):
     publish_times: NDArray[np.int64]
     data: NDArray[np.uint8]
 
-    def take(self, chosen: NDArray[Any] | slice) -> "MessageSeries":
-        """Return some of the messages."""
-        times = self.log_times[chosen], self.publish_times[chosen]
-        return MessageSeries(self.topic, self.type, *times, self.data[chosen])
-
     def messages(self) -> list[Message]:
         """Return them one by one."""
         times = zip(self.log_times.tolist(), self.publish_times.tolist(), strict=True)

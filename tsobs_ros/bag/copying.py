@@ -9,8 +9,6 @@ taken apart either way.
 
 from collections.abc import Collection
 
-import numpy as np
-
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.errors import BagReadError
@@ -30,16 +28,12 @@ class ChunkCopy:
             {id_: one.topic for id_, one in summary.channels.items() if one.topic in topics}
             for summary in reader.summaries
         ]
-        self.spans = spans = [
+        self.spans = [
             span
             for summary, wanted in zip(reader.summaries, self._topics, strict=True)
             for span in sorted(summary.spans, key=lambda span: span.offset)
             if span.channels is None or span.channels & wanted.keys()
         ]
-        # The smallest log time of a chunk and of those behind it.
-        starts = np.array([span.start for span in spans], np.uint64)
-        self._starts = np.minimum.accumulate(starts[::-1])[::-1].tolist()
-        self._next = 0
 
     def ids(self, topic: str) -> tuple[int, int]:
         """Return the channel and the schema of a topic in the first file that has it."""
@@ -65,14 +59,11 @@ class ChunkCopy:
                     return False
         return True
 
-    def up_to(self, horizon: float, writer: BagWriter) -> None:
-        """Copy the chunks that have messages before a log time [ns], and those in front of them.
+    def copy(self, writer: BagWriter) -> None:
+        """Copy the chunks.
 
         Args:
-            horizon: The log time [ns].
             writer: The bag to copy to, which has the topics.
         """
-        while self._next < len(self.spans) and self._starts[self._next] < horizon:
-            span = self.spans[self._next]
-            self._next += 1
+        for span in self.spans:
             writer.copy(*self._reader.read(span), self._topics[span.rank])

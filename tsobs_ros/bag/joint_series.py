@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """JointState topics of a bag as arrays: one row a message, in the order of recording."""
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
@@ -113,13 +112,10 @@ class Block(NamedTuple):
     Attributes:
         series: JointStates by the topics' names.
         raw: Messages as bytes by the topics' names.
-        horizon: Log time from which on messages of the next block may be [ns]; messages of this
-            one go on for a third of its length beyond. Infinite in the last block.
     """
 
     series: dict[str, JointSeries]
     raw: dict[str, RawMessages]
-    horizon: float
 
 
 def read_blocks(
@@ -136,7 +132,7 @@ def read_blocks(
         reader: The bag.
         wanted: What to read of which topic.
         raw: Topics of any type whose messages to return as bytes; some may be wanted too.
-        size: Number of messages in a block, of all topics, divisible by 4; None for one block.
+        size: Least number of messages in a block, of all topics; None for one block.
         on_damage: Called with damage to the bag, up to which all is returned; else it is raised.
 
     Raises:
@@ -147,9 +143,9 @@ def read_blocks(
     builders = {name: _Builder(each) for name, each in wanted.items()}
     names = list(dict.fromkeys([*wanted, *raw]))
     parts = until_damage(reader.rows(names), on_damage)
-    waiting, records, whole = np.zeros(0, ROW), dict[int, bytes](), False
+    whole = False
     while not whole:
-        found = [waiting]
+        found, records = [np.zeros(0, ROW)], dict[int, bytes]()
         while size is None or sum(map(len, found)) < size:
             try:
                 rows, new = next(parts)
@@ -158,23 +154,11 @@ def read_blocks(
                 break
             found.append(rows)
             records |= new
-        waiting = np.concatenate(found)
-        block = waiting[:size]
-        horizon = math.inf
-        if not whole and size is not None:
-            horizon = int(block["log_time"][_behind(size) - 1])
+        block = np.concatenate(found)
         own_rows = [block[block["channel"] == place] for place in range(len(names))]
         found_raw = {name: _raw(rows, records) for name, rows in zip(names, own_rows, strict=True)}
         series = {name: builder.decode(found_raw[name]) for name, builder in builders.items()}
-        yield Block(series, {name: found_raw[name] for name in raw}, horizon)
-        waiting = waiting[len(block) :]
-        records = {key: records[key] for key in np.unique(waiting["chunk"]).tolist()}
-
-
-def _behind(size: int) -> int:
-    """Return the number of messages in front of the horizon: three quarters, in whole steps."""
-    step = min(_STEP, size // 4)
-    return -(-3 * size // 4 // step) * step
+        yield Block(series, {name: found_raw[name] for name in raw})
 
 
 def require_joint_states(reader: BagReader, topic: str) -> None:

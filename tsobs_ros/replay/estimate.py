@@ -511,6 +511,6 @@ def _begin_bag(writer: BagWriter, source: Source, runs: Sequence[Run], *, copy: 
         writer.write_all(source.messages() if copy else ())
         return
     try:
-        chunks.up_to(math.inf, writer)
+        chunks.copy(writer)
     except BagReadError as error:
         source.damage = error
