@@ -15,8 +15,8 @@ import threading
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from types import FrameType, TracebackType
-    from typing import Any, Self
+    from types import FrameType
+    from typing import Any
 
 _SIGNALS = [signal.SIGINT, signal.SIGTERM]
 # A terminal that closes sends SIGHUP; a process under nohup inherits that it is ignored.
@@ -109,17 +109,12 @@ class StopFlag:
         for number in _SIGNALS:
             self._previous[number] = signal.signal(number, self._raise)
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> StopFlag:
         """Catch the signals inside the block."""
         self.install()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Restore the handlers found on entry."""
         for number, handler in self._previous.items():
             signal.signal(number, handler)

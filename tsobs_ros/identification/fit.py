@@ -34,7 +34,7 @@ from tsobs_ros.identification.likelihood import (
     Likelihood,
     Recording,
     innovations,
-    log_likelihood,
+    mean_log_likelihoods,
 )
 from tsobs_ros.identification.recordings import Samples, read, require_torque
 from tsobs_ros.identification.result import Fit, Found, Lack
@@ -304,22 +304,6 @@ def _reversal_time(joint: Joint, recordings: Sequence[Recording], side: str) -> 
     return float(f"{time / reversals:.3g}")
 
 
-def _mean_log_likelihoods(
-    joint: Joint, recordings: Sequence[Recording], begins: Sequence[int]
-) -> tuple[float, float]:
-    """Return the log likelihood per sample before the held-out parts begin, and in them."""
-    totals, counts = [0.0, 0.0], [0, 0]
-    for recording, begin in zip(recordings, begins, strict=True):
-        found = innovations(joint, recording)
-        for place, part in enumerate((slice(0, begin), slice(begin, None))):
-            totals[place] += log_likelihood(found.errors[part], found.variances[part])
-            counts[place] += len(found.errors[part])
-    fitted, held_out = (
-        total / count if count else math.nan for total, count in zip(totals, counts, strict=True)
-    )
-    return fitted, held_out
-
-
 def fit(
     request: ArmRequest,
     *logs: str | Path | Samples,
@@ -380,7 +364,7 @@ def fit(
     begin = begins[longest] if held_out else whole.count // 2
     outputs, traces = output_fits(likeliest, whole, begin)
     before, after = (
-        _mean_log_likelihoods(each, recordings, begins) for each in (unknowns.joint, likeliest)
+        mean_log_likelihoods(each, recordings, begins) for each in (unknowns.joint, likeliest)
     )
     samples = sum(begins)
     return Fit(

@@ -241,8 +241,20 @@ class Likelihood:
         return made
 
 
-def log_likelihood(errors: Array, variances: Array) -> float:
-    """Return log L of innovations, NaN of one that is missing."""
-    with np.errstate(all="ignore"):
-        squares = np.minimum(errors * errors / variances, GATE * GATE)
-        return -0.5 * float(np.nansum(squares + np.log(2.0 * math.pi * variances)))
+def mean_log_likelihoods(
+    joint: Joint, recordings: Sequence[Recording], begins: Sequence[int]
+) -> tuple[float, float]:
+    """Return log L per sample before the held-out parts begin, and in them; NaN without any."""
+    totals, counts = [0.0, 0.0], [0, 0]
+    for recording, begin in zip(recordings, begins, strict=True):
+        found = innovations(joint, recording)
+        with np.errstate(all="ignore"):
+            squares = np.minimum(found.errors**2 / found.variances, GATE * GATE)
+            costs = squares + np.log(2.0 * math.pi * found.variances)
+        for place, part in enumerate((costs[:begin], costs[begin:])):
+            totals[place] -= 0.5 * float(np.nansum(part))
+            counts[place] += len(part)
+    before, after = (
+        total / count if count else math.nan for total, count in zip(totals, counts, strict=True)
+    )
+    return before, after
