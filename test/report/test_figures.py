@@ -57,7 +57,7 @@ def test_a_figure_has_gaps_where_its_series_have_them(troubled, tmp_path, gap: s
         if gap == "stamps":
             gaps[name] = Series(stamps[~inside], values[~inside])
     run = replace(whole, **gaps)
-    shown = picture(run, measure(run), learnt=("stiffness", "gravity_torque"))
+    shown = picture(run, measure(run))
     assert np.isfinite([plot.limits for plot in shown.plots]).all()
     draw_run(shown, tmp_path / "run.png")
     pixels = imread(tmp_path / "run.png")[..., :3]

@@ -67,17 +67,11 @@ def test_errors_count_where_the_run_is_settled(exact) -> None:
     assert metrics["disturbance"].rmse == 0.0
 
 
-@pytest.mark.parametrize(("size", "inside"), [(0.31, 0.9), (-0.29, 1.0)])
-def test_inside_counts_three_sigma_of_the_bound(exact, size, inside) -> None:
-    metrics = measure(with_error(exact, 10.0, 13.0, size, column=2))
-
-    assert metrics["motor_angle"].inside == pytest.approx(inside)
-
-
-def test_the_normalised_error_weighs_the_states_by_their_scale(exact) -> None:
-    scale = (0.226, 0.60, 0.355, 0.464)
-    run = replace(exact, state=exact.state + 0.01 * np.array(scale))
-
+def test_inside_counts_three_sigma_and_the_normalised_error_weighs_the_states(exact) -> None:
+    for size, inside in ((0.31, 0.9), (-0.29, 1.0)):
+        metrics = measure(with_error(exact, 10.0, 13.0, size, column=2))
+        assert metrics["motor_angle"].inside == pytest.approx(inside)
+    run = replace(exact, state=exact.state + 0.01 * np.array([0.226, 0.60, 0.355, 0.464]))
     assert measure(run).normalised_rmse == pytest.approx(0.01)
 
 

@@ -52,7 +52,7 @@ def page(simulated, troubled, diagnosed, tmp_path):
         ),
     )  # fmt: skip
     metrics = measure(run)
-    shown = picture(run, metrics, (0.03,), learnt=("stiffness", HOSTILE), diagnosed=diagnosed)
+    shown = picture(run, metrics, (0.03,), diagnosed=diagnosed)
     path = tmp_path / "run.html"
     table = Table("A table", ("what", "number"), [(HOSTILE, "1")], 1, HOSTILE)
     write_html(shown, path, About(Level.WARN, ("It went so-so.",), (table,), ((HOSTILE, "2"),)))
@@ -77,7 +77,7 @@ def tab(browser, page):
 
 def test_a_page_fits_a_phone_zooms_switches_and_prints(tab, page) -> None:
     titles = tab.locator("h3").all_inner_texts()
-    assert {"link angle [rad]", "sensor fault", f"learnt change of {HOSTILE}"} < set(titles)
+    assert {"link angle [rad]", "sensor fault", "learnt change of gravity"} < set(titles)
     assert len(titles) == 20
     assert tab.locator(".main-svg .trace").count() > 40
     assert tab.locator("p.verdict").inner_text() == "! Mind:It went so-so."

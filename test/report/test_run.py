@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.design.file import load_design
+from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.report.run import FoundObserver, RecordedRun, hold, interpolate
@@ -83,17 +84,9 @@ def test_health_that_version_0_7_recorded_is_read(short, messages_of, write_bag)
     ]
 
 
-def test_missing_topics_are_named_with_the_bag(short, messages_of, write_bag) -> None:
-    topics = messages_of(short)
-    del topics["/observer/error_bound"], topics["/joint_measurements"]
-
-    with pytest.raises(
-        BagReadError, match=r"bag: no topic ends in joint_measurements, observer/error_bound; "
-    ):
-        read_run(write_bag(topics))
-
-
-def test_of_two_arms_one_must_be_chosen(short, messages_of, write_bag) -> None:
+def test_missing_topics_are_named_and_of_two_arms_one_is_chosen(
+    short, messages_of, write_bag, tmp_path
+) -> None:
     other = replace(short, state=short.state + 1.0)
     bag = write_bag({**messages_of(short, "/left"), **messages_of(other, "/right")})
 
@@ -101,10 +94,16 @@ def test_of_two_arms_one_must_be_chosen(short, messages_of, write_bag) -> None:
         read_run(bag)
     np.testing.assert_array_equal(read_run(bag, namespace="/right").state, other.state)
     np.testing.assert_array_equal(read_run(bag, namespace="left/").state, short.state)
+    missing = "bag: no topic ends in joint_measurements, observer/joint_states, .*; topics: /left/"
+    with pytest.raises(BagReadError, match=missing):
+        FoundObserver(bag, namespace="/nowhere").run("elbow", ArmRequest())
 
 
-def test_the_joint_may_be_one_of_several_and_lack_an_effort(short, messages_of, write_bag) -> None:
+def test_joints_efforts_and_messages_that_are_missing_leave_gaps(
+    short, messages_of, write_bag
+) -> None:
     topics = messages_of(short)
+    del topics["/observer/error_bound"][10], topics["/observer/disturbance"][20]
     first, second, third, *_ = topics["/joint_measurements"]
     topics["/joint_measurements"] = [
         first._replace(names=["elbow", short.joint], position=[9.0, 0.5], effort=[8.0, 0.25]),
@@ -112,18 +111,10 @@ def test_the_joint_may_be_one_of_several_and_lack_an_effort(short, messages_of, 
         third._replace(names=["elbow"]),
     ]
 
-    measured = read_run(write_bag(topics)).measurements
-
-    np.testing.assert_array_equal(measured.stamps, [first.stamp, second.stamp])
-    np.testing.assert_array_equal(measured.values, [[0.5, 0.25], [0.75, np.nan]])
-
-
-def test_lost_messages_leave_gaps_and_not_shifts(short, messages_of, write_bag) -> None:
-    topics = messages_of(short)
-    del topics["/observer/error_bound"][10], topics["/observer/disturbance"][20]
-
     run = read_run(write_bag(topics))
 
+    np.testing.assert_array_equal(run.measurements.stamps, [first.stamp, second.stamp])
+    np.testing.assert_array_equal(run.measurements.values, [[0.5, 0.25], [0.75, np.nan]])
     assert np.flatnonzero(np.isnan(run.state_bound[:, 0])).tolist() == [10]
     assert np.flatnonzero(np.isnan(run.disturbance[:, 0])).tolist() == [20]
     np.testing.assert_array_equal(run.state_bound[11:], short.state_bound[11:])

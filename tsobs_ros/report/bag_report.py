@@ -3,8 +3,9 @@
 """The report on a bag: a table, a figure, an interactive page, and the same numbers as JSON."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
@@ -16,7 +17,7 @@ from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import TsobsError, missing_library, printable
 from tsobs_ros.files import require_new, written_whole
-from tsobs_ros.replay.designs import RecordedObserver, choose_designs
+from tsobs_ros.replay.designs import choose_designs
 from tsobs_ros.replay.health import (
     Health,
     JointEvent,
@@ -34,7 +35,7 @@ from tsobs_ros.report.comparison import (
 from tsobs_ros.report.diagnosed import Diagnosed, diagnose
 from tsobs_ros.report.metrics import RunMetrics, innovation_std, measure
 from tsobs_ros.report.panels import TimingSummary, picture
-from tsobs_ros.report.run import FoundObserver
+from tsobs_ros.report.run import FoundObserver, RecordedRun
 from tsobs_ros.report.summary import About, Summary, Table, summarise
 from tsobs_ros.series import NANOSECONDS
 
@@ -49,43 +50,46 @@ class BagReport:
 
     Attributes:
         bag: The bag it is on.
-        joint: The joint.
         design: The design that the estimates were made with.
+        run: The recorded run.
         metrics: Of the recorded estimates.
         health: Of the estimates, None if it was not recorded.
-        events: Changes of their health.
-        begin: Stamp that times count from [ns].
+        events: Changes of their health, in order.
         comparison: With an EKF on the same measurements, if asked for.
-        summary: How the run went, in words.
         diagnosed: Faults and rejects, as the recorded diagnostics have them.
         timing: How regular the measurements came.
-        notes: What else is known of its origin, such as a seed, by name.
+        facts: Names and values of what it was made with.
         files: The files that were written, in order of interest.
         remarks: Limits of the report itself.
     """
 
     bag: Path
-    joint: str
     design: DesignFile
+    run: RecordedRun
     metrics: RunMetrics
     health: Health | None
-    events: tuple[JointEvent, ...]
-    begin: int
+    events: Sequence[JointEvent]
     comparison: EkfComparison | None
-    summary: Summary
     diagnosed: Diagnosed
     timing: TimingSummary
-    notes: Mapping[str, str]
-    files: tuple[Path, ...]
-    remarks: tuple[str, ...]
+    facts: Sequence[tuple[str, str]]
+    files: Sequence[Path]
+    remarks: Sequence[str]
+
+    @cached_property
+    def summary(self) -> Summary:
+        """How the run went, in words."""
+        until = int(self.run.measurements.stamps.max())
+        known = self.metrics, self.health, self.diagnosed, self.timing
+        return summarise(*known, self.events, until)
 
     def text(self) -> str:
         """Return the report for a terminal."""
-        table = render_metrics(self.metrics, self.comparison)
-        what = f"{self.joint}, design {self.design.name} ({self.design.identity})"
-        parts = [f"{printable(f'{self.bag}: {what}')}\n{printable(self.summary.text)}", table]
+        what = f"{self.run.joint}, design {self.design.name} ({self.design.identity})"
+        parts = [f"{printable(f'{self.bag}: {what}')}\n{printable(self.summary.text)}"]
+        parts.append(render_metrics(self.metrics, self.comparison))
         if self.health is not None:
-            events = list_events(self.events, self.begin)
+            events = list_events(self.events, self.run.origin)
             parts.append("\n".join(map(printable, [*self.health.lines(), *events])))
         if self.remarks:
             parts.append("\n".join(map(printable, self.remarks)))
@@ -94,22 +98,58 @@ class BagReport:
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the report as plain data that JSON can hold."""
+        health = self.health and {
+            **self.health.as_mapping(),
+            **map_events(self.events, self.run.origin),
+        }
         return {
             "bag": str(self.bag),
-            "joint": self.joint,
+            "joint": self.run.joint,
             "design": {"file": self.design.name, "sha256": self.design.sha256},
             "version": __version__,
             "summary": {"level": self.summary.level.name, "text": self.summary.text},
             **self.metrics.as_mapping(),
-            "health": None
-            if self.health is None
-            else {**self.health.as_mapping(), **map_events(self.events, self.begin)},
+            "health": health,
             "timing": self.timing._asdict(),
             "diagnostics": self.diagnosed.as_mapping(),
             "ekf": None if self.comparison is None else self.comparison.as_mapping(),
             "files": [str(path) for path in self.files],
             "remarks": list(self.remarks),
         }
+
+    @property
+    def about(self) -> About:
+        """What its page has beside the panels."""
+        head, *rows = metrics_cells(self.metrics, self.comparison)
+        note = f"Over the {self.metrics.settled_time:.1f} s that count as settled."
+        if self.comparison is not None:
+            note += f" {self.comparison.note}."
+        faults = [
+            (
+                one.output or self.run.joint,
+                one.kind,
+                one.level.name,
+                f"{one.begin:.1f}",
+                f"{one.end:.1f}",
+                f"{one.magnitude:.3g} {one.unit}",
+            )
+            for one in self.diagnosed.faults
+        ]
+        begin = self.run.origin
+        events = [
+            (f"{(one.log_time - begin) / NANOSECONDS:.1f}", one.event.level.name, one.event.text)
+            for one in self.events
+        ]
+        rejected = [(reason, str(count)) for reason, count in self.diagnosed.rejected.items()]
+        columns = ("sensor", "fault", "level", "since [s]", "until [s]", "size")
+        tables = [
+            Table("Errors and bounds", head, rows, 2, note),
+            Table("Faults of sensors", columns, faults, 3),
+            Table("Events", ("time [s]", "level", "what"), events, 3),
+            Table("Rejected measurements", ("reason", "number"), rejected),
+        ]
+        remarks = (*(() if self.health is None else self.health.lines()), *self.remarks)
+        return About(self.summary.level, self.summary.sentences, tables, self.facts, remarks)
 
 
 def make_bag_report(
@@ -160,8 +200,7 @@ def make_bag_report(
     ((*chosen,),) = choose_designs(bag, ran, joints, named, other_design).values()
     files = dict(zip(joints, chosen, strict=True))
     file = files[joint]
-    request = file.design.request
-    run = found.run(joint, request)
+    run = found.run(joint, file.design.request)
     expected = innovation_std(file.design)
     metrics = measure(run, expected)
     health, events = None, list[JointEvent]()
@@ -188,96 +227,32 @@ def make_bag_report(
         )
     if html and not page:
         remarks.append(f"note: no report.html: {missing_library('plotly')}")
+    margin, solver = file.design.certificate.worst.margin, file.design.solver
+    parameters = ", ".join(f"{name} = {value}" for name, value in ran.parameters.items())
+    facts = (
+        ("bag", str(bag)),
+        ("joint", joint),
+        ("design", f"{file.name}, SHA-256 {file.sha256}"),
+        ("certificate", f"holds, checked now; smallest margin {margin:.3g} 1/s"),
+        ("rate of the design", f"{run.request.rate:g} Hz"),
+        ("solver", f"{solver.name} {solver.version}, {solver.status}"),
+        ("parameters of the observer", parameters or "not recorded"),
+        *notes.items(),
+        ("version of this report", f"tsobs_ros {__version__}"),
+    )
+    shown = picture(run, metrics, expected, diagnosed=diagnosed, rival=rival)
+    ordered = sorted(events, key=lambda one: one.log_time)
+    known = file, run, metrics, health, ordered, comparison, diagnosed, shown.timing
+    report = BagReport(bag, *known, facts, written, remarks)
     with written_whole(output, ReportError, force=force) as folder:
         # Here, so that matplotlib and plotly are needed only for what they draw.
         from tsobs_ros.report.figures import draw_run
 
-        shown = picture(
-            run,
-            metrics,
-            expected,
-            learnt=request.uncertainty_model.names,
-            diagnosed=diagnosed,
-            rival=rival,
-        )
-        report = BagReport(
-            bag=bag,
-            joint=joint,
-            design=file,
-            metrics=metrics,
-            health=health,
-            events=tuple(events),
-            begin=run.origin,
-            comparison=comparison,
-            summary=summarise(
-                metrics,
-                health,
-                diagnosed,
-                shown.timing,
-                events,
-                int(run.measurements.stamps.max()),
-            ),
-            diagnosed=diagnosed,
-            timing=shown.timing,
-            notes=dict(notes),
-            files=written,
-            remarks=tuple(remarks),
-        )
         draw_run(shown, folder / names[0])
         if page:
             from tsobs_ros.report.page import write_html
 
-            write_html(shown, folder / names[1], about(report, ran))
+            write_html(shown, folder / names[1], report.about)
         text = json.dumps(report.as_mapping(), indent=2, allow_nan=False)
         (folder / names[-1]).write_text(text + "\n", encoding="utf-8")
     return report
-
-
-def about(report: BagReport, ran: RecordedObserver) -> About:
-    """Return what the page of a report has besides its panels."""
-    design, begin = report.design.design, report.begin
-    head, *rows = metrics_cells(report.metrics, report.comparison)
-    note = f"Over the {report.metrics.settled_time:.1f} s that count as settled."
-    if report.comparison is not None:
-        note += f" {report.comparison.note}."
-    tables = [Table("Errors and bounds", head, rows, 2, note)]
-    if report.diagnosed.faults:
-        faults = [
-            (
-                one.output or report.joint,
-                one.kind,
-                one.level.name,
-                f"{one.begin:.1f}",
-                f"{one.end:.1f}",
-                f"{one.magnitude:.3g} {one.unit}",
-            )
-            for one in report.diagnosed.faults
-        ]
-        columns = ("sensor", "fault", "level", "since [s]", "until [s]", "size")
-        tables.append(Table("Faults of sensors", columns, faults, 3))
-    if report.events:
-        events = [
-            (f"{(one.log_time - begin) / NANOSECONDS:.1f}", one.event.level.name, one.event.text)
-            for one in sorted(report.events, key=lambda one: one.log_time)
-        ]
-        tables.append(Table("Events", ("time [s]", "level", "what"), events, 3))
-    if report.diagnosed.rejected:
-        rejected = [(reason, str(count)) for reason, count in report.diagnosed.rejected.items()]
-        tables.append(Table("Rejected measurements", ("reason", "number"), rejected))
-    margin = design.certificate.worst.margin
-    parameters = ", ".join(f"{name} = {value}" for name, value in ran.parameters.items())
-    facts = [
-        ("bag", str(report.bag)),
-        ("joint", report.joint),
-        ("design", f"{report.design.name}, SHA-256 {report.design.sha256}"),
-        ("certificate", f"holds, checked now; smallest margin {margin:.3g} 1/s"),
-        ("rate of the design", f"{design.request.rate:g} Hz"),
-        ("solver", f"{design.solver.name} {design.solver.version}, {design.solver.status}"),
-        ("parameters of the observer", parameters or "not recorded"),
-        *report.notes.items(),
-        ("version of this report", f"tsobs_ros {__version__}"),
-    ]
-    health = () if report.health is None else report.health.lines()
-    return About(
-        report.summary.level, report.summary.sentences, tables, facts, (*health, *report.remarks)
-    )

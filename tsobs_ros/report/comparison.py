@@ -8,12 +8,13 @@ one is the better rival: one keeps the nominal parameters, the other has them as
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -61,8 +62,7 @@ _EKFS = {
 }
 
 
-@dataclass(frozen=True)
-class EkfComparison:
+class EkfComparison(NamedTuple):
     """Errors of a run's observer next to an EKF's on the same data and windows.
 
     Attributes:
@@ -105,8 +105,7 @@ class EkfComparison:
         }
 
 
-@dataclass(frozen=True)
-class ObserverErrors:
+class ObserverErrors(NamedTuple):
     """Errors of one observer at one joint.
 
     Attributes:
@@ -152,9 +151,9 @@ def compare_with_ekf(
     files: Mapping[str, DesignFile],
     settings: ObserverSettings,
 ) -> tuple[EkfComparison, RecordedRun]:
-    """Run EKFs over the measurements of a recorded run, as `tsobs compare` does.
+    """Return a comparison with an EKF over the measurements of a recorded run, and the EKF's run.
 
-    If ours learns parameters, there are two: one with the nominal parameters, and one that has
+    If ours learns parameters, there are two EKFs: one with the nominal parameters, and one that has
     those as states. The comparison is with the better one.
 
     Args:
@@ -163,9 +162,6 @@ def compare_with_ekf(
         bag: The bag that it is from.
         files: Design file of each joint that the observer observed.
         settings: Those that it ran with.
-
-    Returns:
-        The comparison, and the run of the EKF.
     """
     source = BagSource(bag, topic=run.topic, joints=tuple(files))
     learns = settings.learnt(files[run.joint].design)
@@ -173,9 +169,8 @@ def compare_with_ekf(
         Observer(method, replace(settings, method=method), tuple(files.values()))
         for method in (EKFS if learns else EKFS[:1])
     ]
-    observers, _ = without_misfits(observers)
-    scores = _scores(source, observers)
-    own = [one for one in scores.results() if one[0].joint == run.joint]
+    results = _scores(source, without_misfits(observers)[0]).results()
+    own = [one for one in results if one[0].joint == run.joint]
     best, theirs = min(own, key=lambda one: one[0].normalised_rmse)
     if best.metrics is None or theirs is None:
         raise BagReadError(f"{bag}: no EKF could be run over the measurements of {run.joint}")
@@ -197,24 +192,21 @@ def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer],
             replace(one, name=f"{theta:.2f}", settings=replace(one.settings, theta=theta))
             for theta in (THETAS if source.count <= MAX_TUNED else ())
         ]
-        errors = dict.fromkeys((choice.name for choice in choices), 0.0)
-        if choices:
-            for row in compare_observers(source, choices):
-                errors[row.observer] += row.normalised_rmse
+        errors: defaultdict[str, float] = defaultdict(float)
+        for row in compare_observers(source, choices) if choices else ():
+            errors[row.observer] += row.normalised_rmse
         best = min(choices, key=lambda choice: errors[choice.name], default=one)
-        if errors and errors[best.name] < math.inf:
-            tuned.append(replace(best, name=one.name))
+        if choices and errors[best.name] < math.inf:
             remarks.append(f"{one.name}: θ = {best.name} rad/s, the best of {len(choices)}")
         else:
-            tuned.append(one)
+            best = one
             remarks.append(f"{one.name}: θ = {one.settings.theta:g} rad/s, not tuned to this arm")
+        tuned.append(replace(best, name=one.name))
     return tuned, remarks
 
 
 def compare_observers(
-    source: Source,
-    observers: Sequence[Observer],
-    sensors: Sequence[HeldOutSensor] = (),
+    source: Source, observers: Sequence[Observer], sensors: Sequence[HeldOutSensor] = ()
 ) -> list[ObserverErrors]:
     """Run observers when the recorded one estimated, if there is one, and measure them.
 
@@ -227,9 +219,7 @@ def compare_observers(
 
 
 def _scores(
-    source: Source,
-    observers: Sequence[Observer],
-    sensors: Sequence[HeldOutSensor] = (),
+    source: Source, observers: Sequence[Observer], sensors: Sequence[HeldOutSensor] = ()
 ) -> "RunScores":
     runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
     scores = RunScores(source, runs, sensors)

@@ -70,9 +70,8 @@ def write_page(path: Path, fit: Fit, names: str) -> None:
         ("log likelihood per sample", fitted + f"; held out {held_out}" * bool(fit.samples[1])),
         ("version of this report", f"tsobs_ros {__version__}"),
     ]
-    tables = [table for table in _tables(fit, part) if table.rows]
     elsewhere = "the tables have the numbers"
-    about = About(*_verdict(fit, part), (), facts, fit.notes, elsewhere, tables)
+    about = About(*_verdict(fit, part), (), facts, fit.notes, elsewhere, list(_tables(fit, part)))
     span = float(fit.traces.time[0]), float(fit.traces.time[-1])
     headline = f"{counts}  ·  figures: {part}"
     write_html(Picture(f"Fit to {names}", headline, tuple(_rows(fit)), span), path, about)
@@ -113,7 +112,7 @@ def _faults(output: OutputFit) -> Iterator[str]:
 
 
 def _tables(fit: Fit, part: str) -> Iterator[Table]:
-    """Yield the tables of a page, empty ones among them."""
+    """Yield the tables of a page; those without rows are not shown."""
     rows = [
         (_words(n.name), f"{n.before:.4g}", f"{n.value:.4g}", f"{n.std:.2g}", n.unit, _SEEN[n.seen])
         for n in fit.numbers

@@ -77,32 +77,35 @@ class HeldOut(NamedTuple):
             read = self._read_bag(source, arms)
         else:
             assert isinstance(source, LogSource)
-            read = self._read_log(source)
-        sensors = []
-        for arm, (where, rows) in zip(arms, read, strict=True):
-            found = rows[:_MAX_READINGS]
-            found = found[np.isfinite(found.values[:, 0])]
-            _require_enough(len(found), quantity, where)
-            values = found.values[:, 0]
-            low, high = np.percentile(values, [1.0, 99.0]).tolist()
-            reach, bounded = float(arm.reach[quantity.column]), math.isfinite(arm.max_angle)
-            if bounded and 3.0 * reach < (high - low) / 2.0 <= math.degrees(reach):
-                raise LogError(
-                    f"held-out {quantity.key}, {where}: it seems to be in degrees, {low:.3g} to "
-                    f"{high:.3g} where the design is for ±{reach:.3g} {quantity.unit}; in a log, "
-                    f"write the unit into the title: {quantity.key} [deg{quantity.unit[3:]}]"
-                )
-            std = self.std or _noise_std(found.stamps, values)
-            sensors.append(HeldOutSensor(quantity, where, std, self.std is None, rows))
-        return sensors
+            sensor, titles = source.sensor(self.quantity, self.place)
+            each = zip(titles, sensor.samples.y.swapaxes(0, 1), strict=True)
+            read = {f"column {title!r}": rows_of(sensor.samples, y) for title, y in each}
+        return [
+            self._checked(quantity, where, rows, arm)
+            for arm, (where, rows) in zip(arms, read.items(), strict=True)
+        ]
 
-    def _read_log(self, log: LogSource) -> list[tuple[str, Rows]]:
-        """Return the place of each joint's readings, and those."""
-        sensor, titles = log.sensor(self.quantity, self.place)
-        each = zip(titles, sensor.samples.y.swapaxes(0, 1), strict=True)
-        return [(f"column {title!r}", rows_of(sensor.samples, y)) for title, y in each]
+    def _checked(
+        self, quantity: Quantity, where: str, rows: Rows, arm: ArmRequest
+    ) -> "HeldOutSensor":
+        """Return a joint's sensor with its noise; refuse too few readings, and degrees."""
+        found = rows[:_MAX_READINGS]
+        found = found[np.isfinite(found.values[:, 0])]
+        _require_enough(len(found), quantity, where)
+        values = found.values[:, 0]
+        low, high = np.percentile(values, [1.0, 99.0]).tolist()
+        reach, bounded = float(arm.reach[quantity.column]), math.isfinite(arm.max_angle)
+        if bounded and 3.0 * reach < (high - low) / 2.0 <= math.degrees(reach):
+            raise LogError(
+                f"held-out {quantity.key}, {where}: it seems to be in degrees, {low:.3g} to "
+                f"{high:.3g} where the design is for ±{reach:.3g} {quantity.unit}; in a log, "
+                f"write the unit into the title: {quantity.key} [deg{quantity.unit[3:]}]"
+            )
+        std = self.std or _noise_std(found.stamps, values)
+        return HeldOutSensor(quantity, where, std, self.std is None, rows)
 
-    def _read_bag(self, bag: BagSource, arms: Sequence[ArmRequest]) -> list[tuple[str, Rows]]:
+    def _read_bag(self, bag: BagSource, arms: Sequence[ArmRequest]) -> dict[str, Rows]:
+        """Return each joint's readings by their place."""
         place, (side, _, kind) = self.place, self.quantity.partition("_")
         topic, _, entry = place.partition(":") if place[:1] in ("/", ":") else ("", "", place)
         topic, field = topic or bag.topic, "position" if kind == "angle" else "velocity"
@@ -118,7 +121,7 @@ class HeldOut(NamedTuple):
             if topic == bag.topic and groups[0][0] in own.outputs:
                 raise BagReadError(f"{bag.path}: {where} is what the observer measures")
             asked[where] = Asked(topic, groups, len(groups) > 1)
-        return list(read_rows(bag.reader, asked, bag.damaged).items())
+        return read_rows(bag.reader, asked, bag.damaged)
 
 
 class HeldOutSensor(NamedTuple):

@@ -7,6 +7,7 @@ import gzip
 import json
 from collections.abc import Iterator, Sequence
 from html import escape
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +92,7 @@ def _head(picture: Picture, about: About) -> Iterator[str]:
 
 
 def _tables(tables: Sequence[Table]) -> Iterator[str]:
-    for table in tables:
+    for table in filter(attrgetter("rows"), tables):
         text = "" if table.numbers < len(table.head) else ' class="text"'
         yield f"<section>\n<h2>{escape(table.title)}</h2>\n"
         yield f'<div class="wide" tabindex="0" role="region" aria-label="{escape(table.title)}">'

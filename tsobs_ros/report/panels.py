@@ -184,7 +184,6 @@ def picture(
     metrics: RunMetrics,
     innovation_std: Sequence[float] = (),
     *,
-    learnt: Sequence[str] = (),
     diagnosed: Diagnosed | None = None,
     rival: RecordedRun | None = None,
 ) -> Picture:
@@ -194,7 +193,6 @@ def picture(
         run: The recorded run.
         metrics: Its metrics.
         innovation_std: 1σ the design expects of each output's innovation; empty if unknown.
-        learnt: Names of the parameters that are learnt.
         diagnosed: What the observer's diagnostics have.
         rival: The run of an EKF.
     """
@@ -216,7 +214,7 @@ def picture(
     singles += _innovations(run, metrics, innovation_std, outputs, period)
     if run.health is not None and len(run.health.stamps):
         singles.append(_health(run.health.seconds(run.origin), run.health.values))
-    singles += _learnt(run, learnt)
+    singles += _learnt(run)
     if timing.rate is not None:
         singles.append(_intervals(times, timing))
     for what in ("latency", "tick time"):
@@ -267,17 +265,16 @@ def _headline(metrics: RunMetrics, run: RecordedRun) -> str:
     return "  ·  ".join(parts)
 
 
-def thin(times: Array, values: Array, max_points: int = MAX_CURVE) -> tuple[Array, Array]:
+def thin(times: Array, values: Array) -> tuple[Array, Array]:
     """Return the lowest and the highest point of each of equal times, if there are too many.
 
     Args:
         times: In ascending order, shape (n,).
         values: Shape (n,).
-        max_points: The largest number of points that are left.
     """
-    if len(times) <= max_points:
+    if len(times) <= MAX_CURVE:
         return times, values
-    begins = _begins(times, max_points // 2)
+    begins = _begins(times, MAX_CURVE // 2)
     owner = np.repeat(np.arange(len(begins)), np.diff(begins, append=len(times)))
     finite = np.isfinite(values)
     lowest = np.minimum.reduceat(np.where(finite, values, np.inf), begins)[owner]
@@ -504,13 +501,14 @@ def _autocorrelation(label: str, values: Array, period: float) -> Iterator[Plot]
     )  # fmt: skip
 
 
-def _learnt(run: RecordedRun, names: Sequence[str]) -> Iterator[Plot]:
+def _learnt(run: RecordedRun) -> Iterator[Plot]:
     if run.parameters is None or not len(run.parameters.stamps):
         return
     times, values = run.parameters.seconds(run.origin), run.parameters.values
     bounds = np.full(values.shape, np.nan)
     if run.parameter_bound is not None:
         bounds = align(run.parameter_bound, run.parameters.stamps)
+    names = run.request.uncertainty_model.names
     for name, value, bound in zip(names, values.T, bounds.T, strict=True):
         bands = _bands(times, value, bound, _SLOW_GAP)
         limits = limits_around([value, bands[0].lower, bands[0].upper])

@@ -27,7 +27,7 @@ class Table(NamedTuple):
     Attributes:
         title: Its heading.
         head: Names of the columns.
-        rows: Their texts.
+        rows: Their texts; without any the table is not shown.
         numbers: Place of the first column of numbers, which are aligned to the right.
         note: What to know of it.
     """
