@@ -11,7 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
 from rclpy.duration import Duration
 from staging import by_topic, call, estimated_again, start
 from staging.arm import Arm
@@ -31,21 +30,23 @@ ARM = Arm(BEGIN)
 class Scene:
     """An observer in the hands of a test, and a recorder that misses nothing."""
 
-    def __init__(self, stage: Stage, manage: Callable[[Any], Any], output: Path) -> None:
-        self.stage, self._manage = stage, manage
+    def __init__(self, stage: Stage, output: Path) -> None:
+        self.stage = stage
         self._recorder = start(stage.ros, "recorder", output=str(output), topics=OBSERVED)
         stage.wait_until(lambda: stage.sensor.get_subscription_count() > 0, "the recorder")
         self.sent = Counter[str]()
         stage.step(BEGIN - PERIOD)
 
-    def start(self, **parameters: Any) -> None:
+    def start(self) -> None:
         """Start the observer; the recorder reads it from its first message on."""
-        observer = self.stage.add(**parameters)
+        observer = self.stage.add()
         self.stage.wait_until(lambda: self.stage.sensor.get_subscription_count() > 1, "matching")
+        # Outputs are read by the stage and the recorder, ticks by the recorder alone.
+        read = {f"/observer/{name}": 2 for name in OUTPUTS} | {TICKS: 1}
         self.stage.wait_until(
             lambda: all(
-                each.get_subscription_count() > (each.topic_name != TICKS)
-                for each in self._outputs(observer)
+                each.get_subscription_count() >= read.get(each.topic_name, 0)
+                for each in observer.publishers
             ),
             "matching of the outputs",
         )
@@ -62,21 +63,8 @@ class Scene:
         for k in range(count - outliers, count):
             stamp = events[k].at
             events[k] = Event(stamp, ARM.message(stamp, position=[100.0 + k]))
-        self.send(events)
-
-    def send(self, events: list[Event]) -> None:
-        """Send messages."""
         self.stage.play(events)
         self.sent[TOPIC] += len(events)
-
-    def call(self, service: str, request: Any) -> None:
-        """Call a service of the observer."""
-        kind = SetBool if service == "enable" else Trigger
-        assert self.stage.call(kind, f"/observer/{service}", request).success
-
-    def change(self, label: str) -> None:
-        """Ask the observer for a transition."""
-        assert self._manage(self.stage.observer).change(label)
 
     def recorded(self) -> Path:
         """Return the finished bag."""
@@ -89,11 +77,6 @@ class Scene:
         self._recorder.close()
         return Path(self._recorder.path)
 
-    @staticmethod
-    def _outputs(observer: Any) -> list[Any]:
-        return [each for each in observer.publishers
-                if each.topic_name.rpartition("/")[2] in (*OUTPUTS, "ticks")]  # fmt: skip
-
 
 def agreed(run: Run) -> Any:
     """Return how estimates agree with recorded ones, which is to the last bit."""
@@ -103,33 +86,29 @@ def agreed(run: Run) -> Any:
     return agreement
 
 
-@pytest.fixture
-def scene(stage: Stage, manage: Callable[[Any], Any], tmp_path: Path) -> Scene:
-    return Scene(stage, manage, tmp_path / "bag")
-
-
 def test_what_an_observer_did_not_receive_is_left_out_and_all_the_rest_reproduced(
-    scene: Scene, design: Design, tmp_path: Path
+    stage: Stage, manage: Callable[[Any], Any], design: Design, tmp_path: Path
 ) -> None:
+    scene = Scene(stage, tmp_path / "bag")
     scene.play(20)
     scene.start()
     scene.play(40, outliers=3)
     scene.play(20, outliers=1)
-    scene.call("reset", Trigger.Request())
+    assert stage.call(Trigger, "/observer/reset").success
     scene.play(20)
-    scene.call("enable", SetBool.Request(data=False))
+    assert stage.call(SetBool, "/observer/enable", SetBool.Request(data=False)).success
     scene.play(20)
-    scene.call("enable", SetBool.Request(data=True))
+    assert stage.call(SetBool, "/observer/enable", SetBool.Request(data=True)).success
     scene.play(20, outliers=2)
-    scene.change("deactivate")
+    assert manage(stage.observer).change("deactivate")
     scene.play(20)
-    scene.change("activate")
+    assert manage(stage.observer).change("activate")
     scene.play(20)
     scene.end()
     scene.play(20)
     scene.start()
     scene.play(20, outliers=1)
-    scene.stage.step(BEGIN)
+    stage.step(BEGIN)
     scene.play(20)
     scene.end()
     scene.play(20)

@@ -243,26 +243,24 @@ def test_what_is_published_is_what_rclpy_would_send(ros: Any) -> None:
         empty = sum(not len(each) for each in (wanted.position, wanted.velocity, wanted.effort))
         assert len(serialize_message(wanted)) - len(came[topic]) <= 4 * empty
 
-    publisher.publish(STAMP, [estimate(1.0), estimate(2.0, bounded=False), None, None])
-    published(6)
-    sides = ["hip_link", "hip_motor", "knee_link", "knee_motor"]
-    expect("joint_states", sides, position=[1.0, 3.0, 2.0, 6.0], velocity=[2.0, 4.0, 4.0, 8.0])
-    expect("error_bound", sides[:2], position=[0.1, 0.1], velocity=[0.1, 0.1])
-    expect("disturbance", ["hip", "knee"], position=[1.0, 2.0], velocity=[0.0, 0.0])
-    expect("disturbance_bound", ["hip"], position=[0.01])
-    expect("parameters_estimate", ["hip/stiffness", "hip/gravity"], position=[1.0, -1.0])
-    expect("parameters_bound", ["hip/stiffness", "hip/gravity"], position=[0.5, 0.5])
-
     two = np.array([5.0, 6.0])
     arm = estimate(1.0)._replace(torque_disturbance=two, torque_disturbance_bound=0.1 * two)
     tank = estimate(1.0)._replace(
         state=two, state_bound=0.1 * two, disturbance=two, disturbance_rate=two,
-        disturbance_bound=0.1 * two,
+        disturbance_bound=0.5 * two,
     )  # fmt: skip
-    publisher.publish(STAMP, [None, None, arm, tank])
+    publisher.publish(STAMP, [estimate(1.0), estimate(2.0, bounded=False), arm, tank])
     publisher.publish_innovations(np.array([STAMP]), np.array([[NAN, NAN, 1.0, NAN, 2.0]]))
-    published(7)
-    expect("joint_states", ["arm_link", "arm_motor", "tank/angle", "tank/rate"],
-           position=[1.0, 3.0, 5.0, 6.0], velocity=[2.0, 4.0, NAN, NAN])  # fmt: skip
+    published(9)
+    sides = ["hip_link", "hip_motor", "knee_link", "knee_motor", "arm_link", "arm_motor"]
+    expect("joint_states", [*sides, "tank/angle", "tank/rate"],
+           position=[1.0, 3.0, 2.0, 6.0, 1.0, 3.0, 5.0, 6.0],
+           velocity=[2.0, 4.0, 4.0, 8.0, 2.0, 4.0, NAN, NAN])  # fmt: skip
+    outputs = ["tank/encoder", "tank/gyroscope"]
+    expect("disturbance", ["hip", "knee", "arm", *outputs],
+           position=[1.0, 2.0, 1.0, 5.0, 6.0], velocity=[0.0, 0.0, 0.0, 5.0, 6.0])  # fmt: skip
+    expect("disturbance_bound", ["hip", "arm", *outputs], position=[0.01, 0.01, 2.5, 3.0])
+    expect("parameters_estimate", ["hip/stiffness", "hip/gravity"], position=[1.0, -1.0])
+    expect("parameters_bound", ["hip/stiffness", "hip/gravity"], position=[0.5, 0.5])
     expect("innovation", ["arm", "tank/gyroscope"], position=[1.0, 2.0])
     expect("torque_disturbance", ["arm_motor", "arm_link"], effort=[5.0, 6.0])

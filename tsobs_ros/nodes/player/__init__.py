@@ -55,13 +55,6 @@ class Player(ManagedNode[PlayerParameters]):
 
     `bag.playback` decides when to publish what; the node adds the time, the publishers and the
     user's means: services named as those of rosbag2's player, and live parameters.
-
-    Args:
-        node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
-
-    Raises:
-        ParameterError: A parameter has a wrong type or value, or does not fit the bag.
-        BagReadError: The bag cannot be read. Damage further on is raised where playing reaches it.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:

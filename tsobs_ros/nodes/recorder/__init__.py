@@ -43,14 +43,6 @@ class Recorder(ManagedNode[RecorderParameters]):
     Its services are those of rosbag2's recorder by name, with a type that every installation has.
     Configuring creates the bag and subscribes, activating records, deactivating pauses: what
     arrives meanwhile is discarded. Cleaning up closes the bag.
-
-    Args:
-        node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
-
-    Raises:
-        ParameterError: A parameter has a wrong type or value.
-        BagWriteError: The bag exists already or cannot be created.
-        NodeError: The disk is too full.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:

@@ -36,14 +36,7 @@ _LINK, _MOTOR = topics.sides("")
 
 
 class Visualizer(ManagedNode[VisualizerParameters]):
-    """Draws what an observer publishes of arms, and the truth of a simulator.
-
-    Args:
-        node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
-
-    Raises:
-        ParameterError: A parameter has a wrong type or value.
-    """
+    """Draws what an observer publishes of arms, and the truth of a simulator."""
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("visualizer", VisualizerParameters, **node_kwargs)
