@@ -61,22 +61,6 @@ class Manager:
                  node.waitables, node.guards)  # fmt: skip
         return tuple(len(list(kind)) for kind in kinds)
 
-    @property
-    def graph(self) -> tuple[dict[str, tuple[int, int]], list[str]]:
-        """Publishers and subscriptions of every topic there is, and the node's services."""
-        own = self.own
-        topics = [topic for topic, _ in own.get_topic_names_and_types()]
-        services = own.get_service_names_and_types_by_node(
-            self.node.get_name(), self.node.get_namespace()
-        )
-        return (
-            {
-                topic: (own.count_publishers(topic), own.count_subscribers(topic))
-                for topic in topics
-            },
-            sorted(service for service, _ in services),
-        )
-
 
 @pytest.fixture
 def manage(ros: Any) -> Callable[[Any], Manager]:

@@ -158,7 +158,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             self._schedule.start(now)
         what = "going on" if self._index else "started"
         subscribers = self._publish_sample.subscribers
-        self.get_logger().info(f"{what}: {subscribers} subscriptions of joint_measurements")
+        self.log(Level.OK, f"{what}: {subscribers} subscriptions of joint_measurements")
         self._ticker.start()
         self._tick()
 
@@ -226,7 +226,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._commands.parameters = parameters
         for joint, plant in zip(new, self._plants, strict=True):
             for what in exchange(plant, old[joint], new[joint]):
-                self.get_logger().info(f"{joint}: {what}, counted from t = {plant.time:g} s")
+                self.log(Level.OK, f"{joint}: {what}, counted from t = {plant.time:g} s")
 
     def _reset(self) -> tuple[bool, str]:
         """Restart the plant at the next sample; the stamps go on."""
@@ -236,7 +236,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             self._schedule.start(self._now_ns())
             self._ticker.start()
         message = f"restarted with seed {self._settings.seed}"
-        self.get_logger().info(message)
+        self.log(Level.OK, message)
         return True, message
 
 

@@ -144,7 +144,7 @@ class Player(ManagedNode[PlayerParameters]):
     def cleanup(self) -> None:
         """Log what has been played."""
         self._warn_of_unchecked()
-        self.get_logger().info(f"played {self.messages} messages of {len(self._counts)} topics")
+        self.log(Level.OK, f"played {self.messages} messages of {len(self._counts)} topics")
 
     def check(self, parameters: PlayerParameters) -> None:
         """Refuse a position beyond the bag's end."""

@@ -90,10 +90,11 @@ class Recorder(ManagedNode[RecorderParameters]):
         """Log what the bag holds before it is closed."""
         statistics = self.statistics
         unknown = len(statistics.loss_unknown)
-        self.get_logger().info(
+        self.log(
+            Level.OK,
             f"closing {self.path}: {statistics.messages} messages of {len(statistics.topics)} "
             f"topics, {statistics.lost} lost since the first of each, {statistics.earlier} "
-            "published before" + (f", losses of {unknown} topics unknown" if unknown else "")
+            "published before" + (f", losses of {unknown} topics unknown" if unknown else ""),
         )
 
     @property
@@ -155,7 +156,7 @@ class Recorder(ManagedNode[RecorderParameters]):
     def _pause(self, paused: bool) -> str:
         self._paused = paused
         state = "paused" if paused else "recording"
-        self.get_logger().info(state)
+        self.log(Level.OK, state)
         return state
 
     def _tick(self) -> None:
@@ -219,7 +220,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         statistics, minimum = self.statistics, self.parameters.minimum_free_disk
         free = statistics.free_disk
         if free < minimum:
-            self.get_logger().error(f"disk almost full ({free:.0f} MiB free): recording ends here")
+            self.log(Level.ERROR, f"disk almost full ({free:.0f} MiB free): recording ends here")
             self.close()
             self._full = True
         elif statistics.disk_is_filling and not self._free_disk_warned:
