@@ -27,18 +27,13 @@ from tsobs_ros.design.exact import (
     verify_exactly,
 )
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
-from tsobs_ros.design.synthesis import synthesise
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 
 Array = NDArray[np.float64]
 PROPERTY = settings(max_examples=4)
 MATRICES = hnp.arrays(np.float64, (3, 3), elements=st.floats(-3.0, 3.0, allow_subnormal=False))
-
-
-BIAS = DisturbanceTerm("bias")
-CONTACT = DisturbanceTerm("gauss_markov", {"std": 2.0, "time_constant": 0.5})
 
 
 def as_floats(matrix: Any) -> Array:
@@ -96,63 +91,6 @@ def test_positive_definiteness_and_inverse_are_exact(root: Array) -> None:
     singular[2, 2] = singular[1, 1]
     assert not is_positive_definite(singular)
     assert not is_positive_definite(singular - tiny * rational(np.eye(3)))
-
-
-def test_the_shipped_design_is_proved_with_its_margins(shipped: Design) -> None:
-    report = verify_exactly(shipped)
-    assert report.holds
-    assert report.worst in report.inequalities
-    for exact, rounded in zip(report.inequalities, shipped.certificate.inequalities, strict=True):
-        assert (exact.name, exact.where) == (rounded.name, rounded.where)
-        assert exact.margin == pytest.approx(rounded.margin, rel=2e-3)
-
-
-REQUESTS = {
-    "stiff with a tone": ArmRequest(
-        decay_rate=0.05,
-        arm=ElasticJointArm(0.05, 0.005, 200.0, 2.0, 0.01, 0.01),
-        disturbance=(BIAS, DisturbanceTerm("sinusoid", {"frequency": 3.0})),
-    ),
-    "a late encoder and a contact": ArmRequest(
-        outputs=(Output("motor_angle", 0.001, delay=0.004), Output("link_angle", 0.01, (BIAS,))),
-        torque_disturbance=TorqueDisturbance((), (CONTACT,)),
-    ),
-    "uncertain": ArmRequest(uncertainty={"gravity": 0.05}, certify_uncertainty=True),
-    "no gravity": ArmRequest(
-        arm=ElasticJointArm(gravity_torque=0.0),
-        outputs=(Output("motor_velocity", 0.01), Output("motor_angle", 0.001)),
-        torque_disturbance=TorqueDisturbance((CONTACT,)),
-        uncertainty={"motor_inverse_inertia": 0.1},
-        certify_uncertainty=True,
-    ),
-}
-
-
-@pytest.mark.parametrize("name", REQUESTS)
-def test_designs_of_every_sort_are_proved(name: str) -> None:
-    design = synthesise(REQUESTS[name])
-    report = verify_exactly(design)
-    assert report.holds
-    margins = [inequality.margin for inequality in design.certificate.inequalities]
-    assert [each.margin for each in report.inequalities] == pytest.approx(margins, rel=2e-3)
-    summary = design.summary()
-    assert (summary["holds"], summary["rate"]) == (True, design.request.rate)
-    assert all(text in design.text() for text in ("the certificate holds", design.request.headline))
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"K": np.full((5, 1), 1e200)},
-        {"P": np.eye(5) + np.eye(5, k=1)},
-        {"request": ArmRequest(x_max=0.76)},
-        {"request": ArmRequest(certify_uncertainty=True, uncertainty={"stiffness": 0.2})},
-        {"request": ArmRequest(disturbance=(DisturbanceTerm("bias", {"density": 2e-4}),))},
-    ],
-    ids=["huge gain", "unsymmetric", "domain", "uncertainty", "noise"],
-)  # fmt: skip
-def test_a_tampered_design_is_not_proved(shipped: Design, change: dict[str, Any]) -> None:
-    assert not verify_exactly(replace(shipped, **change)).holds
 
 
 def test_a_matrix_singular_only_beyond_the_digits_of_floats_is_told_apart(
