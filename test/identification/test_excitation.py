@@ -17,6 +17,8 @@ from tsobs_ros.identification.motion import trial_arms
 from tsobs_ros.replay.torque_file import read_torques
 from tsobs_ros.resources import config_path
 
+pytestmark = pytest.mark.xdist_group("motion")  # its fixture takes seconds
+
 GEARED = ts.ArmRequest(
     ts.ElasticJointArm(1.0, 0.6, 150.0, 12.0, 0.2, 0.3),
     rate=100.0,

@@ -14,6 +14,8 @@ from tsobs_ros.identification.result import Found, request_text
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.torque_path import TorquePath
 
+pytestmark = pytest.mark.xdist_group("fit")  # its fixture takes seconds
+
 RUBBING = {"motor_coulomb": 0.01}
 LATE = request_of(ARM, torque=TorquePath(1.0, 0.01, 0.003))
 
