@@ -55,20 +55,16 @@ def test_a_recording_of_no_use_is_refused(log: Recorded, name: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_motion_beyond_the_domain_is_refused(log: Recorded) -> None:
-    with pytest.raises(ts.TsobsError, match=r"beyond 0\.1 rad: widen x_max"):
-        ts.fit(request_of(x_max=0.1), log)
-
-
-def test_the_shape_of_arrays_is_checked(log: Recorded) -> None:
+def test_what_is_asked_of_recordings_is_checked(log: Recorded) -> None:
     time, y, u = log
-
-    with pytest.raises(ts.TsobsError, match=r"outputs \(n, 2\)"):
-        ts.fit(request_of(), (time, y[:, 0], u))
-    with pytest.raises(ts.TsobsError, match="at least one recording"):
-        ts.fit(request_of())
-    with pytest.raises(ts.TsobsError, match="held_out: expected a share"):
-        ts.fit(request_of(), log, held_out=1.0)
+    for request, logs, options, message in (
+        (request_of(x_max=0.1), [log], {}, r"beyond 0\.1 rad: widen x_max"),
+        (request_of(), [(time, y[:, 0], u)], {}, r"outputs \(n, 2\)"),
+        (request_of(), [], {}, "at least one recording"),
+        (request_of(), [log], {"held_out": 1.0}, "held_out: expected a share"),
+    ):
+        with pytest.raises(ts.TsobsError, match=message):
+            ts.fit(request, *logs, **options)
 
 
 def test_gaps_are_left_out_and_counted(log: Recorded) -> None:
