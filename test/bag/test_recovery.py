@@ -92,7 +92,9 @@ def in_recorded_order(bag: Path) -> list[Entry]:
 
 
 @pytest.mark.parametrize("step", [13, pytest.param(1, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("compression", "tail"), [("none", bytes(100)), ("zstd", b"")])
+@pytest.mark.parametrize(
+    ("compression", "tail"), [("none", bytes(100)), ("zstd", b"")], ids=["zeros", "cut"]
+)
 def test_a_cut_at_any_byte_loses_only_what_comes_after(
     compression: str, tail: bytes, step: int
 ) -> None:

@@ -214,13 +214,15 @@ class _TopicEntry(msgspec.Struct):
 
 
 class _Information(msgspec.Struct, kw_only=True):
-    """What is read of the root key; what repeats the content of `files` may be missing."""
+    """The content of the root key, in rosbag2's order; what repeats `files` may be missing."""
 
+    version: int = VERSION
     storage_identifier: str
     duration: _Duration = _Duration()
     starting_time: _Time = _Time()
     message_count: _Count = 0
     topics_with_message_count: list[_TopicEntry]
+    compression_format: str = ""
     compression_mode: str
     relative_file_paths: list[str]
     files: list[FileMetadata]
@@ -251,34 +253,26 @@ class BagMetadata:
         filled = [file for file in self.files if file.message_count]
         start = min((file.start_ns for file in filled), default=EMPTY_START_NS)
         end = max((file.start_ns + file.duration_ns for file in filled), default=start)
-        topics = [
-            {
-                "topic_metadata": {
-                    "name": topic.name,
-                    "type": topic.type,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": [qos.to_map() for qos in topic.qos_profiles],
-                    "type_description_hash": topic.type_hash,
-                },
-                "message_count": topic.count,
-            }
-            for topic in self.topics
-        ]
-        return {
-            "version": VERSION,
-            "storage_identifier": self.storage_identifier,
-            "duration": {"nanoseconds": end - start},
-            "starting_time": {"nanoseconds_since_epoch": start},
-            "message_count": sum(file.message_count for file in filled),
-            "topics_with_message_count": topics,
-            # Empty even with compressed chunks: those are MCAP's.
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [file.path for file in self.files],
-            "files": [msgspec.to_builtins(file) for file in self.files],
-            "custom_data": dict(self.custom_data) if self.custom_data else None,
-            "ros_distro": self.ros_distro,
-        }
+        topics = []
+        for one in self.topics:
+            offers = [qos.to_map() for qos in one.qos_profiles]
+            topic = _Topic(one.name, one.type, "cdr", offers, one.type_hash)
+            topics.append(_TopicEntry(topic, one.count))
+        found: dict[str, Any] = msgspec.to_builtins(
+            _Information(
+                storage_identifier=self.storage_identifier,
+                duration=_Duration(end - start),
+                starting_time=_Time(start),
+                message_count=sum(file.message_count for file in filled),
+                topics_with_message_count=topics,
+                compression_mode="",  # also with compressed chunks: those are MCAP's
+                relative_file_paths=[file.path for file in self.files],
+                files=list(self.files),
+                custom_data=dict(self.custom_data) if self.custom_data else None,
+                ros_distro=self.ros_distro,
+            )
+        )
+        return found
 
     def to_yaml(self) -> str:
         """Return the content of the root key as YAML: the text that an MCAP file carries."""

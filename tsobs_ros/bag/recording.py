@@ -76,11 +76,12 @@ class Recording(BagWriter):
         snapshot: "SnapshotBuffer | None" = None,
         **options: Any,
     ) -> None:
-        super().__init__(path, on_split=self._start_file, **options)
+        super().__init__(path, **options)
+        self._is_limited = True
         self.counts: Counter[str] = Counter()
         self.bytes = self.discarded = 0
         self.snapshot = snapshot
-        self._repeats = repeat_latched > 0
+        self._repeats, self._repeating = repeat_latched > 0, False
         self._latched = LatchedMessages(max(1, repeat_latched))
         self._pending: deque[BufferedMessage] = deque()
         self._sync_failure: BagWriteError | None = None
@@ -171,9 +172,14 @@ class Recording(BagWriter):
         else:
             self.snapshot.add(message)
 
-    def _start_file(self, log_time_ns: int) -> None:
-        for message in self._repeated(log_time_ns):
-            self.write(*message)
+    def _make_room(self, log_time_ns: int) -> None:
+        super()._make_room(log_time_ns)
+        is_first = self._file.message_count == 0 and self._finished_files
+        if is_first and not self._repeating:
+            self._repeating = True  # the messages come here, too
+            for message in self._repeated(log_time_ns):
+                self.write(*message)
+            self._repeating = False
 
     def _repeated(self, log_time_ns: int) -> list[BufferedMessage]:
         return self._latched.before(log_time_ns) if self._repeats else []

@@ -47,8 +47,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         max_size: The size at which another file is started, bytes; 0 for no limit.
         max_duration_ns: The longest time of a file between log times, ns; 0 for no limit.
         custom_data: Notes for the bag's metadata.
-        on_split: Called before the first message of every file after the first, with the log time
-            of that message, ns; the messages that it writes come first in the file.
 
     Raises:
         BagWriteError: The folder exists or cannot be created, or the compression is unknown. All
@@ -63,7 +61,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         max_size: int = 0,
         max_duration_ns: int = 0,
         custom_data: Mapping[str, str] | None = None,
-        on_split: Callable[[int], None] | None = None,
     ) -> None:
         self.path = Path(path).absolute()
         if compression not in COMPRESSIONS:
@@ -72,8 +69,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._compression = compression
         self._max_size, self._max_duration_ns = max_size, max_duration_ns
         self._custom_data = custom_data
-        self._on_split, self._splitting = on_split, False
-        self._is_limited = bool(max_size or max_duration_ns or on_split)
+        self._is_limited = bool(max_size or max_duration_ns)
         self._topics: dict[str, TopicInfo] = {}
         self._counts = Counter[str]()
         self._finished_files: list[FileMetadata] = []
@@ -321,20 +317,12 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 self._file.finish()
 
     def _make_room(self, log_time_ns: int) -> None:
-        """Start another file if this one is full, and call back before its first message."""
+        """Start another file if this one is full."""
         file, size, duration = self._file, self._max_size, self._max_duration_ns
         if file.message_count and (
             0 < size <= file.size or 0 < duration < file.duration_with(log_time_ns)
         ):
             self.split()
-        # The messages that the callback writes come here again.
-        is_first = self._file.message_count == 0 and self._finished_files
-        if is_first and self._on_split is not None and not self._splitting:
-            self._splitting = True
-            try:
-                self._on_split(log_time_ns)
-            finally:
-                self._splitting = False
 
     def _write_metadata(self, metadata: BagMetadata) -> None:
         write_metadata(self.path, metadata)
