@@ -134,6 +134,11 @@ def test_readers_give_what_others_recorded(
             chunk_size=chunk_size,
             enable_crcs=is_checked,
         )
+        recorded = [
+            BagMessage(topic, BYTES, message(number), time, 1000 + number)
+            for number, (topic, time) in enumerate(written)
+        ]
+        assert list(BagReader(file).messages()) == sorted(recorded, key=lambda one: one.log_time)
         check(file, copy(file, Path(folder) / "new", topics), topics)
 
 

@@ -5,21 +5,17 @@
 import resource
 from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 import yaml
 from foreign import STRING, Entry
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader
-from rosbags.rosbag2 import Reader as RosbagsReader
 
-from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
+from tsobs_ros.bag import BagReader, BagWriter, QosProfile
 from tsobs_ros.bag.cdr import MessageSeries
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import read_metadata
@@ -27,18 +23,6 @@ from tsobs_ros.bag.recovery import recover
 from tsobs_ros.errors import BagReadError, BagWriteError
 
 TOPICS = {"/a": STRING, "/b": "sensor_msgs/msg/JointState", "/c": STRING}
-
-
-entries = st.lists(
-    st.builds(
-        Entry,
-        st.sampled_from(sorted(TOPICS)),
-        st.binary(max_size=200),
-        st.integers(0, 10**19 // 2),
-        st.integers(0, 10**19 // 2),
-    ),
-    max_size=30,
-)
 
 
 def write_bag(path: Path, written: list[Entry], **options: object) -> Path:
@@ -59,29 +43,6 @@ def records(path: Path) -> Iterator[McapRecord]:
             yield from StreamReader(stream, validate_crcs=True).records
         except EndOfFile:
             return
-
-
-@settings(max_examples=8)
-@given(entries, st.sampled_from(["none", "lz4", "zstd"]))
-def test_every_reader_gives_back_what_was_written(written: list[Entry], compression: str) -> None:
-    with TemporaryDirectory() as folder:
-        path = write_bag(Path(folder) / "bag", written, compression=compression)
-        expected = sorted(written, key=lambda entry: entry.log_time)
-
-        assert list(BagReader(path).messages()) == [
-            BagMessage(e.topic, TOPICS[e.topic], e.data, e.log_time, e.publish_time)
-            for e in expected
-        ]
-        with (path / "bag_0.mcap").open("rb") as stream:
-            assert [
-                Entry(channel.topic, message.data, message.log_time, message.publish_time)
-                for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages()
-            ] == expected
-        with RosbagsReader(path) as reader:
-            assert [
-                (connection.topic, connection.msgtype, time, data)
-                for connection, time, data in reader.messages()
-            ] == [(e.topic, TOPICS[e.topic], e.log_time, e.data) for e in expected]
 
 
 def test_the_file_carries_its_metadata_and_definitions_as_rosbag2_does(tmp_path: Path) -> None:
