@@ -133,11 +133,6 @@ class Health(NamedTuple):
     hypothesis: Hypothesis
 
     @property
-    def certified(self) -> float:
-        """Share of the estimates with a certified bound."""
-        return self.bases.get(Basis.CERTIFIED, 0.0)
-
-    @property
     def proved(self) -> float:
         """Share of the estimates with a bound of `PROVED`."""
         return sum(self.bases.get(basis, 0.0) for basis in PROVED)
@@ -171,7 +166,7 @@ class Health(NamedTuple):
         return {
             "misfit": self.misfit,
             "noise_scale": {"median": self.noise_scale, "max": self.max_noise_scale},
-            "certified": self.certified,
+            "certified": self.bases.get(Basis.CERTIFIED, 0.0),
             "claimed": self.claimed,
             "bases": {basis.name.lower(): share for basis, share in self.bases.items()},
             "hypotheses": {one.name.lower(): share for one, share in self.hypotheses.items()},

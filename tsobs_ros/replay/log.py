@@ -30,7 +30,7 @@ from tsobs_ros.replay.columns import (
 )
 from tsobs_ros.replay.places import Layout
 from tsobs_ros.replay.source import MEASUREMENTS, Records, Source
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.series import NANOSECONDS, Spool
 
 _BLOCK = 4096
 _ONLY = "elastic_joint"
@@ -244,7 +244,7 @@ class LogSource(Source):
         return column._replace(unit=signal.unit)
 
     def _read_lines(self) -> None:
-        spool, first, equal = self._new_samples(), LATEST, 0
+        spool, first, equal = Spool(self._sample_type), LATEST, 0
         columns = [column for _, column in self._measured]
         for _, stamps, values in self._file.read(self._time, columns):
             there = stamps[stamps != NO_TIME]

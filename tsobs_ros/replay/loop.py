@@ -125,7 +125,7 @@ class Loop:
     """
 
     def __init__(
-        self, trackers: Sequence[Tracker], stale_after: float = 5.0, *, at_samples: bool = False
+        self, trackers: Sequence[Tracker], stale_after: float, *, at_samples: bool
     ) -> None:
         self.trackers = tuple(trackers)
         self._stale_after, self._at_samples = stale_after, at_samples

@@ -37,6 +37,7 @@ MEASUREMENTS = "joint_measurements"
 UNNAMED_SYSTEM = "system"
 """Name of a T–S system that a recording does not name."""
 
+_OBSERVER = "observer"
 # Stamps this far back are not late any more: time restarted (a looped bag, a new simulation).
 _RESTART = NANOSECONDS
 # So many messages in a row must lie back: one straggler is no restart.
@@ -193,9 +194,6 @@ class Source:
         """Read the measurements, and what there is to know of them."""
         raise NotImplementedError
 
-    def _new_samples(self) -> Spool:
-        return Spool(self._sample_type)
-
     @property
     def _sample_type(self) -> np.dtype[np.void]:
         joints = len(self.joints)
@@ -223,7 +221,6 @@ class BagSource(Source):
             `joint_measurements`, or the one that the live observer used.
         joints: Names of the joints to read; by default those that the live observer observed and
             the first messages have, else those of the first messages.
-        observer: Name of the live observer, whose topics are read too.
         assume_zero_torque: Take messages without effort as torque 0; None: as the live observer.
         both_sides: Take a joint with an entry of its motor for one with encoders on both sides,
             although the design may measure one.
@@ -242,17 +239,16 @@ class BagSource(Source):
         *,
         topic: str | None = None,
         joints: Sequence[str] = (),
-        observer: str = "observer",
         assume_zero_torque: bool | None = None,
         both_sides: bool = False,
     ) -> None:
         self.path = path
         self.reader = BagReader(path)
-        of_topic = self._recorded_observers(observer)
+        of_topic = self._recorded_observers()
         self.topic = self._find_measurements(list(of_topic)) if topic is None else topic
         require_joint_states(self.reader, self.topic)
         self.namespace = of_topic.get(self.topic, self.topic.rpartition("/")[0])
-        self.ran = recorded_observer(self.reader, f"{self.namespace}/{observer}")
+        self.ran = recorded_observer(self.reader, f"{self.namespace}/{_OBSERVER}")
         first = self._first_names()
         self.joints = tuple(joints) or tuple(
             joint for joint in self.ran.designs if self._is_in(first, joint)
@@ -267,10 +263,10 @@ class BagSource(Source):
         if assume_zero_torque is None:
             assume_zero_torque = self.ran.settings().assume_zero_torque
         self._assume_zero_torque = assume_zero_torque
-        live = self._there(f"{observer}/", (topics.RESTARTS, *COMPARED))
+        live = self._there(f"{_OBSERVER}/", (topics.RESTARTS, *COMPARED))
         states = live.get(topics.STATES)
         self.was_observed = states is not None and self.reader.topics[states].count > 0
-        ticks = f"{self.namespace}/{observer}/{topics.TICKS}"
+        ticks = f"{self.namespace}/{_OBSERVER}/{topics.TICKS}"
         info = self.reader.topics.get(ticks)
         has_ticks = info is not None and info.type == TICK_LOG and info.count > 0
         self._live = {topics.TICKS: ticks, **live} if has_ticks else {}
@@ -306,14 +302,14 @@ class BagSource(Source):
         there = {name for name, topic in self.reader.topics.items() if topic.type == JOINT_STATE}
         return {key: name for key, name in full.items() if name in there}
 
-    def _recorded_observers(self, observer: str) -> dict[str, str]:
-        """Return the namespaces of recorded observers of a name by their measurements' topics."""
-        end = f"/{observer}/{topics.DESIGN}"
+    def _recorded_observers(self) -> dict[str, str]:
+        """Return the namespaces of recorded observers by their measurements' topics."""
+        end = f"/{_OBSERVER}/{topics.DESIGN}"
         found = {}
         for name in self.reader.topics:
             if name.endswith(end):
                 namespace = name.removesuffix(end)
-                ran = recorded_observer(self.reader, f"{namespace}/{observer}")
+                ran = recorded_observer(self.reader, f"{namespace}/{_OBSERVER}")
                 if ran.measurements in self.reader.topics:
                     found[ran.measurements] = namespace
         return found
@@ -343,7 +339,7 @@ class BagSource(Source):
             raise BagReadError(f"{self.path}: {self.topic}: {error}") from error
 
     def _read(self) -> None:
-        count, samples = len(self.joints), self._new_samples()
+        count, samples = len(self.joints), Spool(self._sample_type)
         outputs = max((len(one.outputs) for one in self.signals), default=0)
         there, named = np.zeros((count, outputs), np.bool_), np.zeros(count, np.bool_)
         others, without_input = dict[str, None](), 0
