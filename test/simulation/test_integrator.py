@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.torque_path import TorquePath
-from tsobs_ros.simulation.integrator import CREEP, Friction
+from tsobs_ros.simulation.integrator import Friction
 from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import BiasStep
@@ -71,7 +71,7 @@ def test_agrees_with_a_solver_of_order_eight(rate: float) -> None:
 def test_friction_agrees_with_its_formula() -> None:
     def rate(_: float, x: Vector) -> Vector:
         rest = nominal(ARM, x)
-        link, motor = np.clip(x[[1, 3]] / CREEP, -1.0, 1.0)
+        link, motor = np.clip(x[[1, 3]] / 0.01, -1.0, 1.0)
         rest[1] -= (0.2 * x[1] + 0.1 * link) / ARM.link_inertia
         rest[3] -= (0.3 * x[3] + 0.15 * motor) / ARM.motor_inertia
         return rest

@@ -19,6 +19,9 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import DesignError
 
+_WEIGHT = 1e-2
+"""w, for which the smallest matrix is sought."""
+
 _UNDECIDED = 1e-7
 """Relative eigenvalue below which a matrix proves neither answer."""
 
@@ -91,7 +94,7 @@ def refutation_margin(A: Array, Z: Array) -> float:
     return float(np.linalg.eigvalsh(0.5 * (total + total.T))[0])
 
 
-def smallest_lyapunov(M: Array, C: Array, D: Array, weight: float = 1e-2) -> LyapunovGains:
+def smallest_lyapunov(M: Array, C: Array, D: Array) -> LyapunovGains:
     """Return P ⪰ I and Qᵢ with sym(P Mᵢ − Qᵢ C) + D ⪯ 0 and the least tr P + w Σ ‖Qᵢ‖².
 
     Here sym(X) = X + Xᵀ. Qᵢ enters only through QᵢC and could grow without bound, which the
@@ -101,7 +104,6 @@ def smallest_lyapunov(M: Array, C: Array, D: Array, weight: float = 1e-2) -> Lya
         M: Shape (r, n, n).
         C: Shape (p, n).
         D: Symmetric, the margin of the inequalities, shape (n, n).
-        weight: w > 0.
 
     Raises:
         DesignError: The solver failed or found no solution.
@@ -116,7 +118,7 @@ def smallest_lyapunov(M: Array, C: Array, D: Array, weight: float = 1e-2) -> Lya
     products = [P @ matrix - gain @ C for matrix, gain in zip(M, Q, strict=True)]
     constraints = [P >> np.eye(n), *(each + each.T + D << 0 for each in products)]
     effort = sum(cp.sum_squares(each) for each in Q)
-    problem = cp.Problem(cp.Minimize(cp.trace(P) + weight * effort), constraints)
+    problem = cp.Problem(cp.Minimize(cp.trace(P) + _WEIGHT * effort), constraints)
     _solve(problem, "smallest Lyapunov matrix")
     return LyapunovGains(
         P=0.5 * (P.value + P.value.T),

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Self, TypeAlias
 import numpy as np
 
 from tsobs_ros.checks import Array, Fixed, finite, fixed, non_negative, positive, shown
-from tsobs_ros.design.names import Labels, labelled
+from tsobs_ros.design.names import Labels
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.options import TorqueLimits
 from tsobs_ros.model import disturbance as disturbances
@@ -205,11 +205,6 @@ class Request(ABC):
     def state_units(self) -> tuple[str, ...]:
         """The units of the plant's states, empty texts if they are not known."""
         return self.signal_units.states
-
-    @property
-    def state_labels(self) -> tuple[str, ...]:
-        """The plant's states in words, with units if known."""
-        return labelled(self.state_names, self.state_units)
 
     @property
     def output_names(self) -> tuple[str, ...]:

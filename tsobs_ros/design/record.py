@@ -11,6 +11,7 @@ import numpy as np
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.design.certificate import CertificateReport, check_certificate
+from tsobs_ros.design.names import labelled
 from tsobs_ros.design.request import AnyRequest, ArmRequest
 from tsobs_ros.errors import ModelError, printable
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
@@ -228,7 +229,8 @@ class Design:
             f"certified decay without noise: {report.contraction_rate:.4g} 1/s",
         ]
         if report.holds:
-            names = [*request.state_labels, *request.disturbance_labels]
+            states = labelled(request.state_names, request.state_units)
+            names = [*states, *request.disturbance_labels]
             width = max(24, *(len(name) + 1 for name in names))
             lines.append("certified 1-sigma bounds before a sample:")
             lines += [

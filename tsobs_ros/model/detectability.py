@@ -47,14 +47,11 @@ def hidden_modes(A: Array, C: Array, tolerance: float = 1e-9) -> list[HiddenMode
     return modes
 
 
-def undetectable_modes(A: Array, C: Array, tolerance: float = 1e-9) -> list[HiddenMode]:
+def undetectable_modes(A: Array, C: Array) -> list[HiddenMode]:
     """Return the hidden modes that do not decay: with one of them no observer converges."""
     spectral_radius = float(np.abs(np.linalg.eigvals(A)).max(initial=1.0))
-    return [
-        mode
-        for mode in hidden_modes(A, C, tolerance)
-        if mode.eigenvalue.real >= -1e-9 * spectral_radius
-    ]
+    slowest = -1e-9 * spectral_radius
+    return [mode for mode in hidden_modes(A, C) if mode.eigenvalue.real >= slowest]
 
 
 def format_mode(mode: HiddenMode, label: str = "[x; ω]") -> str:

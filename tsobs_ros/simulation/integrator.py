@@ -27,9 +27,6 @@ from tsobs_ros.simulation.streams import RandomStream, Source
 if TYPE_CHECKING:
     from tsobs_ros.simulation.plant import Scenario
 
-CREEP = 0.01
-"""Speed below which Coulomb friction is proportional to the speed [rad/s], as in simulate.c."""
-
 _LONGEST_SUBSTEP = 1e-3
 _ARM = record_type("simulated_arm")
 _STANDARD_GRAVITY = 9.80665
@@ -39,7 +36,7 @@ _STANDARD_GRAVITY = 9.80665
 class Friction:
     """Friction of the true arm that the nominal one lacks.
 
-    Coulomb friction is c·sign(q̇), and below `CREEP` it grows linearly from zero.
+    Coulomb friction is c·sign(q̇), and below 0.01 rad/s it grows linearly from zero.
 
     Attributes:
         link_viscous: Of the link's bearing [N m s/rad].
