@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The propositions and the conditions, on the examples and on random systems."""
+"""The augmented form, the propositions and the conditions, on examples and random systems."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,23 @@ def some_P(seed: int, size: int) -> NDArray[np.float64]:
     return root @ root.T + 0.1 * np.eye(size)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [None, 1])
+@pytest.mark.parametrize("rule", [0, 1])
+def test_stands_for_the_system_whatever_the_disturbance_does(seed: int | None, rule: int) -> None:
+    L = None if seed is None else np.random.default_rng(seed).normal(size=(6, 3))
+    system, random = example_1().system, np.random.default_rng(7)
+    aug = Augmentation(system, L)
+    x, omega, omega_rate, u = (random.normal(size=k) for k in (3, 3, 3, 1))
+    x_rate = system.A[rule] @ x + system.B[rule] @ u
+    y, y_rate = aug.C @ x + omega, aug.C @ x_rate + omega_rate
+    left = np.concatenate([x_rate, omega_rate])
+    x_bar = np.concatenate([x, omega])
+    right = aug.A1[rule] @ x_bar + aug.B1[rule] @ u + aug.N1 @ y
+    right += aug.E_L_inverse @ aug.L @ y_rate
+    np.testing.assert_allclose(left, right, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
 def test_innovation_is_autonomous_for_every_l(seed: int) -> None:
     aug = some_augmentation(seed)
     assert check_autonomous_innovation(aug).holds
@@ -46,7 +62,7 @@ def test_innovation_is_autonomous_for_every_l(seed: int) -> None:
     np.testing.assert_allclose(aug.C_bar @ closed, -F @ aug.C_bar, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_matching_leaves_all_of_the_uncertainty(seed: int) -> None:
     aug = some_augmentation(seed)
     delta_A = np.random.default_rng(seed).normal(size=(3, 4, 4))

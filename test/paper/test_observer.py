@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 
 from tsobs_ros.design.file import load_request
 from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.fuzzy import RuleBase, membership
-from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.paper.augmentation import Augmentation, blend
 from tsobs_ros.paper.examples import (
     EXAMPLE_3_H,
@@ -124,19 +121,6 @@ def test_estimate_is_the_same_from_noise() -> None:
     # It does depend on the premise.
     other = run(observer, 2.0, 0.02, premises=np.full((101, 1), 0.9))
     assert np.abs(other.x - honest.x).max() > 0.05
-
-
-def test_innovation_decays_by_its_own_equation() -> None:
-    rules = RuleBase(((membership("always"),),))
-    first = EXAMPLE.system
-    system = TSModel(first.A[:1], first.B[:1], first.C, rules, np.zeros((1, 3)), np.ones((1, 1)))
-    aug = Augmentation(system, AUG.L)
-    observer = AugmentedObserver(aug, H1[:1], M)
-    state = run(observer, 0.5, 0.005)
-    start = y_of(0.0) - aug.C_bar @ START
-    expected = expm(-0.5 * (np.linalg.inv(aug.L[3:]) + aug.C_bar @ H1[0])) @ start
-    np.testing.assert_allclose(state.innovation, expected, atol=1e-8)
-    assert np.abs(expected).max() > 1e-3
 
 
 def test_adaptation_never_starts_from_a_fitting_estimate() -> None:
