@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from staging.arm import Arm
+from staging.stage import Arm
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason

@@ -13,8 +13,7 @@ from typing import Any
 
 from rclpy.duration import Duration
 from staging import by_topic, call, estimated_again, start
-from staging.arm import Arm
-from staging.stage import BEGIN, OUTPUTS, PERIOD, TOPIC, Event, Stage, good
+from staging.stage import BEGIN, OUTPUTS, PERIOD, TOPIC, Arm, Event, Stage, good
 from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.bag.joint_states import JointStateDecoder

@@ -8,8 +8,7 @@ from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from staging import values
-from staging.arm import Arm
-from staging.stage import BEGIN, MS, OUTPUTS, PERIOD, SIGMAS, Event, Stage, good, replayed
+from staging.stage import BEGIN, MS, OUTPUTS, PERIOD, SIGMAS, Arm, Event, Stage, good, replayed
 
 from tsobs_ros.estimation.records import GATED
 from tsobs_ros.nodes.observer import Observer

@@ -38,7 +38,7 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Any, Generic, TypeVar
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import SetParametersResult
@@ -54,8 +54,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from tsobs_ros.errors import ParameterError, printable
-from tsobs_ros.estimation.health import Level
-from tsobs_ros.nodes.messages import Statuses, diagnostic_array
+from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.parameters import ManagedParameters, converted, declare, updated
 from tsobs_ros.nodes.runtime import EXPECTED, Ticker
 from tsobs_ros.series import NANOSECONDS
@@ -70,6 +69,9 @@ _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.
 
 Answer = Callable[[], tuple[bool, str]]
 """The work of a Trigger service; returns its success and a message."""
+
+Statuses = tuple[Sequence[Status], Mapping[str, Sequence[Status]]]
+"""Statuses of a node, and of parts of its hardware by their names."""
 
 P = TypeVar("P", bound=ManagedParameters)
 
@@ -185,13 +187,21 @@ class ManagedNode(LifecycleNode, Generic[P]):
         """Publish statuses once a second, in real time: a paused simulation has some, too.
 
         Args:
-            hardware_id: The hardware that they are about.
-            make: Returns those of the node, and of parts of the hardware by their names.
+            hardware_id: The hardware that those of the node are about.
+            make: Returns those of the node, named "<node>: <concern>", and of parts of the hardware
+                such as joints: "<node>: <part>: <concern>" with the part as hardware id.
         """
         publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        prefix = f"{self.get_fully_qualified_name().lstrip('/')}: "
 
         def publish() -> None:
-            publisher.publish(diagnostic_array(self, hardware_id, *make()))
+            message = DiagnosticArray()
+            message.header.stamp = self.get_clock().now().to_msg()
+            own, parts = make()
+            message.status = [_message(prefix, hardware_id, status) for status in own]
+            for part, statuses in parts.items():
+                message.status += [_message(f"{prefix}{part}: ", part, each) for each in statuses]
+            publisher.publish(message)
 
         self.create_timer(DIAGNOSTICS_PERIOD, publish, clock=self.steady)
 
@@ -426,3 +436,13 @@ class ManagedNode(LifecycleNode, Generic[P]):
                 "dropped a time on /clock: expected 0 s or more and less than 1e9 ns, got "
                 f"{sec} s and {nanosec} ns; time stands still until there is another",
             )
+
+
+def _message(prefix: str, hardware_id: str, status: Status) -> DiagnosticStatus:
+    return DiagnosticStatus(
+        level=bytes([status.level]),
+        name=prefix + status.name,
+        message=status.message,
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=value) for key, value in status.values.items()],
+    )

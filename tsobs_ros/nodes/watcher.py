@@ -30,9 +30,8 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import MessageError, NodeError, TsobsError
 from tsobs_ros.estimation.health import Level, Status
-from tsobs_ros.nodes.messages import LATCHED
 from tsobs_ros.nodes.runtime import Ticker
-from tsobs_ros.nodes.wire import DrainedSubscription
+from tsobs_ros.nodes.wire import LATCHED, DrainedSubscription
 from tsobs_ros.series import NANOSECONDS
 
 MEASUREMENTS = "measurements"

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics at less cost than rclpy's: queues emptied in bulk, JointStates as bytes.
+"""Topics at less cost than rclpy's: queues emptied in bulk, JointStates as bytes; message types.
 
 An rclpy executor rebuilds its wait set and makes a task for every callback, which costs five to
 ten times as much as the message itself. A node that needs its messages only by the next tick
@@ -13,20 +13,26 @@ its own `wait_for_message` uses; no other file calls it.
 
 import math
 import operator
+import re
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
+from importlib import import_module
 from typing import Any, TypeAlias, get_args
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 
+from tsobs_ros.bag.definitions import share_folders
 from tsobs_ros.bag.joint_states import JointStateEncoder
 from tsobs_ros.design.signals import Field, Place
+from tsobs_ros.errors import NodeError
+from tsobs_ros.series import NANOSECONDS
 
 Taken = list[tuple[Any, Mapping[str, Any]]]
 """Messages, each with its info."""
@@ -35,10 +41,22 @@ Pick: TypeAlias = Callable[[Numbers], Numbers]
 
 QUIET = PublisherEventCallbacks(use_default_callbacks=False)
 """Every QoS event is one more thing that an executor gathers for each of its waits."""
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Of what stays valid until the next message."""
 MAX_LAYOUTS = 256
 """How many layouts of messages are remembered."""
 
 _FEW = 32
+_NAME = re.compile(r"([A-Za-z]\w*)/(msg|srv|action)/([A-Za-z]\w*)", flags=re.ASCII)
+# Places of the classes that a service or an action sends, within its own class.
+_NESTED = {
+    "srv": {"_Event": "Event"},
+    "action": {
+        "_SendGoal_Event": "Impl.SendGoalService.Event",
+        "_GetResult_Event": "Impl.GetResultService.Event",
+        "_FeedbackMessage": "Impl.FeedbackMessage",
+    },
+}
 
 
 class _DrainedGroup(CallbackGroup):
@@ -224,3 +242,37 @@ def picker(places: Sequence[int]) -> Pick:
     if len(places) > 1:
         return operator.itemgetter(*places)
     return lambda numbers: [numbers[place] for place in places]
+
+
+def set_stamp(stamp: Any, nanoseconds: int) -> None:
+    """Write nanoseconds since the epoch into a builtin_interfaces Time in place."""
+    stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
+
+
+def message_class(name: str) -> type[Any]:
+    """Return the class of a message type.
+
+    Args:
+        name: The type, `package/msg/Type`, or one that belongs to a service or an action, such as
+            `package/srv/Type_Event`.
+
+    Raises:
+        NodeError: The name is not one of a type, or the type is not installed.
+    """
+    if (match := _NAME.fullmatch(name)) is None:
+        raise NodeError(f"'{name}' is not a message type: expected package/msg/Type")
+    package, kind, type_name = match.groups()
+    # Names come from bags and networks, and importing runs code: of interface packages only.
+    if not any((folder / package / kind).is_dir() for folder in share_folders()):
+        raise NodeError(f"{name} is not installed")
+    path = type_name
+    for suffix, nested in _NESTED.get(kind, {}).items():
+        if type_name.endswith(suffix):
+            path = f"{type_name.removesuffix(suffix)}.{nested}"
+            break
+    try:
+        module: Any = import_module(f"{package}.{kind}")
+        found: type[Any] = reduce(getattr, path.split("."), module)
+    except (ImportError, AttributeError) as error:
+        raise NodeError(f"the Python module of {name} is not installed: {error}") from error
+    return found

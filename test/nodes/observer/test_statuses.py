@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from staging.arm import Arm
-from staging.stage import BEGIN, MS, PERIOD
+from staging.stage import BEGIN, MS, PERIOD, Arm
 
 from tsobs_ros.estimation.health import Level, Status, judged
 from tsobs_ros.estimation.records import Basis, Hypothesis

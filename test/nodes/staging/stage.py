@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""An observer in the process of a test, under a time that only the test lets pass.
+"""An observer in the process of a test, under a time that only the test lets pass, and an arm.
 
 Nothing waits and nothing races: what is published in one process is in every queue of it when
 `publish` returns, time is where the test has put it, and a step ends when all ticks that it made
@@ -9,7 +9,9 @@ due are done.
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +24,6 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from staging import call, start, to_nanoseconds, to_stamp
-from staging.arm import Arm
 from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.design.signals import Place
 from tsobs_ros.estimation.records import Innovation, Measurement
@@ -30,6 +31,8 @@ from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.nodes.observer import Observer
 from tsobs_ros.nodes.wire import DrainedSubscription
 from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.simulation.plant import Trajectories
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 BEGIN = 100 * NANOSECONDS
 MS = 1_000_000
@@ -44,6 +47,71 @@ SIGMAS = 4.0
 _TIMEOUT = 30.0
 _LONG = 7 * NANOSECONDS
 _SENSOR_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+SECONDS = 20.0
+"""Length of the run; after it the arm restarts, which no observer can know."""
+
+
+@lru_cache(maxsize=4)
+def _simulated(rate: float, seconds: float) -> tuple[Trajectories, NDArray[np.float64]]:
+    scenario = replace(SCENARIOS["noise"], rate=rate)
+    run = simulate(scenario, [8], seconds)
+    return run, scenario.arm.to_physical(run.states[0])
+
+
+class Arm:
+    """A run of an arm that starts at a stamp.
+
+    Args:
+        origin: Stamp of the first sample [ns].
+        joint: The joint's name.
+        rate: Samples a second [Hz].
+        seconds: Length of the run [s].
+    """
+
+    def __init__(
+        self,
+        origin: int,
+        joint: str = "elastic_joint",
+        rate: float = 200.0,
+        seconds: float = SECONDS,
+    ) -> None:
+        self.origin, self.joint = origin, joint
+        self.period = round(NANOSECONDS / rate)
+        run, self._states = _simulated(rate, seconds)
+        self._angles, self._torques = run.measurements[0], run.torques[0]
+
+    def stamps(self, begin: int, seconds: float) -> Iterator[int]:
+        """Return the stamps of the samples from `begin` on."""
+        first = -(-(begin - self.origin) // self.period)
+        last = -(-(begin + round(seconds * NANOSECONDS) - self.origin) // self.period)
+        return (self.origin + index * self.period for index in range(first, last))
+
+    def measurement(self, stamp: int) -> Measurement:
+        """Return the sample taken at the stamp, or last before it."""
+        index = (stamp - self.origin) // self.period % (len(self._angles) - 1)
+        return Measurement(stamp, self._angles[index], self._torques[index])
+
+    def message(self, stamp: int, **changes: Any) -> JointState:
+        """Return that sample as a message, with any of its fields changed."""
+        sample = self.measurement(stamp)
+        fields = {
+            "name": [self.joint],
+            "position": sample.y.tolist(),
+            "effort": sample.u.tolist(),
+            **changes,
+        }
+        message = JointState(**fields)
+        message.header.stamp = to_stamp(stamp)
+        return message
+
+    def truth(self, stamp: int) -> NDArray[np.float64]:
+        """Return the true [q₁, q̇₁, q₂, q̇₂] (rad, rad/s) at any stamp."""
+        index, rest = divmod(stamp - self.origin, self.period)
+        index %= len(self._angles) - 1
+        before, after = self._states[index : index + 2]
+        return np.asarray(before + (after - before) * (rest / self.period))
 
 
 class Event(NamedTuple):
@@ -233,6 +301,11 @@ class Stage:
             lambda: bool(self._diagnostics) and self._diagnostics[-1][0] > asked, "diagnostics"
         )
         return {status.name: status for status in self._diagnostics[-1][1].status}
+
+    def reported(self, name: str) -> list[DiagnosticStatus]:
+        """Return all statuses of a name that were published so far."""
+        arrays = [array for _, array in self._diagnostics]
+        return [each for array in arrays for each in array.status if each.name == name]
 
     def wait_until(self, predicate: Callable[[], bool], what: str) -> None:
         """Spin until something is so."""

@@ -50,14 +50,13 @@ from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.health import Level, Status, meaning
 from tsobs_ros.estimation.records import REASONS, Estimate
 from tsobs_ros.methods import warning
-from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.messages import LATCHED, Statuses
+from tsobs_ros.nodes.managed import ManagedNode, Statuses
 from tsobs_ros.nodes.observer.joints import OF_INPUT, ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.messages import EstimatePublisher, MeasurementReader
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, statuses_of
 from tsobs_ros.nodes.runtime import Ticker
-from tsobs_ros.nodes.wire import DrainedSubscription
+from tsobs_ros.nodes.wire import LATCHED, DrainedSubscription
 
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""

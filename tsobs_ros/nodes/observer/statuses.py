@@ -12,7 +12,7 @@ from tsobs_ros.estimation import health
 from tsobs_ros.estimation.events import NOISY, EventKind
 from tsobs_ros.estimation.health import Level, Phase, Status, judged, meaning, words
 from tsobs_ros.estimation.records import IMPLAUSIBLE_TORQUE, Estimate, Learning, RejectReason
-from tsobs_ros.nodes.messages import Statuses
+from tsobs_ros.nodes.managed import Statuses
 from tsobs_ros.nodes.observer.joints import NAMES, ObservedJoint, main_of
 
 _FROM_BEST_TO_WORST = (Phase.TRACKING, Phase.COASTING, Phase.WAITING, Phase.STALE)

@@ -20,9 +20,8 @@ from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.signals import Place, positions, signals
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.messages import set_stamp
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
-from tsobs_ros.nodes.wire import QUIET, DrainedSubscription, JointStatePublisher
+from tsobs_ros.nodes.wire import QUIET, DrainedSubscription, JointStatePublisher, set_stamp
 from tsobs_ros.simulation.plant import Sample
 
 _ACKNOWLEDGE_TIMEOUT = 1.0

@@ -30,10 +30,10 @@ from tsobs_ros.bag.playback import BagSource, Event, Playback
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
 from tsobs_ros.errors import BagReadError, ParameterError
 from tsobs_ros.estimation.health import Level, Status
-from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.messages import Statuses, set_stamp
+from tsobs_ros.nodes.managed import ManagedNode, Statuses
 from tsobs_ros.nodes.player.topics import CLOCK, PlayerParameters, played_topics
 from tsobs_ros.nodes.runtime import Ticker
+from tsobs_ros.nodes.wire import set_stamp
 
 _READ_AHEAD = 8 * 2**20
 # While the reader's thread unpacks a chunk of the bag, a message that is due waits for the

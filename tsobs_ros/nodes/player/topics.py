@@ -24,8 +24,8 @@ from tsobs_ros.bag.metadata import QosProfile, QosTime, TopicInfo
 from tsobs_ros.errors import BagWriteError, NodeError, ParameterError
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.messages import message_class
 from tsobs_ros.nodes.parameters import SelectingParameters
+from tsobs_ros.nodes.wire import message_class
 from tsobs_ros.settings import live_setting, setting
 
 # The depth of ROS's default profile, for a publisher of unknown depth.

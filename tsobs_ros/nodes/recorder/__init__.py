@@ -26,8 +26,7 @@ from typing import Any
 
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.nodes.managed import DIAGNOSTICS_PERIOD, ManagedNode
-from tsobs_ros.nodes.messages import Statuses
+from tsobs_ros.nodes.managed import DIAGNOSTICS_PERIOD, ManagedNode, Statuses
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 from tsobs_ros.nodes.recorder.status import RecorderStatistics, statuses
 from tsobs_ros.nodes.recorder.topics import TopicFinder

@@ -18,10 +18,9 @@ from tsobs_ros.bag.recording import BufferedMessage, Latch
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.messages import message_class
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 from tsobs_ros.nodes.recorder.status import LossCounter
-from tsobs_ros.nodes.wire import DrainedSubscription
+from tsobs_ros.nodes.wire import DrainedSubscription, message_class
 
 _LATCHED, _RELIABLE = DurabilityPolicy.TRANSIENT_LOCAL, ReliabilityPolicy.RELIABLE
 # The number of a topic's publishers shows that one came, but not that one took another's place.
