@@ -127,7 +127,7 @@ def test_the_front_of_a_large_chunk_is_kept_and_unchecked(
     assert f"unchecked {result.unchecked}: no checksum covers" in result.text()
 
 
-def test_what_a_damaged_chunk_held_is_told_by_its_index(tmp_path: Path) -> None:
+def test_what_a_damaged_chunk_held_is_counted_by_its_index(tmp_path: Path) -> None:
     data, entries, chunks = sample("none")
     start = chunks[1][1] - 12
     damaged = zero(data, start, start + 4)

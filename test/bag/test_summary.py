@@ -35,7 +35,7 @@ def test_gaps_are_those_of_all_messages(written: list[tuple[str, int]], chunk: i
         assert topic["largest_gap_ns"] == (max(gaps) if gaps else None)
 
 
-def test_the_last_time_there_is_and_an_empty_bag_are_told(tmp_path: Path) -> None:
+def test_the_last_time_there_is_and_an_empty_bag_are_shown(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "far") as writer:
         writer.add_topic("/a", STRING)
         writer.write("/a", b"", 2**63 - 2, 0)

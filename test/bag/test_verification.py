@@ -139,7 +139,7 @@ def test_without_metadata_the_files_are_checked(bag: Path, content: bytes | None
     assert (len(verification.errors), verification.messages) == (1, 40)
 
 
-def test_files_that_are_missing_or_too_many_are_told(bag: Path) -> None:
+def test_files_that_are_missing_or_too_many_are_errors(bag: Path) -> None:
     (bag / "bag_1.mcap").rename(bag / "bag_7.mcap")
     (bag / "notes.txt").write_text("")
     assert texts(verify(bag)) == (

@@ -164,7 +164,7 @@ def _topic(topic: TopicInfo, span: int, gap: int | None) -> dict[str, Any]:
 
 
 class _Indexes:
-    """What the message indexes of a bag tell without reading a message.
+    """What the message indexes of a bag state: times of topics, without reading a message.
 
     `unchecked` is the number of messages without a checksum.
 
