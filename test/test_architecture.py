@@ -3,6 +3,7 @@
 """Imports point one way, from the nodes and the command line down to the model."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -12,37 +13,25 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "tsobs_ros"
 
-# What each part of the package may import of the others; all may import COMMON.
 COMMON = {"checks", "errors", "files", "resources", "schema", "series"}
 COMMON |= {"settings", "stop", "streams", "style", "yaml_files"}
-CORE = {"core", "estimation", "model"}
-RUNS = CORE | {"bag", "campaign", "design", "methods", "replay", "report", "simulation"}
-RUNS |= {"identification"}
-MAY_IMPORT: dict[str, set[str]] = {
-    "core": set(),
-    "model": {"core"},
-    "estimation": {"core", "model"},
-    "simulation": {"core", "model"},
-    "design": CORE,
-    "bag": {"core"},
-    # The published method; only the factory of estimators and the command line look into it.
-    "paper": {*CORE, "design", "simulation"},
-    "methods": {*CORE, "design", "paper"},
-    "exported": {*CORE, "design", "methods"},
-    "replay": {*CORE, "bag", "design", "methods"},
-    "report": {*CORE, "bag", "design", "identification", "methods", "replay"},
-    "identification": {*CORE, "design", "replay", "simulation"},
-    "plants": {"design", "simulation"},
-    "nodes": {*CORE, "bag", "design", "methods", "plants", "replay", "simulation"},
-    "executables": {"cli", "nodes"},
-    "cli": {*RUNS, "comparison", "exported", "nodes", "paper"},
-    **{name: set() for name in COMMON},
-    "campaign": {*RUNS, "plants"},
-    "comparison": {*CORE, "campaign", "design", "methods", "report", "simulation"},
-    "api": {*RUNS, "plants"},
-    # Lazily: importing the package itself imports nothing, which test_front_door.py checks.
-    "__init__": {*CORE, "api", "bag", "design", "exported", "identification", "methods"},
-}
+
+
+def directions() -> dict[str, set[str]]:
+    """Read from docs/architecture.md which parts each part of the package may import."""
+    text = (PACKAGE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| .*`(\w+)(?:/|\.py)` \| (.+) \|$", text, re.MULTILINE)
+    found = {name: set[str]() for name in COMMON}
+    for place, (name, cell) in enumerate(rows):
+        found[name] = set(re.findall(r"`(\w+)(?:/|\.py)`", cell))
+        if "everything below" in cell:
+            found[name] = {below for below, _ in rows[place + 1 :]} - found[name]
+        if "the core" in cell:
+            found[name] |= {"core", "model", "estimation"}
+    return found
+
+
+MAY_IMPORT = directions()
 
 # The only parts that may import a library, so that the others work without it.
 HOME: dict[str, set[str]] = {
@@ -94,7 +83,7 @@ def violations(path: Path, source: str) -> list[str]:
     """List the imports a module, given by its path inside the package, must not have."""
     part = path.parts[0].removesuffix(".py")
     if part not in MAY_IMPORT:
-        return [f"{path}: new part '{part}'; say in {Path(__file__).name} what it may import"]
+        return [f"{path}: new part '{part}'; list its imports in docs/architecture.md"]
     found = []
     for line, name in imported(source, ("tsobs_ros", *path.parts[:-1])):
         root, _, rest = name.partition(".")
