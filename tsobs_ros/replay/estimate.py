@@ -181,7 +181,7 @@ class Run:
         )
         self._made = {topic: Spool(np.dtype(np.int64)) for topic in COMPARED if windows.live}
         self._parameters_due, self._health_due = _Due(), _Due()
-        self._conditions = [Spool(np.dtype(np.float64)) for _ in source.joints]
+        self._conditions = Spool(np.dtype(np.float64))
         self._slow: list[tuple[NDArray[Any], ...]] = []
         # Numbers of restarts: until now, and before the last health; and of ticks since the last.
         self._restarts, self._restarts_before, self._ticks = 0, 0, 0
@@ -286,17 +286,16 @@ class Run:
             each = zip(self._values(*ESTIMATES[topic]), valid, strict=True)
             known = [np.where(there[due, None], own[due], np.nan) for own, there in each]
             made += self._encoder.messages(topic, ticks[due], known)
-        conditions = self._values(*HEALTH)
-        for spool, own in zip(self._conditions, conditions, strict=True):
-            spool.add(own)
+        conditions = np.stack(self._values(*HEALTH), axis=1)
+        self._conditions.add(conditions)
         due = self._health_due.among(ticks.stamps, table.done)
         if len(due):
-            chosen = [own[due] for own in conditions]
             if encode:
-                made += self._encoder.messages(topics.HEALTH, ticks[due], chosen)
+                of_joints = list(conditions[due].swapaxes(0, 1))
+                made += self._encoder.messages(topics.HEALTH, ticks[due], of_joints)
             restarted = np.diff(restarts[due], prepend=self._restarts_before) > 0
             times = ticks.stamps[due], ticks.log_times[due]
-            self._slow.append((*times, np.stack(chosen, axis=1), restarted))
+            self._slow.append((*times, conditions[due], restarted))
             self._restarts_before = int(restarts[due[-1]])
         return made
 
@@ -343,8 +342,9 @@ class Run:
 
     def health(self) -> dict[str, Health]:
         """Return the health of each joint that has estimates."""
-        each = (health_of(spool.read().reshape(-1, len(HEALTH))) for spool in self._conditions)
-        found = zip(self._source.joints, each, strict=True)
+        joints = self._source.joints
+        conditions = self._conditions.read().reshape(-1, len(joints), len(HEALTH))
+        found = ((name, health_of(conditions[:, joint])) for joint, name in enumerate(joints))
         return {joint: one for joint, one in found if one is not None}
 
     def agreement(self) -> Agreement | None:
