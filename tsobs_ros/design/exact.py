@@ -111,7 +111,6 @@ class _Parts(NamedTuple):
     drift: Rational
     density: Rational
     output: Rational
-    std: Rational
     corners: list[Rational]
 
 
@@ -132,7 +131,7 @@ def _decreases(design: Design) -> Iterator[tuple[str, Rational, Rational]]:
     gain: Rational = inverted @ rational(design.K)
     X = inverse(D @ rational(design.P) @ D)
     closed = identity(len(gain)) - gain @ parts.output @ D
-    posterior = closed @ X @ closed.T + (gain * parts.std**2) @ gain.T
+    posterior = closed @ X @ closed.T + (gain * rational(request.output_std) ** 2) @ gain.T
     kept = decay_below(2 * Fraction(request.decay_rate) * period)
     corners = [inverted @ corner @ D for corner in parts.corners]
     pairs = zip(request.vertices(), product(corners, repeat=2), strict=True)
@@ -178,8 +177,7 @@ def _arm_parts(request: ArmRequest) -> _Parts:
         row[place] = scale[place]
         if each.delay:
             row[place + 1] = -Fraction(each.delay) * scale[place]
-    std = rational([each.measurement_std for each in request.sensors])
-    return _Parts(drift, density, output, std, list(_kicks(request, len(drift))))
+    return _Parts(drift, density, output, list(_kicks(request, len(drift))))
 
 
 def _kicks(request: ArmRequest, n: int) -> Iterator[Rational]:
@@ -208,8 +206,8 @@ def _system_parts(request: TSRequest) -> _Parts:
     A = rational(request.model.A)
     white = np.diag(rational(request.process_noise))
     mean, density = _with_disturbances(A.sum(axis=0) / len(A), white, request.disturbance_model)
-    output, std = rational(request.flow.output_matrix), rational(request.measurement_std)
-    return _Parts(mean, density, output, std, list(_deviations(request, mean)))
+    output = rational(request.flow.output_matrix)
+    return _Parts(mean, density, output, list(_deviations(request, mean)))
 
 
 def _deviations(request: TSRequest, mean: Rational) -> Iterator[Rational]:

@@ -96,6 +96,7 @@ class Uncertainty:
         return places
 
 
+@np.errstate(over="ignore")  # what is not finite is refused by name
 def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncertainty:
     """Return the uncertainty of an arm's physical parameters.
 
