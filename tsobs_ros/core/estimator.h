@@ -315,7 +315,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(COUNT, supervised, 1, 1)       /* whether there are other hypotheses */                     \
     F(NUMBER, gate, 1, 1)            /* sigmas of an outlier */                                   \
     F(COUNT, stuck_samples, 1, 1)    /* repetitions of a stuck sensor */                          \
-    F(VECTOR, disturbance_limit, s->p, 1) /* largest disturbances */
+    F(VECTOR, disturbance_limit, s->p, 1) /* beyond which no jump is supposed */
 LAYOUT_DECLARE(model_numbers, MODEL_FIELDS, estimator_sizes)
 
 /* View of a model record: its sizes, its numbers, and its flow. */

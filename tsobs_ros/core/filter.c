@@ -186,14 +186,11 @@ static void follow(
 }
 
 /* Return by how much less than one of the design an innovation says about parameters: by the mean
- * of the covariance relative to the certified bound, as regressors are wrong where x^ is; by what
- * was measured of the innovations; and as neighbours that are alike, by more than the three sigmas of
- * white noise, repeat each other. */
+ * of the covariance relative to the certified bound, as regressors are wrong where x^ is, and by what
+ * was measured of the innovations. */
 static double inflation_of(const model *m, const hypothesis *h)
 {
     const long n = (long)m->s.n, width = (long)m->s.width;
-    const double alike
-        = maximum(*h->colour / larger(*h->nis, 1.0) - 3.0 * sqrt(0.5 * *m->period), 0.0);
     double inflation = 1.0;
     if (*h->certified == 0) {
         double total = 0.0;
@@ -202,10 +199,7 @@ static double inflation_of(const model *m, const hypothesis *h)
         }
         inflation = larger(total / (double)n, 1.0);
     }
-    if (*m->supervised != 0) {
-        inflation *= larger(*h->nis, 1.0) * ((1.0 + alike) / (1.0 - alike));
-    }
-    return inflation;
+    return *m->supervised != 0 ? inflation * larger(*h->nis, 1.0) : inflation;
 }
 
 /* Correct the parameters' covariance and the pending change of them by one output. */
@@ -359,27 +353,6 @@ static void begin_pass(const model *m, hypothesis *h)
     }
 }
 
-/* Keep each disturbance w = h x within its limit, by the likeliest change of all states: a change
- * of w alone would leave the innovation unexplained. */
-static void limit_disturbances(const model *m, hypothesis *h)
-{
-    const long n = (long)m->s.n, width = (long)m->s.width;
-    for (long i = 0; i < m->s.p; i++) {
-        const double *map = m->disturbance_map + i * width, limit = m->disturbance_limit[i];
-        const double omega = dot(map, h->x, n);
-        const double *covariance = *h->certified != 0 ? m->X : h->covariance;
-        double variance;
-        if (fabs(omega) <= limit) {
-            continue;
-        }
-        variance = quadratic(covariance, width, map, n);
-        for (long j = 0; variance > 0.0 && j < n; j++) {
-            const double along = dot(map, covariance + j * width, n) / variance;
-            h->x[j] -= (omega - copysign(limit, omega)) * along;
-        }
-    }
-}
-
 double correct_hypothesis(
     const model *m, const state *at, hypothesis *h, int adapt, correction *effect)
 {
@@ -406,9 +379,6 @@ double correct_hypothesis(
     if (m->s.k > 0 && adapt) {
         use_pending(m, h, effect);
         begin_pass(m, h);
-    }
-    if (*m->supervised != 0) {
-        limit_disturbances(m, h);
     }
     return said;
 }

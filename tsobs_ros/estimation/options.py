@@ -115,7 +115,7 @@ class SupervisionOptions:
     )
     disturbance_limit: float = live_setting(
         math.pi,
-        "Largest disturbance estimated",
+        "Largest disturbance that a sensor is supposed to jump to",
         unit="rad",
         minimum=1e-3,
         hidden=True,
