@@ -8,7 +8,8 @@ any error is beyond three bounds. The ablations switch off one part each.
 """
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from multiprocessing import Pool
 from typing import NamedTuple
 
@@ -45,6 +46,9 @@ SCENES = (
 JOINTS = ("stiff_hits_3", "stiff_motor", "light_hits_10", "light_motor_hits_3")
 """Precise joints besides."""
 
+ELSEWHERE = "put_elsewhere"
+"""An arm, 20 % stiffer, that is put elsewhere after 40 s."""
+
 _OFF = 1e9
 """More than any price or sign."""
 
@@ -69,6 +73,19 @@ ABLATIONS: dict[str, dict[str, float]] = {
     "no CURVED": {"CURVED": 0.0},
 }  # fmt: skip
 """What is changed of constants and of the model's record, by what is lost."""
+
+
+def put_elsewhere(seeds: Sequence[int]) -> Trajectories:
+    """Return runs whose arm stands at another angle from 40 s on, at once."""
+    before = SCENARIOS["stiff"]
+    after = replace(before, initial_state=(1.0, 0.0, 1.0, 0.0))
+    one, other = simulate(before, seeds), simulate(after, [seed + 1000 for seed in seeds])
+    place = int(np.searchsorted(one.times, 40.0))
+    joined = [
+        np.concatenate([a[:, :place], b[:, : a.shape[1] - place]], axis=1)
+        for a, b in zip(one[1:], other[1:], strict=True)
+    ]
+    return Trajectories(one.times, *joined)
 
 
 class Score(NamedTuple):
@@ -128,9 +145,10 @@ def _judged(runs: Trajectories, found: Observed, hidden: int | None) -> Score:
 def _work(job: tuple[str, tuple[int, ...]]) -> tuple[str, dict[str, Score]]:
     """Return what all variants do in a scenario."""
     name, seeds = job
-    if name in SCENES:
+    if name not in JOINTS:
         design, hidden = load_design(config_path(SHIPPED_DESIGN)), None
-        runs = simulate(SCENARIOS[name], seeds)
+        is_put = name == ELSEWHERE
+        runs = put_elsewhere(seeds) if is_put else simulate(SCENARIOS[name], seeds)
     else:
         case = CASES[name]
         design, hidden, runs = synthesise(case.request), case.hidden, simulated(case, seeds)
@@ -205,7 +223,7 @@ def _page(found: Mapping[str, Effect], what: str) -> Iterator[str]:
 
 def main() -> None:
     """Measure and print."""
-    known = (*SCENES, *JOINTS)
+    known = (*SCENES, ELSEWHERE, *JOINTS)
     options = options_of(parser(__doc__, design=False), known)
     jobs = [(name, tuple(options.seeds)) for name in options.scenarios]
     results: dict[str, dict[str, Score]] = {}
