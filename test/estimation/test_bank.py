@@ -29,7 +29,7 @@ from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import Sinusoid
 
-RATE, STD, T = 200, 0.028, 0.005
+RATE, STD = 200, 0.028
 DESIGNS = {
     "fixed": load_design(config_path(FIXED_DESIGN)),
     "learning": load_design(config_path(SHIPPED_DESIGN)),
@@ -71,16 +71,16 @@ def simulated(
 
 
 def course(
-    name: str, run: Trajectories, y: Array | None = None, u: Array | None = None, every: int = 1,
+    name: str, run: Trajectories, y: Array | None = None, u: Array | None = None,
     tracker: Tracker | None = None,
 ) -> Course:  # fmt: skip
     """Track the samples of a run, or others in their place, from the start."""
     y = run.measurements[0] if y is None else y
     u = run.torques[0, : len(y)] if u is None else u
     tracker = tracker or make_tracker(DESIGNS[name], ObserverSettings(history=0.0))
-    stamps = NANOSECONDS + round(T * NANOSECONDS) * np.arange(len(y))
-    rows = tracker.follow(stamps[::every], y[::every], u[::every])
-    outside = np.abs(rows.state - run.physical[0, : len(y) : every]) > 3.0 * rows.state_bound
+    period = round((run.times[1] - run.times[0]) * NANOSECONDS)
+    rows = tracker.follow(NANOSECONDS + period * np.arange(len(y)), y, u)
+    outside = np.abs(rows.state - run.physical[0, : len(y)]) > 3.0 * rows.state_bound
     return Course(
         tracker, rows.state, rows.state_bound, rows.disturbance[:, 0], ~outside.any(axis=1),
         rows.basis, rows.claimed > 0.0, rows.hypothesis,
@@ -191,7 +191,10 @@ def test_what_the_design_lacks_is_told_and_its_bound_covers(
     assert np.isin(published, [Basis.HYPOTHESIS, Basis.CONTRADICTED]).all()
 
 
-COVERED = {"noise", "outliers", "dropouts", "loud", "stiff", "bias_step", "pulses", "steps", "held"}
+COVERED = {
+    "noise", "outliers", "dropouts", "loud", "stiff", "bias_step", "pulses", "steps", "held",
+    "missing", "half_rate",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("scenario", sorted(SCENARIOS.keys() - {"late_20ms", "light_link"}))
@@ -246,22 +249,6 @@ def test_a_stuck_sensor_is_not_used(name: str) -> None:
     assert got.inside[EVENT + 30 :].mean() > 0.97
     assert got.is_honest()
     assert "sensor jumps" not in got.found
-
-
-@both
-@pytest.mark.parametrize("spoil", ["half", "a fifth"])
-def test_no_basis_lasts_for_ever_and_what_is_thin_is_claimed(name: str, spoil: str) -> None:
-    """At half the rate, or with a fifth of the samples missing."""
-    y, every = simulated().measurements[0].copy(), 1
-    if spoil == "half":
-        every = 2
-    else:
-        y[np.random.default_rng(0).random(COUNT) < 0.2] = np.nan
-    got = course(name, simulated(), y, every=every)
-    late = slice(10 * RATE // every, None)
-    assert got.claimed[late].mean() > 0.9
-    assert got.inside[late].mean() > 0.97
-    assert not np.isin(got.basis[late], [Basis.STARTING, Basis.GAP, Basis.JUMP]).any()
 
 
 @both

@@ -78,7 +78,7 @@ def test_an_ekf_is_the_textbook_filter_on_a_linear_arm() -> None:
 
 def test_parameters_of_an_ekf_are_as_states() -> None:
     """Two stages against the filter of [x; w; θ], whose Jacobian is that of its own steps."""
-    request, count = SHIPPED.arm_request, 1000
+    request, count = SHIPPED.arm_request, 400
     flow, uncertainty = request.flow, request.uncertainty_model
     step, n, k = flow.nominal, flow.state_count, uncertainty.count
     rows, effects = [LINK_VELOCITY, MOTOR_VELOCITY], uncertainty.directions[:, 0]

@@ -13,7 +13,7 @@ from tsobs_ros.model.flow import ArmFlow, ProcessNoise
 
 Array = NDArray[np.float64]
 
-COUNT, JUMP, STD = 1500, 700, 0.028
+COUNT, JUMP, STD = 700, 400, 0.028
 START = np.array([0.05, 0.1, 0.5, 0.5, 0.1])
 
 

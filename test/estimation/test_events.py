@@ -161,7 +161,7 @@ ESTIMATES = st.builds(
 )
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(data=st.data())
 def test_whatever_happens_there_is_no_flood_and_it_can_be_repeated(data: st.DataObject) -> None:
     some = data.draw(st.lists(ESTIMATES, min_size=1, max_size=8))

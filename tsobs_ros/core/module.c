@@ -78,11 +78,15 @@ static int refuse_argument(
     return 0;
 }
 
-int has(const signature *of, const argument *t, int place, int64_t least)
+int have(const signature *of, const argument *t, int first, const int64_t *least)
 {
-    return t[place].length >= least ||
-           refuse_argument(of, place, "expected at least %lld numbers, got %lld", least,
-                           t[place].length);
+    for (; *least >= 0; first++, least++) {
+        if (t[first].length < *least) {
+            return refuse_argument(of, first, "expected at least %lld numbers, got %lld", *least,
+                                   t[first].length);
+        }
+    }
+    return 1;
 }
 
 int is_size(const signature *of, const argument *t, int place, int64_t least)

@@ -62,8 +62,10 @@ PyObject *call_bound(
 /* Raise a ValueError that begins with the function's name; return NULL. */
 PyObject *refuse(const signature *of, const char *why);
 
-/* Return whether an argument has so many numbers at least; else raise a ValueError. */
-int has(const signature *of, const argument *t, int place, int64_t least);
+/* Return whether arguments from a place on have so many numbers each at least; else raise a
+ * ValueError. For use in a body of BIND. */
+#define HAVE(first, ...) have(of, t, first, (const int64_t[]){__VA_ARGS__, -1})
+int have(const signature *of, const argument *t, int first, const int64_t *least);
 
 /* Return whether an argument is a number from `least` to MAX_SIZE; else raise a ValueError. */
 int is_size(const signature *of, const argument *t, int place, int64_t least);

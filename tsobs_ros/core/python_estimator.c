@@ -81,7 +81,7 @@ BIND(estimator_correct, "dDdD", "model states y corrections")
         return NULL;
     }
     const int64_t size = (int64_t)correction_size(&m.s);
-    if (!has(of, t, 2, count * m.s.p) || !has(of, t, 3, count * size)) {
+    if (!HAVE(2, count * m.s.p, count * size)) {
         return NULL;
     }
     for (int64_t i = 0; i < count; i++) {
@@ -98,8 +98,8 @@ BIND(estimator_predict, "dDdfiD", "model states u duration between_samples work"
     model m;
     work scratch;
     const int64_t count = begin_batch(of, t, &m);
-    if (count < 0 || !has(of, t, 2, count * m.s.m) ||
-        !has(of, t, 5, (int64_t)work_size(&m.s)) || !is_duration(of, t, 3)) {
+    if (count < 0 || !HAVE(2, count * m.s.m) || !HAVE(5, (int64_t)work_size(&m.s)) ||
+        !is_duration(of, t, 3)) {
         return NULL;
     }
     work_bind(&scratch, &m.s, t[5].is.doubles);
@@ -116,8 +116,8 @@ BIND(estimator_read, "ddDD", "model states rows work")
     model m;
     work scratch;
     const int64_t count = begin_batch(of, t, &m);
-    if (count < 0 || !has(of, t, 2, count * (int64_t)estimate_size(&m.s)) ||
-        !has(of, t, 3, (int64_t)work_size(&m.s))) {
+    if (count < 0 ||
+        !HAVE(2, count * (int64_t)estimate_size(&m.s), (int64_t)work_size(&m.s))) {
         return NULL;
     }
     double *row = t[2].is.doubles;
@@ -164,9 +164,8 @@ BIND(estimator_observe, "dDddfiDDD", "model states y u duration samples correcti
         return refuse(of, "samples: expected a number of at least 0");
     }
     const int64_t p = m.s.p, inputs = m.s.m, wide = (int64_t)estimate_size(&m.s), all = count * samples;
-    if (!has(of, t, 2, all * p) || !has(of, t, 3, all * inputs) ||
-        !has(of, t, 6, (int64_t)correction_size(&m.s)) ||
-        !has(of, t, 7, (int64_t)work_size(&m.s)) || !has(of, t, 8, all * wide)) {
+    if (!HAVE(2, all * p, all * inputs) ||
+        !HAVE(6, (int64_t)correction_size(&m.s), (int64_t)work_size(&m.s), all * wide)) {
         return NULL;
     }
     correction_bind(&effect, &m.s, t[6].is.doubles);
@@ -203,9 +202,9 @@ BIND(estimator_innovations, "ddddfffiDDDD",
             return refuse(of, "durations: expected finite numbers");
         }
     }
-    if (!has(of, t, 2, outputs) || !has(of, t, 3, count * m.s.m) || !has(of, t, 8, outputs) ||
-        !has(of, t, 9, outputs) || (states != NULL && !has(of, t, 10, count * n)) ||
-        !has(of, t, 11, (int64_t)innovations_scratch_size(&m))) {
+    if (!HAVE(2, outputs, count * m.s.m) ||
+        !HAVE(8, outputs, outputs, states != NULL ? count * n : 0,
+              (int64_t)innovations_scratch_size(&m))) {
         return NULL;
     }
     Py_BEGIN_ALLOW_THREADS

@@ -26,8 +26,7 @@ static int64_t count_watches(const signature *of, const argument *t)
 BIND(faults_add_samples, "Dddddd", "watches stamps y codes innovations expected_std")
 {
     const int64_t sensors = count_watches(of, t), numbers = sensors * t[1].length;
-    if (sensors < 0 || !has(of, t, 2, numbers) || !has(of, t, 3, numbers) ||
-        !has(of, t, 4, numbers) || !has(of, t, 5, numbers)) {
+    if (sensors < 0 || !HAVE(2, numbers, numbers, numbers, numbers)) {
         return NULL;
     }
     const sensor_samples samples = {
@@ -41,7 +40,7 @@ BIND(faults_add_samples, "Dddddd", "watches stamps y codes innovations expected_
 BIND(faults_add_estimates, "Didd", "watches stamp disturbances bounds")
 {
     const int64_t sensors = count_watches(of, t);
-    if (sensors < 0 || !has(of, t, 2, sensors) || !has(of, t, 3, sensors)) {
+    if (sensors < 0 || !HAVE(2, sensors, sensors)) {
         return NULL;
     }
     return PyBool_FromLong(add_estimates(

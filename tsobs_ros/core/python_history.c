@@ -31,9 +31,8 @@ static int take_measurements(
         count, t[from].is.integers, t[from + 1].is.doubles, t[from + 2].is.doubles};
     *written = (outcomes){t[to].is.integers, t[to + 1].is.integers, t[to + 2].is.doubles,
                           t[to + 3].is.doubles};
-    return has(of, t, from + 1, outputs) && has(of, t, from + 2, count * by->m.s.m) &&
-           has(of, t, to, count) && has(of, t, to + 1, outputs) && has(of, t, to + 2, outputs) &&
-           has(of, t, to + 3, outputs);
+    return HAVE(from + 1, outputs, count * by->m.s.m) &&
+           HAVE(to, count, outputs, outputs, outputs);
 }
 
 BIND(history_scratch_size, "di", "model slots")
@@ -63,7 +62,7 @@ BIND(history_offer, "dDDDdddiDDDD",
 BIND(history_estimate, "dDDDiD", TRACKER " stamp row")
 {
     tracker by;
-    if (!take_tracker(of, t, &by) || !has(of, t, 5, (int64_t)estimate_size(&by.m.s))) {
+    if (!take_tracker(of, t, &by) || !HAVE(5, (int64_t)estimate_size(&by.m.s))) {
         return NULL;
     }
     return PyBool_FromLong(estimate_at(&by, t[4].is.integer, t[5].is.doubles));
@@ -79,8 +78,7 @@ BIND(history_advance, "dDDD" "ddd" "DDDD" "ddd" "DDDi",
     const int64_t count = t[11].length;
     int64_t before = 0;
     if (!take_tracker(of, t, &by) || !take_measurements(of, t, 4, 7, &by, &given, &written) ||
-        !has(of, t, 12, count) || !has(of, t, 13, count) || !has(of, t, 14, count) ||
-        !has(of, t, 15, count) || !has(of, t, 16, count * (int64_t)estimate_size(&by.m.s))) {
+        !HAVE(12, count, count, count, count, count * (int64_t)estimate_size(&by.m.s))) {
         return NULL;
     }
     for (int64_t tick = 0; tick < count; tick++) {

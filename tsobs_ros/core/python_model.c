@@ -96,7 +96,7 @@ BIND(elementary, "sD", "function values")
 BIND(grades_and_slopes, "iddDD", "shape parameters z grades slopes")
 {
     const Py_ssize_t samples = t[2].length;
-    if (!has(of, t, 1, 4) || !has(of, t, 3, samples) || !has(of, t, 4, samples)) {
+    if (!HAVE(1, 4) || !HAVE(3, samples, samples)) {
         return NULL;
     }
     for (Py_ssize_t k = 0; k < samples; k++) {
@@ -113,8 +113,7 @@ BIND(weights_and_slopes_of_each, "dddDDii", "shapes parameters z weights slopes 
         return NULL;
     }
     const int64_t samples = t[2].length / q;
-    if (!has(of, t, 0, r * q) || !has(of, t, 1, 4 * r * q) || !has(of, t, 3, samples * r) ||
-        !has(of, t, 4, samples * r * q)) {
+    if (!HAVE(0, r * q, 4 * r * q) || !HAVE(3, samples * r, samples * r * q)) {
         return NULL;
     }
     for (int64_t k = 0; k < samples; k++) {
@@ -137,9 +136,8 @@ BIND(flow_over, "diffDDDDii", "series terms reach duration phi gamma noise scrat
 {
     const int64_t terms = t[1].is.integer, n = t[8].is.integer, m = t[9].is.integer;
     if (!is_size(of, t, 1, 0) || !is_size(of, t, 8, 0) || !is_size(of, t, 9, 0) ||
-        !has(of, t, 0, terms * n * (2 * n + m)) || !has(of, t, 4, n * n) ||
-        !has(of, t, 5, n * m) || !has(of, t, 6, n * n) ||
-        !has(of, t, 7, (int64_t)flow_over_scratch_size((long)n, (long)m))) {
+        !HAVE(0, terms * n * (2 * n + m)) ||
+        !HAVE(4, n * n, n * m, n * n, (int64_t)flow_over_scratch_size((long)n, (long)m))) {
         return NULL;
     }
     if (!is_duration(t[3].is.number, 1.0)) {
@@ -161,9 +159,9 @@ BIND(advance_all, "dDDDdddfD", "flow x upsilon covariance theta y u duration scr
     const long n = s.n, k = s.k;
     const int64_t batch = n > 0 ? t[1].length / n : 0;
     const int with_covariance = t[3].length > 0, with_sample = *f.kind == KIND_INTEGRATED;
-    if (!has(of, t, 2, batch * k * n) || !has(of, t, 3, with_covariance ? batch * n * n : 0) ||
-        !has(of, t, 4, batch * k) || !has(of, t, 5, with_sample ? batch * s.p : 0) ||
-        !has(of, t, 6, batch * s.m) || !has(of, t, 8, (int64_t)flow_scratch_size(&s))) {
+    if (!HAVE(2, batch * k * n, with_covariance ? batch * n * n : 0, batch * k,
+              with_sample ? batch * s.p : 0, batch * s.m) ||
+        !HAVE(8, (int64_t)flow_scratch_size(&s))) {
         return NULL;
     }
     if (!is_duration(t[7].is.number, *f.period)) {
@@ -187,8 +185,8 @@ BIND(simulate_arms, "ddddDDD", "arms carried inputs kicks present states torques
 {
     const int64_t runs = t[4].length / 4, samples = t[1].length, all = runs * samples;
     simulated_arm arms[2];
-    if (!has(of, t, 0, 2 * (int64_t)simulated_arm_size(NULL)) || !has(of, t, 2, all) ||
-        !has(of, t, 5, 4 * all) || !has(of, t, 6, 2 * all)) {
+    if (!HAVE(0, 2 * (int64_t)simulated_arm_size(NULL)) || !HAVE(2, all) ||
+        !HAVE(5, 4 * all, 2 * all)) {
         return NULL;
     }
     simulated_arm_bind(&arms[1], NULL, simulated_arm_bind(&arms[0], NULL, t[0].is.doubles));
@@ -214,7 +212,7 @@ BIND(simulate_systems, "dDddDDD", "sizes system inputs kicks present states trut
 {
     const int64_t *sizes = t[0].is.integers;
     simulated_system system;
-    if (!has(of, t, 0, 6)) {
+    if (!HAVE(0, 6)) {
         return NULL;
     }
     for (int i = 0; i < 6; i++) {
@@ -224,7 +222,7 @@ BIND(simulate_systems, "dDddDDD", "sizes system inputs kicks present states trut
     }
     const system_sizes s = {(long)sizes[0], (long)sizes[1], (long)sizes[2],
                             (long)sizes[3], (long)sizes[4], (long)sizes[5]};
-    if (!has(of, t, 1, (int64_t)simulated_system_size(&s))) {
+    if (!HAVE(1, (int64_t)simulated_system_size(&s))) {
         return NULL;
     }
     simulated_system_bind(&system, &s, t[1].is.doubles);
@@ -233,7 +231,7 @@ BIND(simulate_systems, "dDddDDD", "sizes system inputs kicks present states trut
     if (steps <= 0 || (t[3].length > 0 && t[3].length / s.n / steps < all)) {
         return refuse(of, "kicks: expected none, or one for each state and integration step");
     }
-    if (!has(of, t, 2, all * (s.m + s.scheduled)) || !has(of, t, 6, all * s.p)) {
+    if (!HAVE(2, all * (s.m + s.scheduled)) || !HAVE(6, all * s.p)) {
         return NULL;
     }
     Py_BEGIN_ALLOW_THREADS
@@ -246,7 +244,7 @@ BIND(simulate_systems, "dDddDDD", "sizes system inputs kicks present states trut
 
 BIND(gauss_markov, "ffDD", "decay strength present series")
 {
-    if (!has(of, t, 2, 1)) {
+    if (!HAVE(2, 1)) {
         return NULL;
     }
     gauss_markov(
@@ -259,7 +257,7 @@ BIND(gauss_markov, "ffDD", "decay strength present series")
 
 BIND(exported_seal, "D", "words")
 {
-    if (!has(of, t, 0, (int64_t)exported_head_size(NULL))) {
+    if (!HAVE(0, (int64_t)exported_head_size(NULL))) {
         return NULL;
     }
     exported_seal(t[0].is.doubles, (size_t)t[0].length * 8);
