@@ -5,13 +5,13 @@
 docs/method.md has them with their proofs.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix
-from tsobs_ros.design.lyapunov import common_lyapunov, refutation_margin
+from tsobs_ros.design.lyapunov import CommonLyapunov, common_lyapunov, refutation_margin
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.detectability import HiddenMode, format_mode, hidden_modes
 from tsobs_ros.paper.augmentation import Augmentation
@@ -21,8 +21,7 @@ _TOLERANCE = 1e-6
 _DECAYING = -1e-9
 
 
-@dataclass(frozen=True)
-class Proposition:
+class Proposition(NamedTuple):
     """A proposition checked on one system.
 
     Attributes:
@@ -39,25 +38,6 @@ class Proposition:
 
     def __str__(self) -> str:
         return f"{self.name} ({'confirmed' if self.holds else 'NOT CONFIRMED'}): {self.statement}"
-
-
-@dataclass(frozen=True)
-class StabilityVerdict:
-    """Proposition 2 on one system: is there a common Lyapunov matrix at given decay rates?
-
-    Attributes:
-        feasible: The answer.
-        margin: The eigenvalue that proves it, as in `design.lyapunov.CommonLyapunov`.
-        P: The Lyapunov matrix, shape (n, n); None if there is none.
-        reason: One line for people.
-        Z: The proof that there is none, shape (r, n, n); None if there is one.
-    """
-
-    feasible: bool
-    margin: float
-    P: Array | None
-    reason: str
-    Z: Array | None = None
 
 
 def check_autonomous_innovation(augmentation: Augmentation) -> Proposition:
@@ -81,12 +61,15 @@ def check_autonomous_innovation(augmentation: Augmentation) -> Proposition:
     )
 
 
-def check_stability(A: ArrayLike, rates: ArrayLike) -> StabilityVerdict:
+def check_stability(A: ArrayLike, rates: ArrayLike) -> tuple[CommonLyapunov, str]:
     """Decide Proposition 2's question: has one P ≻ 0 AᵢᵀP + PAᵢ + 2 rateᵢ P ≺ 0 for every rule?
 
     Args:
         A: State matrices, shape (r, n, n).
         rates: Decay rates to exceed, α₁ᵢ, shape (r,) [1/s].
+
+    Returns:
+        The answer for Aᵢ + rateᵢ I with its proof, and a line for people.
 
     Raises:
         ModelError: A matrix has the wrong shape.
@@ -104,28 +87,28 @@ def check_stability(A: ArrayLike, rates: ArrayLike) -> StabilityVerdict:
             # Rounding must not choose between modes that are equally slow.
             mode = max(slow, key=lambda m: (round(m.eigenvalue.real, 9), m.eigenvalue.imag))
             return _refuted_by_mode(shifted, rule, mode, float(decays[rule]))
-    margin, P, Z = common_lyapunov(shifted)
-    if P is not None:
-        reason = f"a common P exists, with largest eigenvalue {margin:.4g} (trace P = {n})"
-        return StabilityVerdict(True, margin, P, reason)
-    reason = (
+    proof = common_lyapunov(shifted)
+    if proof.P is not None:
+        size = f"largest eigenvalue {proof.margin:.4g} (trace P = {n})"
+        return proof, f"a common P exists, with {size}"
+    return proof, (
         f"every rule decays fast enough alone, but no P serves all {r}: proved by Zᵢ ⪰ 0 with "
-        f"Σ (AᵢZᵢ + ZᵢAᵢᵀ + 2α₁ᵢZᵢ) ⪰ {margin:.2g} and Σ tr Zᵢ = 1"
+        f"Σ (AᵢZᵢ + ZᵢAᵢᵀ + 2α₁ᵢZᵢ) ⪰ {proof.margin:.2g} and Σ tr Zᵢ = 1"
     )
-    return StabilityVerdict(False, margin, None, reason, Z)
 
 
-def _refuted_by_mode(shifted: Array, rule: int, mode: HiddenMode, rate: float) -> StabilityVerdict:
+def _refuted_by_mode(
+    shifted: Array, rule: int, mode: HiddenMode, rate: float
+) -> tuple[CommonLyapunov, str]:
     Z = np.zeros_like(shifted)
     outer = np.real(np.outer(mode.shape, mode.shape.conj()))
     Z[rule] = outer / np.trace(outer)
     own = mode._replace(eigenvalue=mode.eigenvalue - rate)
     faster = f" faster than α₁ = {rate:.4g} 1/s" if rate > 0.0 else ""
-    reason = (
+    return CommonLyapunov(refutation_margin(shifted, Z), None, Z), (
         f"rule {rule + 1} has a mode that does not decay{faster}: eigenvalue "
         f"{format_mode(own, 'x')}"
     )
-    return StabilityVerdict(False, refutation_margin(shifted, Z), None, reason, Z)
 
 
 def check_matching(augmentation: Augmentation, P: ArrayLike, delta_A: ArrayLike) -> Proposition:
@@ -144,7 +127,9 @@ def check_matching(augmentation: Augmentation, P: ArrayLike, delta_A: ArrayLike)
     """
     matrix = as_matrix("P", P, (augmentation.size, augmentation.size))
     root, M = _root(matrix), np.linalg.solve(matrix, augmentation.C_bar.T)
-    changes = [root @ each for each in augmentation.augmented_uncertainty(delta_A) if each.any()]
+    n, r = augmentation.state_count, augmentation.rule_count
+    driven = augmentation.E_L_inverse[:, :n] @ as_matrix("ΔA", delta_A, (r, n, n))
+    changes = [root @ each for each in driven if each.any()]
     if not changes:
         raise ModelError("ΔA: expected at least one rule with an uncertainty, got zeros")
     number = min(

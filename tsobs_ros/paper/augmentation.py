@@ -139,16 +139,6 @@ class Augmentation:
         """T = [I; −C], a basis of {x̄ : C̄x̄ = 0}, shape (n + p, n)."""
         return np.vstack([np.eye(self.state_count), -self.C])
 
-    def augmented_uncertainty(self, delta_A: ArrayLike) -> Array:
-        """Return E_L⁻¹ΔĀᵢ with ΔĀᵢ = diag(ΔAᵢ, 0), shape (r, n + p, n + p).
-
-        Args:
-            delta_A: ΔAᵢ, shape (r, n, n).
-        """
-        n, p, r = self.state_count, self.output_count, self.rule_count
-        change = as_matrix("ΔA", delta_A, (r, n, n))
-        return np.concatenate([self.E_L_inverse[:, :n] @ change, np.zeros((r, n + p, p))], axis=-1)
-
     def alpha_1(self, alpha: ArrayLike) -> Array:
         """Return α₁ᵢ = ‖E_L⁻¹‖ αᵢ ≥ ‖E_L⁻¹ΔĀᵢ‖, shape (r,), for bounds ‖ΔAᵢ‖ ≤ αᵢ.
 
@@ -178,17 +168,6 @@ class Augmentation:
             )
         ratios = alpha_1[limits > 0.0] / limits[limits > 0.0]
         return float(ratios.max(initial=0.0) / np.linalg.norm(self.C_bar, 2))
-
-    def recover_disturbance(self, x: Array, omega_0: Array, weights: Array) -> Array:
-        """Return ω = ω₀ − Σ hᵢ(Cᵢ − C) x, the (29) of the method, shape (..., p).
-
-        Args:
-            x: State or its estimate, shape (..., n).
-            omega_0: Lumped disturbance Σ hᵢ(Cᵢ − C)x + ω, or its estimate, shape (..., p).
-            weights: Rule weights h, shape (..., r).
-        """
-        mismatch = np.einsum("...i,ipn->...pn", weights, self.system.rule_outputs - self.C)
-        return np.asarray(omega_0 - (mismatch @ x[..., np.newaxis])[..., 0])
 
 
 def blend(matrices: Array, weights: Array, vector: Array) -> Array:

@@ -30,7 +30,7 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.matrices import product
 from tsobs_ros.model.torque_path import DIRECT, TorquePath
-from tsobs_ros.paper.augmentation import Augmentation
+from tsobs_ros.paper.augmentation import Augmentation, blend
 from tsobs_ros.paper.examples import EXAMPLE_3_H, example_3
 
 PAPER_WARNING = (
@@ -120,6 +120,7 @@ class AugmentedObserver:
         count, *batch = y.shape[:-1]
         rule_base = aug.system.rule_base
         premises = y[..., : rule_base.premise_count] if z is None else z
+        weights = rule_base.weights(premises)
         steps = max(1, math.ceil(period / _MAX_STEP - 1e-9))
         rates, offset = self._rates(
             _at_nodes(u, steps),
@@ -145,7 +146,8 @@ class AugmentedObserver:
         if self.Gamma is not None:
             Xi = states[..., 1:, :].reshape(Xi.shape)
         x, omega_0 = np.split(x_bar, [aug.state_count], axis=-1)
-        disturbance = aug.recover_disturbance(x, omega_0, rule_base.weights(premises))
+        # ω = ω₀ − Σ hᵢ(Cᵢ − C) x, the (29) of the method.
+        disturbance = omega_0 - blend(aug.system.rule_outputs - aug.C, weights, x)
         return AugmentedEstimates(x_bar, disturbance, y - x_bar @ aug.C_bar.T, Xi)
 
     def _rates(self, u: Array, y: Array, weights: Array) -> tuple[Rates, Array]:

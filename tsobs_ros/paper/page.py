@@ -114,16 +114,14 @@ def make_paper_report(
     names = [PAGE, _DATA]
     require_new([*map(output.joinpath, names), *output.glob("example_*.png")], force=force)
     started = time.perf_counter()
-    examples = first, second, arm = example_1(), example_2(), example_3()
-    runs = {}
+    examples, runs = (example_1(), example_2(), example_3()), {}
     with tqdm(total=3, disable=not progress, unit="example", leave=False) as bar:
-        for example in (first, second):
+        for example in examples[:2]:
             runs[example.name] = run_example(example)
             bar.update()
         comparison = compare_on_arm(load_design(config_path(SHIPPED_DESIGN)), seeds)
         bar.update()
-        verdict = check_stability(arm.system.A, arm.alpha)
-        claims = tuple(judge(runs, verdict, comparison))
+        claims = tuple(judge(runs, comparison))
     with written_whole(output, force=force) as folder:
         of_examples = chain(*(draw_example(run, folder) for run in runs.values()))
         captions = dict([*of_examples, *draw_arm(comparison, folder)])
@@ -200,17 +198,17 @@ def _claims_table(claims: Iterable[Claim]) -> str:
 def analysis_of(example: PaperExample) -> str:
     """Return Propositions 1 to 3 of docs/method.md, checked on an example."""
     augmentation, change = Augmentation(example.system), example.delta_A
-    stability = check_stability(example.system.A, augmentation.alpha_1(example.alpha))
-    answer = "FEASIBLE" if stability.feasible else "INFEASIBLE"
+    proof, reason = check_stability(example.system.A, augmentation.alpha_1(example.alpha))
+    answer = "INFEASIBLE" if proof.P is None else "FEASIBLE"
     lines = [
         f"Example {example.name[-1]}",
         str(check_autonomous_innovation(augmentation)),
-        f"Proposition 2: (37) is {answer}: {stability.reason}",
+        f"Proposition 2: (37) is {answer}: {reason}",
     ]
-    if stability.P is not None and change.any():
+    if proof.P is not None and change.any():
         # S⁻ᵀ diag(P, I) S⁻¹ with S = [T [0; I]] solves (37) for a P on {C̄x̄ = 0}.
         lifted = augmentation.C_bar.T @ augmentation.C_bar
-        lifted[: len(stability.P), : len(stability.P)] += stability.P
+        lifted[: len(proof.P), : len(proof.P)] += proof.P
         lines.append(str(check_matching(augmentation, lifted, change)))
     return "\n".join(lines)
 

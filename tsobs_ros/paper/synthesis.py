@@ -23,7 +23,7 @@ from tsobs_ros.checks import Array, as_matrix, non_negative
 from tsobs_ros.design.lyapunov import smallest_lyapunov
 from tsobs_ros.errors import DesignError, DetectabilityError
 from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.paper.analysis import StabilityVerdict, check_stability
+from tsobs_ros.paper.analysis import check_stability
 from tsobs_ros.paper.augmentation import Augmentation, Conditions, check_conditions
 from tsobs_ros.paper.observer import INNOVATION_RATE, AugmentedObserver
 
@@ -126,9 +126,9 @@ def design_adaptive_observer(
     non_negative("innovation_rate", innovation_rate)
     bound = augmentation.min_epsilon(alpha, xi)
     alpha_1 = augmentation.alpha_1(alpha)
-    verdict = check_stability(system.A, alpha_1)
-    if not verdict.feasible:
-        raise DetectabilityError(explain_infeasible(verdict))
+    proof, reason = check_stability(system.A, alpha_1)
+    if proof.P is None:
+        raise DetectabilityError(_explain_infeasible(reason))
     # Without uncertainty ε is zero and (38) empty; any scale of P will do.
     epsilon = bound if bound > 0.0 else 1.0
     C_bar, identity = augmentation.C_bar, np.eye(augmentation.size)
@@ -164,11 +164,11 @@ def design_adaptive_observer(
     )
 
 
-def explain_infeasible(verdict: StabilityVerdict) -> str:
+def _explain_infeasible(reason: str) -> str:
     """Return why the method's conditions have no solution, and what would help."""
     return (
         "the adaptive observer cannot be designed: the error along C̄x̄ = 0 moves by Aᵢ, which no "
-        f"gain changes, and\n  - {verdict.reason}\n"
+        f"gain changes, and\n  - {reason}\n"
         "what would help:\n"
         "  - damping that makes every Aᵢ decay faster than α₁ᵢ with one Lyapunov matrix (the "
         "estimate is then an open-loop simulation that forgets its start at that rate)\n"
