@@ -42,7 +42,7 @@ def picture(snapshot: Snapshot) -> RenderableType:
 
 
 def _heading(snapshot: Snapshot) -> Text:
-    text = _text(snapshot.observer, "bold")
+    text = Text().append(printable(snapshot.observer), "bold")
     state = snapshot.statuses.get("state")
     if state is not None:
         text.append("  ").append(printable(state.message), _STYLES[state.level])
