@@ -255,3 +255,13 @@ def test_what_is_not_there_is_said_with_what_is(arms, write_bag, topic, options,
 
     with pytest.raises(BagReadError, match=match):
         BagSource(bag, **options).observe([ArmRequest()])
+
+
+def test_a_bag_whose_messages_name_nothing_is_refused(write_bag) -> None:
+    data = JointStateEncoder([])(START, [], (), [])
+    bag = write_bag([("/joint_measurements", data, START)])
+
+    with pytest.raises(BagReadError, match="names system; joints: none"):
+        ts.estimate_bag(bag)
+    with pytest.raises(BagReadError, match="names a joint"):
+        BagSource(bag).observe([])

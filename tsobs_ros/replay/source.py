@@ -339,8 +339,10 @@ class BagSource(Source):
             raise BagReadError(f"{self.path}: {self.topic}: {error}") from error
 
     def _read(self) -> None:
+        if not self.joints:
+            raise BagReadError(f"{self.path}: no message of {self.topic} names a joint")
         count, samples = len(self.joints), Spool(self._sample_type)
-        outputs = max((len(one.outputs) for one in self.signals), default=0)
+        outputs = max(len(one.outputs) for one in self.signals)
         there, named = np.zeros((count, outputs), np.bool_), np.zeros(count, np.bool_)
         others, without_input = dict[str, None](), 0
         wanted = [
@@ -399,30 +401,31 @@ class BagSource(Source):
         arms = [isinstance(request, ArmRequest) for request in self._requests]
         each = zip(self.joints, arms, named, strict=True)
         missing = [joint for joint, is_arm, is_named in each if is_arm and not is_named]
-        if missing or not self.joints:
+        if missing:
             seen = [joint for joint in self.joints if joint not in missing]
             names = ", ".join([*seen, *others]) or "none"
             raise BagReadError(
-                f"{self.path}: no message of {self.topic} names {', '.join(missing) or 'a joint'}; "
+                f"{self.path}: no message of {self.topic} names {', '.join(missing)}; "
                 f"joints: {names}"
             )
 
     def _require_outputs(self, there: Flags, others: Iterable[str]) -> None:
         """Raise `BagReadError` if no message has some output, which none lacks by chance."""
-        seen, lacking = list[str](), list[str]()
-        each = zip(self.joints, self._requests, self.signals, there, strict=True)
-        for joint, request, own, known in each:
+        each = [
+            (f"{name} of {joint}", place.described, is_there)
+            for joint, request, own, known in zip(
+                self.joints, self._requests, self.signals, there, strict=True
+            )
             for name, place, is_there in zip(
-                request.output_names, own.outputs, known, strict=False
-            ):
-                text = place.described
-                (seen if is_there else lacking).append(
-                    text if is_there else f"{name} of {joint} ({text})"
-                )
+                request.output_names, own.outputs, known.tolist(), strict=False
+            )
+        ]
+        lacking = [f"{name} ({place})" for name, place, is_there in each if not is_there]
         if not lacking:
             return
         text = f"no message of {self.topic} has {', '.join(lacking)}"
         if not self.was_observed:
+            seen = [place for _, place, is_there in each if is_there]
             has = ", ".join([*seen, *others]) or "none"
             raise BagReadError(f"{self.path}: {text}, which the design measures; it has: {has}")
         # The live observer went on with the others.
