@@ -190,3 +190,17 @@ def messages_of() -> Callable[..., dict[str, list[Row]]]:
 def new_run() -> Callable[..., RecordedRun]:
     """`blank_run` for tests."""
     return blank_run
+
+
+@pytest.fixture
+def wait_for() -> Callable[[Any, str], None]:
+    """Wait until a condition holds in a page, which allows no `eval` for Playwright's own."""
+
+    def wait(tab: Any, condition: str) -> None:
+        for _ in range(600):
+            if tab.evaluate(condition):
+                return
+            tab.wait_for_timeout(50)
+        raise AssertionError(f"never true: {condition}")
+
+    return wait

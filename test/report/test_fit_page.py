@@ -44,7 +44,9 @@ def command(tmp_path_factory):
     return ["fit", str(sheet), str(log), "--output", str(output), "--report", str(page)], page
 
 
-def test_a_page_of_a_fit_has_its_sections_and_clips_nothing(browser, command, capsys) -> None:
+def test_a_page_of_a_fit_has_its_sections_and_clips_nothing(
+    browser, command, capsys, wait_for
+) -> None:
     words, page = command
     assert main([*words, *(word for name in FREE for word in ("--free", name))]) == 0
     assert capsys.readouterr().out.endswith(f"\npage: {page}\n")
@@ -87,14 +89,15 @@ def test_a_page_of_a_fit_has_its_sections_and_clips_nothing(browser, command, ca
     for width in (390, 1280):
         tab.set_viewport_size({"width": width, "height": 900})
         # Nothing is wider than the window, and no label of an axis leaves its figure.
-        tab.wait_for_function("document.documentElement.scrollWidth <= innerWidth")
-        tab.wait_for_function(
+        wait_for(tab, "document.documentElement.scrollWidth <= innerWidth")
+        wait_for(
+            tab,
             "[...document.querySelectorAll('.plot')].every((plot) => {"
             " const box = plot.getBoundingClientRect();"
             " return [...plot.querySelectorAll('.xtick, .ytick, .xtitle')].every((one) => {"
             "  const own = one.getBoundingClientRect();"
             "  return own.left >= box.left - 1 && own.right <= box.right + 1 &&"
-            "   own.top >= box.top - 1 && own.bottom <= box.bottom + 1; }); })"
+            "   own.top >= box.top - 1 && own.bottom <= box.bottom + 1; }); })",
         )
     context.close()
     assert noise == []

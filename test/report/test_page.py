@@ -16,7 +16,7 @@ from tsobs_ros.report.diagnosed import diagnose
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.page import write_html
 from tsobs_ros.report.panels import picture
-from tsobs_ros.report.summary import About, Table, summarise
+from tsobs_ros.report.summary import About, Summary, Table, summarise
 from tsobs_ros.series import Series
 
 HOSTILE = "</script><img src=x onerror=alert(1)><b>&\u202e$x$"
@@ -55,7 +55,9 @@ def page(simulated, troubled, diagnosed, tmp_path):
     shown = picture(run, metrics, (0.03,), diagnosed=diagnosed)
     path = tmp_path / "run.html"
     table = Table("A table", ("what", "number"), [(HOSTILE, "1")], 1, HOSTILE)
-    write_html(shown, path, About(Level.WARN, ("It went so-so.",), (table,), ((HOSTILE, "2"),)))
+    write_html(
+        shown, path, About(Summary(Level.WARN, ("It went so-so.",)), (table,), ((HOSTILE, "2"),))
+    )
     return path
 
 
@@ -75,7 +77,7 @@ def tab(browser, page):
     assert noise == []
 
 
-def test_a_page_fits_a_phone_zooms_switches_and_prints(tab, page) -> None:
+def test_a_page_fits_a_phone_zooms_switches_and_prints(tab, page, wait_for) -> None:
     titles = tab.locator("h3").all_inner_texts()
     assert {"link angle [rad]", "sensor fault", "learnt change of gravity"} < set(titles)
     assert len(titles) == 20
@@ -95,7 +97,7 @@ def test_a_page_fits_a_phone_zooms_switches_and_prints(tab, page) -> None:
     ]
 
     tab.set_viewport_size({"width": 1280, "height": 900})
-    tab.wait_for_function("document.querySelector('#plot0')._fullLayout.width > 500")
+    wait_for(tab, "document.querySelector('#plot0')._fullLayout.width > 500")
     box = tab.locator("#plot0 .nsewdrag").bounding_box()
     middle = box["y"] + 0.5 * box["height"]
     tab.mouse.move(box["x"] + 0.25 * box["width"], middle)
@@ -124,10 +126,10 @@ def test_a_page_fits_a_phone_zooms_switches_and_prints(tab, page) -> None:
     key = tab.get_by_role("button", name="true")
     key.focus()
     tab.keyboard.press("Enter")
-    tab.wait_for_function(f"({shown}) === 0")
+    wait_for(tab, f"({shown}) === 0")
     assert key.get_attribute("aria-pressed") == "false"
     key.click()
-    tab.wait_for_function(f"({shown}) === {before}")
+    wait_for(tab, f"({shown}) === {before}")
 
     # A printed page fits its paper, whatever the window's width is.
     tab.evaluate("dispatchEvent(new Event('beforeprint'))")

@@ -149,7 +149,7 @@ class BagReport:
             Table("Rejected measurements", ("reason", "number"), rejected),
         ]
         remarks = (*(() if self.health is None else self.health.lines()), *self.remarks)
-        return About(self.summary.level, self.summary.sentences, tables, self.facts, remarks)
+        return About(self.summary, tables, self.facts, remarks)
 
 
 def make_bag_report(

@@ -27,7 +27,7 @@ from tsobs_ros.report.panels import (
     thinned_curve,
 )
 from tsobs_ros.report.quantities import outputs_of
-from tsobs_ros.report.summary import About, Table
+from tsobs_ros.report.summary import About, Summary, Table
 from tsobs_ros.style import BLUE, MUTED, ORANGE
 
 _EXPECTED = (0.8, 1.25)
@@ -71,13 +71,13 @@ def write_page(path: Path, fit: Fit, names: str) -> None:
         ("version of this report", f"tsobs_ros {__version__}"),
     ]
     elsewhere = "the tables have the numbers"
-    about = About(*_verdict(fit, part), (), facts, fit.notes, elsewhere, list(_tables(fit, part)))
+    about = About(_verdict(fit, part), (), facts, fit.notes, elsewhere, list(_tables(fit, part)))
     span = float(fit.traces.time[0]), float(fit.traces.time[-1])
     headline = f"{counts}  ·  figures: {part}"
     write_html(Picture(f"Fit to {names}", headline, tuple(_rows(fit)), span), path, about)
 
 
-def _verdict(fit: Fit, part: str) -> tuple[Level, tuple[str, ...]]:
+def _verdict(fit: Fit, part: str) -> Summary:
     """Return in plain words how well a fit predicts, what is not shown, and what it lacks."""
     ahead = _listed([_percent(each.one_step) for each in fit.outputs])
     simulated = _listed([_percent(each.free_run) for each in fit.outputs])
@@ -97,7 +97,8 @@ def _verdict(fit: Fit, part: str) -> tuple[Level, tuple[str, ...]]:
     lack = f"The model lacks {lacks or 'nothing that the recordings show'}."
     unseen = any(name.startswith("arm.") for name in hidden)
     level = Level.WARN if faults or fit.lacks or unseen else Level.OK
-    return Level.ERROR if after < before else level, (prediction, *faults, seen, lack)
+    sentences = (prediction, *faults, seen, lack)
+    return Summary(Level.ERROR if after < before else level, sentences)
 
 
 def _faults(output: OutputFit) -> Iterator[str]:

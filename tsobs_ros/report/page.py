@@ -28,7 +28,7 @@ from tsobs_ros.report.panels import (
 from tsobs_ros.report.summary import About, Table
 from tsobs_ros.style import GRID, INK, MUTED
 
-_VERDICTS = {Level.OK: "✓ Good:", Level.WARN: "! Mind:", Level.ERROR: "✗ Bad:"}
+_VERDICTS = {Level.OK: ("good", "✓ Good:"), Level.WARN: ("warn", "! Mind:")}
 _MAX_ROWS = 200
 _NUMBER = ' class="number"'
 # Nothing is fetched from anywhere: the page needs only itself.
@@ -44,7 +44,7 @@ def write_html(picture: Picture, path: Path, about: About | None = None) -> None
     Args:
         picture: What is shown.
         path: The page; it is replaced.
-        about: What it has besides.
+        about: What it has beside the plots.
 
     Raises:
         OSError: The page cannot be written.
@@ -79,10 +79,8 @@ def _json(data: Any) -> str:
 
 def _head(picture: Picture, about: About) -> Iterator[str]:
     yield f"<header>\n<h1>{escape(picture.name)}</h1>\n"
-    if about.sentences:
-        kind = {Level.OK: "good", Level.WARN: "warn"}.get(about.level, "error")
-        verdict = _VERDICTS.get(about.level, _VERDICTS[Level.ERROR])
-        text = escape(" ".join(about.sentences))
+    if text := escape(about.summary.text):
+        kind, verdict = _VERDICTS.get(about.summary.level, ("error", "✗ Bad:"))
         yield f'<p class="verdict {kind}"><strong>{verdict}</strong>{text}</p>\n'
     yield f'<p class="muted">{escape(picture.headline)}</p>\n</header>\n<main>\n'
     elsewhere = escape(about.elsewhere)
@@ -130,13 +128,15 @@ def _table(table: Table) -> str:
 
 def _figures(picture: Picture) -> tuple[str, list[dict[str, Any]]]:
     """Return the plots' elements, and what is drawn into them."""
-    drawn = [_drawn(plot, picture, f"plot{place}") for place, plot in enumerate(picture.plots)]
-    elements = iter([_figure(plot, f"plot{place}") for place, plot in enumerate(picture.plots)])
-    rows = "".join(
-        f'<div class="row{"" if len(row) > 1 else " single"}">'
-        f"{''.join(next(elements) for _ in row)}</div>\n"
-        for row in picture.rows
-    )
+    drawn: list[dict[str, Any]] = []
+    rows = ""
+    for row in picture.rows:
+        rows += f'<div class="row{"" if len(row) > 1 else " single"}">'
+        for plot in row:
+            identity = f"plot{len(drawn)}"
+            drawn.append(_drawn(plot, picture, identity))
+            rows += _figure(plot, identity)
+        rows += "</div>\n"
     groups = {
         trace["legendgroup"]: trace["meta"]
         for one in drawn

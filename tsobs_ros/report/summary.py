@@ -39,43 +39,36 @@ class Table(NamedTuple):
     note: str = ""
 
 
+class Summary(NamedTuple):
+    """How a run went: how well, and in plain words."""
+
+    level: Level = Level.OK
+    sentences: Sequence[str] = ()
+
+    @property
+    def text(self) -> str:
+        """All sentences."""
+        return " ".join(self.sentences)
+
+
 class About(NamedTuple):
-    """What a page has besides the panels.
+    """What a page has beside the panels.
 
     Attributes:
-        level: How well the run went.
-        sentences: How the run went, in plain words.
-        tables: Its other tables, in order.
+        summary: How the run went.
+        tables: Its tables below the panels, in order.
         facts: Names and values of what it was made with.
         remarks: Limits of the report.
         elsewhere: What shows the same without JavaScript.
         first: Tables above the panels, in order.
     """
 
-    level: Level = Level.OK
-    sentences: Sequence[str] = ()
+    summary: Summary = Summary()
     tables: Sequence[Table] = ()
     facts: Sequence[tuple[str, str]] = ()
     remarks: Sequence[str] = ()
     elsewhere: str = "report.png has them too"
     first: Sequence[Table] = ()
-
-
-class Summary(NamedTuple):
-    """How a run went.
-
-    Attributes:
-        level: How well.
-        sentences: In plain words.
-    """
-
-    level: Level
-    sentences: tuple[str, ...]
-
-    @property
-    def text(self) -> str:
-        """All sentences."""
-        return " ".join(self.sentences)
 
 
 def summarise(
