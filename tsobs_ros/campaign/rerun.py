@@ -18,6 +18,7 @@ from tsobs_ros.campaign.drawing import draw
 from tsobs_ros.design.signals import Place, positions, signals
 from tsobs_ros.replay.estimate import Observer, make_runs, open_source, run_all
 from tsobs_ros.replay.places import Layout
+from tsobs_ros.replay.source import MEASUREMENTS
 from tsobs_ros.simulation.plant import Plant
 
 JOINT = "elastic_joint"
@@ -54,30 +55,20 @@ def _record(campaign: Campaign, run: int, bag: Path) -> None:
     runs = Plant(drawn.scenario, drawn.seed).run(drawn.scenario.sample_count)
     stamps = stamps_of(runs.times)
     measured = np.isfinite(runs.measurements).any(axis=1)
-    topics = {
-        "joint_measurements": (
-            (*own.outputs, *own.inputs),
-            np.hstack([runs.measurements, runs.torques]),
-        ),
-        TRUE_STATES: (own.states, runs.physical),
-        TRUE_DISTURBANCE: (positions(own.disturbances), runs.disturbances),
-        # The motor's first, as in the truth of a run.
-        TRUE_TORQUE: (
-            [Place(name, "effort") for name in reversed(sides(JOINT))],
-            runs.torque_disturbances,
-        ),
-    }
-    notes = {
-        "run": str(run),
-        "scenario": drawn.name,
-        "seed": str(drawn.seed),
-        "campaign": campaign.identity,
-    }
-    with BagWriter(bag, custom_data=notes) as writer:
-        series = []
-        for name, (places, values) in topics.items():
+    everywhere = np.ones(len(stamps), np.bool_)
+    inputs_and_outputs = np.hstack([runs.measurements, runs.torques])
+    # The motor's first, as in the truth of a run.
+    torques = [Place(name, "effort") for name in reversed(sides(JOINT))]
+    notes = {"run": run, "scenario": drawn.name, "seed": drawn.seed, "campaign": campaign.identity}
+    series = []
+    with BagWriter(bag, custom_data={name: str(note) for name, note in notes.items()}) as writer:
+        for name, places, values, there in (
+            (MEASUREMENTS, (*own.outputs, *own.inputs), inputs_and_outputs, measured),
+            (TRUE_STATES, own.states, runs.physical, everywhere),
+            (TRUE_DISTURBANCE, positions(own.disturbances), runs.disturbances, everywhere),
+            (TRUE_TORQUE, torques, runs.torque_disturbances, everywhere),
+        ):
             writer.add_topic(f"/{name}", JOINT_STATE, [QosProfile()])
-            there = measured if name == "joint_measurements" else np.ones(len(stamps), np.bool_)
             times, data = stamps[there], Layout(places).encode(stamps[there], values[there])
             series.append(MessageSeries(f"/{name}", JOINT_STATE, times, times, data))
         writer.write_series(series)
