@@ -197,7 +197,17 @@ COVERED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("scenario", sorted(SCENARIOS.keys() - {"late_20ms", "light_link"}))
+JUDGED = sorted(SCENARIOS.keys() - {"late_20ms", "light_link"} - COVERED)
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        *sorted(COVERED),
+        *JUDGED[::2],
+        *(pytest.param(n, marks=pytest.mark.slow) for n in JUDGED[1::2]),
+    ],
+)
 def test_what_is_claimed_holds_in_every_scenario(scenario: str) -> None:
     """But where stamps or an inertia are wrong; of what the design covers most is claimed."""
     got = course("learning", simulated(SCENARIOS[scenario], 11, 40))

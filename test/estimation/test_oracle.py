@@ -487,6 +487,7 @@ SYSTEMS: dict[str, Callable[[], System]] = {
     "two outputs of one state": lambda: Blend(1, per_channel([clean(), bias(1e-3)]), 2, 2),
     "many": lambda: Blend(6, per_channel([bias(1e-3), clean(), gauss_markov(), bias(1e-2)]), 3, 4),
 }
+SLOW = pytest.mark.slow
 PARTS = ("x", "theta", "gamma", "gram", "pending")
 
 
@@ -520,8 +521,14 @@ def drawn(filter: Filter, sizes: Array, rng: np.random.Generator, by: float = 1.
     return np.asarray(by * np.linalg.cholesky(known + learnt) @ rng.standard_normal(len(e)) - e)
 
 
-@pytest.mark.parametrize("gain_mode", list(GainMode))
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize(
+    ("name", "gain_mode"),
+    [
+        *((name, GainMode.CERTIFIED) for name in SYSTEMS),
+        ("arm", GainMode.RICCATI),
+        *(pytest.param(name, GainMode.RICCATI, marks=SLOW) for name in [*SYSTEMS][1:]),
+    ],
+)
 def test_one_filter_is_that_of_the_formulas(name: str, gain_mode: GainMode) -> None:
     """Alone: with Riccati gains; and with the hand-over to the certified gain and back."""
     system = SYSTEMS[name]()
@@ -593,7 +600,11 @@ def mixed(
     return mean, math.sqrt(weights @ (bounds**2 + (values - mean) ** 2))
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize(
+    "name",
+    ["arm", "both encoders", "many"]
+    + [pytest.param(name, marks=SLOW) for name in ("late torque", "two outputs of one state")],
+)
 def test_the_bank_is_bayes_rule_over_filters(name: str) -> None:
     """All standing hypotheses awake; no sample is an outlier to the best, so that nothing forks."""
     system = SYSTEMS[name]()
