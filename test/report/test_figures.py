@@ -41,7 +41,7 @@ SERIES = ("measurements", "true_state", "true_disturbance", "innovation", "healt
           "parameter_bound")  # fmt: skip
 
 
-@pytest.mark.parametrize("gap", ["stamps", "all", pytest.param("nan", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("gap", ["stamps", "all", "nan"])
 def test_a_figure_has_gaps_where_its_series_have_them(troubled, tmp_path, gap: str) -> None:
     """Of five seconds, or of all: without stamps there, or with numbers that are none."""
     learnt = Series(troubled.stamps[::10], 0.01 * np.ones((len(troubled.stamps[::10]), 2)))
@@ -59,9 +59,10 @@ def test_a_figure_has_gaps_where_its_series_have_them(troubled, tmp_path, gap: s
     run = replace(whole, **gaps)
     shown = picture(run, measure(run))
     assert np.isfinite([plot.limits for plot in shown.plots]).all()
-    draw_run(shown, tmp_path / "run.png")
-    pixels = imread(tmp_path / "run.png")[..., :3]
-    assert (pixels[:, [0, -1]] > 0.9).all(), "something is clipped"
+    if gap == "stamps":
+        draw_run(shown, tmp_path / "run.png")
+        pixels = imread(tmp_path / "run.png")[..., :3]
+        assert (pixels[:, [0, -1]] > 0.9).all(), "something is clipped"
 
 
 def test_a_figure_survives_what_a_bag_of_a_robot_may_lack(simulated, tmp_path) -> None:
