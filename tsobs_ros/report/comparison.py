@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tsobs_ros.design.file import DesignFile
-from tsobs_ros.design.signals import Signals
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.estimation.records import HEALTH
@@ -245,10 +244,15 @@ class RunScores:
         sensors: Sequence[HeldOutSensor] = (),
     ) -> None:
         self._source, self._sensors = source, sensors
-        self._measured = [Spool(row_type(sum(_inlets(own)))) for own in source.signals]
+        self._measured = [
+            Spool(row_type(len(own.outputs) + len(own.inputs))) for own in source.signals
+        ]
         self._kept: list[tuple[Run, int, dict[str, Spool]]] = []
         for joint, run in product(range(len(source.joints)), runs):
-            widths = _widths(run.signals[joint]) | ({"health": len(HEALTH)} if sensors else {})
+            own = run.signals[joint]
+            p, plant, t = len(own.outputs), len(own.states), len(own.torques)
+            widths = dict(zip(ESTIMATED, (plant, plant, p, p, t, t), strict=True))
+            widths |= {"innovation": p} | ({"health": len(HEALTH)} if sensors else {})
             kept = {key: Spool(row_type(width)) for key, width in widths.items()}
             self._kept.append((run, joint, kept))
 
@@ -256,9 +260,9 @@ class RunScores:
         """Add a window's measurements, and what the runs have made of it."""
         samples = self._kept[0][0].window.samples
         for joint, measured in enumerate(self._measured):
-            own = samples[samples.complete[:, joint]]
-            p, m = _inlets(self._source.signals[joint])
-            measured.add(rows_of(own, np.hstack([own.y[:, joint, :p], own.u[:, joint, :m]])))
+            own, places = samples[samples.complete[:, joint]], self._source.signals[joint]
+            y, u = own.y[:, joint, : len(places.outputs)], own.u[:, joint, : len(places.inputs)]
+            measured.add(rows_of(own, np.hstack([y, u])))
         for run, joint, kept in self._kept:
             table, innovations = run.table, run.table.innovations[joint]
             there = np.flatnonzero(np.isfinite(table.values(joint, "state")[:, 0]))
@@ -312,18 +316,6 @@ class RunScores:
             for (joint, key), rows in read_rows(source.reader, asked, source.damaged).items():
                 found[joint][key] = rows
         return found
-
-
-def _inlets(own: Signals) -> tuple[int, int]:
-    """Return the number of outputs and of inputs."""
-    return len(own.outputs), len(own.inputs)
-
-
-def _widths(own: Signals) -> dict[str, int]:
-    """Return how many numbers each part of a run has."""
-    p, plant, t = len(own.outputs), len(own.states), len(own.torques)
-    estimated = zip(ESTIMATED, (plant, plant, p, p, t, t), strict=True)
-    return {"innovation": p, **dict(estimated)}
 
 
 def render_comparison(rows: Sequence[ObserverErrors]) -> str:

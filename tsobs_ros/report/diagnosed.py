@@ -155,7 +155,7 @@ def _size(status: RecordedStatus) -> tuple[float, str]:
 
 
 def _number(text: str) -> float:
-    """Return a number in a text, 0 if it is none: anybody may publish on /diagnostics."""
+    """Return a number in a text, 0 if it is none: any node may publish on /diagnostics."""
     try:
         value = float(text)
     except ValueError:

@@ -64,17 +64,11 @@ def write_html(picture: Picture, path: Path, about: About | None = None) -> None
         page.writelines(_head(picture, about))
         page.write(figures)
         page.writelines(_tail(about))
-        for name, data in (("library", get_plotlyjs()), ("content", _json(drawn))):
-            page.write(f'<script type="text/plain" id="{name}">{_packed(data)}</script>\n')
+        content = json.dumps(drawn, separators=(",", ":"), allow_nan=False)
+        for name, text in (("library", get_plotlyjs()), ("content", content)):
+            data = base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode("ascii")
+            page.write(f'<script type="text/plain" id="{name}">{data}</script>\n')
         page.write(f"<script>\n{script}</script>\n</body>\n</html>\n")
-
-
-def _packed(text: str) -> str:
-    return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode("ascii")
-
-
-def _json(data: Any) -> str:
-    return json.dumps(data, separators=(",", ":"), allow_nan=False)
 
 
 def _head(picture: Picture, about: About) -> Iterator[str]:
@@ -248,12 +242,10 @@ def _outline(band: Band) -> tuple[Array, Array]:
 def _shapes(plot: Plot, picture: Picture) -> Iterator[dict[str, Any]]:
     if plot.axis == TIME:
         # One path for all: a shape for each would make a page of many events slow.
-        yield _path("M{0:.4f},0 L{0:.4f},1 L{1:.4f},1 L{1:.4f},0 Z", picture.unsettled) | {
-            "fillcolor": SETTLING_COLOUR, "line": {"width": 0}, "layer": "below",
-        }  # fmt: skip
-        yield _path("M{0:.4f},0 L{0:.4f},1 L{1:.4f},1 L{1:.4f},0 Z", plot.spans) | {
-            "fillcolor": EVENT_COLOUR, "opacity": 0.2, "line": {"width": 0}, "layer": "below",
-        }  # fmt: skip
+        span = "M{0:.4f},0 L{0:.4f},1 L{1:.4f},1 L{1:.4f},0 Z"
+        below = {"line": {"width": 0}, "layer": "below"}
+        yield _path(span, picture.unsettled) | {"fillcolor": SETTLING_COLOUR} | below
+        yield _path(span, plot.spans) | {"fillcolor": EVENT_COLOUR, "opacity": 0.2} | below
         line = {"color": EVENT_COLOUR, "dash": "dot", "width": 1}
         yield _path("M{0:.4f},0 L{0:.4f},1", picture.jumps) | {"line": line}
     for sign in (-1.0, 1.0) if plot.level is not None else ():

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A run in plain words: how it went, and what its page has besides the panels."""
+"""A run in plain words: how it went, and what its page has beside the panels."""
 
 import math
 from collections.abc import Iterable, Sequence
