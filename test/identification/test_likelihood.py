@@ -129,3 +129,19 @@ def test_a_delay_of_whole_periods_shifts_the_torque(torque: list[float], periods
 def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
     with pytest.raises(ts.TsobsError, match=r"free: .* got 'stifness' \(did you mean"):
         Unknowns.of(request_of(), ["stifness"])
+
+
+@pytest.mark.parametrize("side", [-1e-9, 1e-9])
+def test_a_sample_at_the_gate_does_not_make_numbers_known(side: float) -> None:
+    recording = recording_of(request_of())
+    unknowns = Unknowns.of(request_of(WRONG), ["stiffness", "motor_inertia"])
+    at = np.zeros(2)
+    found = innovations(unknowns.at(at), recording, gate=np.inf)
+    gate = np.abs(found.standardised[:500]).max() * (1.0 + side)
+
+    information, near = (
+        Likelihood(unknowns, [recording], each).evaluate(at).information
+        for each in (gate, gate * 1.01)
+    )
+
+    np.testing.assert_allclose(np.diag(information), np.diag(near), rtol=0.2)

@@ -63,9 +63,9 @@ def test_a_page_of_a_fit_has_its_sections_and_clips_nothing(
     verdict = tab.locator("p.verdict").inner_text()
     assert verdict.startswith("! Mind:Of the motor angle and the link angle in the held-out 2 s,")
     assert "The recordings hardly show 1 of 4 numbers: link damping." in verdict
-    assert "The model lacks Coulomb friction of the motor, 0." in verdict
+    assert "Found, and in the fitted request: Coulomb friction of the motor, 0." in verdict
     assert tab.locator("h2").all_inner_texts() == [
-        "Numbers", "Prediction", "What the model lacks", "What the recordings do not show",
+        "Numbers", "Prediction", "What the model lacked", "What the recordings do not show",
         "What it was made with", *["Remarks"] * tab.locator("h2", has_text="Remarks").count(),
     ]  # fmt: skip
     rows = tab.locator("table").first.locator("tbody tr")

@@ -15,12 +15,13 @@ not used). With derivatives of e and s by the numbers, the Fisher information is
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.core import native
 from tsobs_ros.estimation.estimator import model_of
 from tsobs_ros.identification.joint import (
@@ -177,23 +178,40 @@ class Likelihood:
         self._spacing = np.full(unknowns.count, 1e-4)
         self._known: dict[bytes, Evaluation] = {}
 
-    def _filtered(self, coordinates: Array) -> tuple[Array, Array]:
-        """Return all standardised innovations and logarithms of variances, shape (n,) each."""
+    def _filtered(
+        self, coordinates: Array, used: Sequence[Recording], gate: float
+    ) -> tuple[Array, Array]:
+        """Return standardised innovations and logarithms of variances of all samples, (n,) each.
+
+        Those that the recordings in use lack are NaN.
+        """
         joint = self.unknowns.at(coordinates)
         errors, logs = [], []
-        for recording in self.recordings:
-            found = innovations(joint, recording, gate=self._gate)
-            there = np.isfinite(recording.y)
+        for whole, recording in zip(self.recordings, used, strict=True):
+            found = innovations(joint, recording, gate=gate)
+            there = np.isfinite(whole.y)
             with np.errstate(all="ignore"):
                 errors.append(found.standardised[there])
                 logs.append(np.log(found.variances)[there])
             self._advance(recording.count)
         return np.concatenate(errors), np.concatenate(logs)
 
+    def _without(self, outliers: Flags) -> list[Recording]:
+        """Return the recordings without some samples, of all samples one behind the other."""
+        cleaned, begin = [], 0
+        for recording in self.recordings:
+            y = recording.y.copy()
+            there = np.isfinite(y)
+            end = begin + int(there.sum())
+            y[there] = np.where(outliers[begin:end], np.nan, y[there])
+            cleaned.append(replace(recording, y=y))
+            begin = end
+        return cleaned
+
     def cost(self, coordinates: Array) -> float:
         """Return −log L with the prior's share; infinite where the filter fails."""
         try:
-            errors, logs = self._filtered(coordinates)
+            errors, logs = self._filtered(coordinates, self.recordings, self._gate)
         except (ValueError, OverflowError):
             return math.inf
         return self._cost(coordinates, errors, logs)
@@ -209,13 +227,14 @@ class Likelihood:
         if key in self._known:
             return self._known[key]
         k = self.unknowns.count
-        points = [coordinates, *(coordinates + np.diag(self._spacing))]
-        with ThreadPoolExecutor(WORKERS) as pool:
-            results = list(pool.map(self._filtered, points))
-        errors, logs = results[0]
+        errors, logs = self._filtered(coordinates, self.recordings, self._gate)
         regular = errors * errors <= self._gate * self._gate
+        # A sample that is an outlier at one of two points only would make their difference a jump.
+        filtered = partial(self._filtered, used=self._without(~regular), gate=math.inf)
+        with ThreadPoolExecutor(WORKERS) as pool:
+            moved = list(pool.map(filtered, coordinates + np.diag(self._spacing)))
         by_error, by_log = np.empty((len(errors), k)), np.empty((len(errors), k))
-        for place, (moved_errors, moved_logs) in enumerate(results[1:]):
+        for place, (moved_errors, moved_logs) in enumerate(moved):
             # ∂e/√s at fixed s: the standardised innovation's own derivative lacks its share of s.
             change = (moved_logs - logs) / self._spacing[place]
             slope = (moved_errors - errors) / self._spacing[place]

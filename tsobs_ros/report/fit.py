@@ -93,11 +93,15 @@ def _verdict(fit: Fit, part: str) -> Summary:
     hidden = [each.name for each in fit.numbers if not each.seen]
     of = f"{len(hidden)} of {len(fit.numbers)} numbers: {_listed([*map(_words, hidden)])}"
     seen = f"The recordings hardly show {of}." if hidden else "The recordings show all numbers."
-    lacks = "; ".join(each.what for each in fit.lacks)
-    lack = f"The model lacks {lacks or 'nothing that the recordings show'}."
+    added, still = (
+        "; ".join(each.what for each in fit.lacks if each.is_added == there)
+        for there in (True, False)
+    )
+    found = (f"Found, and in the fitted request: {added}.",) if added else ()
+    lack = f"The model still lacks {still or 'nothing that the recordings show'}."
     unseen = any(name.startswith("arm.") for name in hidden)
-    level = Level.WARN if faults or fit.lacks or unseen else Level.OK
-    sentences = (prediction, *faults, seen, lack)
+    level = Level.WARN if faults or still or unseen else Level.OK
+    sentences = (prediction, *faults, seen, *found, lack)
     return Summary(Level.ERROR if after < before else level, sentences)
 
 
@@ -131,8 +135,11 @@ def _tables(fit: Fit, part: str) -> Iterator[Table]:
         "if the innovations were white."
     )
     yield Table("Prediction", ("output", *head), predicted, 1, note)
-    lacks = [(each.what, each.entry or "none") for each in fit.lacks]
-    yield Table("What the model lacks", ("what", "entry of the request that adds it"), lacks, 2)
+    lacks = [
+        (each.what, "the fitted request has it" if each.is_added else each.entry or "none")
+        for each in fit.lacks
+    ]
+    yield Table("What the model lacked", ("what", "entry of the request that adds it"), lacks, 2)
     unseen = [
         (" with ".join(_words(name) for name, _ in each.numbers), each.text.partition(": ")[2])
         for each in fit.unseen
