@@ -165,8 +165,7 @@ def test_a_start_that_fails_raises(probe: Any, capfd: Any, call: str, error: Exc
     assert "[ERROR]" not in capfd.readouterr().err
 
 
-# Those that follow the time, and those whose parameters have most to check.
-TIMED, TUNED = ["observer", "plant_simulator"], ["plant_simulator", "recorder"]
+NODES = ["observer", "plant_simulator", "recorder", "player", "visualizer"]
 LONGEST, EARLIEST = 2**31 - 1, -(2**31)
 
 
@@ -188,7 +187,7 @@ def any_node(
     return start_any
 
 
-@pytest.mark.parametrize("name", TIMED)
+@pytest.mark.parametrize("name", NODES)
 def test_no_time_on_the_clock_ends_a_node(any_node: Any, ros: Any, capfd: Any, name: str) -> None:
     manager = any_node(name, use_sim_time=True)
     clock, chance, log = manager.own.create_publisher(Clock, "/clock", 1), random.Random(7), ""
@@ -216,7 +215,7 @@ def test_no_time_on_the_clock_ends_a_node(any_node: Any, ros: Any, capfd: Any, n
     assert manager.state == "active"
 
 
-@pytest.mark.parametrize("name", TUNED)
+@pytest.mark.parametrize("name", NODES)
 def test_no_request_for_parameters_ends_a_node(any_node: Any, capfd: Any, name: str) -> None:
     manager = any_node(name)
     known, chance = [*manager.node._parameters, "", "nobody's", "x\x1b[2Jy"], random.Random(9)
@@ -265,7 +264,7 @@ def resident_mib() -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["observer", "plant_simulator", "recorder", "player"])
+@pytest.mark.parametrize("name", NODES[:-1])
 def test_many_lives_of_a_node_leave_nothing_behind(any_node: Any, name: str) -> None:
     manager = any_node(name, autostart=False)
     bare, counts, sizes = manager.entities, set(), []

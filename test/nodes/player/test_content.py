@@ -18,8 +18,10 @@ from tsobs_ros.bag import BagReader, BagWriter, QosProfile
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.errors import BagReadError, ParameterError
 from tsobs_ros.nodes.player.topics import offered_qos
+from tsobs_ros.resources import config_path
 
 Play = Callable[..., Any]
+SHIPPED = ["--ros-args", "--params-file", str(config_path("player.yaml"))]
 
 
 @pytest.mark.parametrize("make", ["split", "file", "rosbag2"])
@@ -219,9 +221,11 @@ def test_senseless_parameters_are_refused(
         play(bag, **parameters)
 
 
-def test_a_bag_without_an_end_is_refused(play: Play, tmp_path: Path) -> None:
+def test_a_bag_without_an_end_is_refused_with_the_shipped_parameters(
+    play: Play, tmp_path: Path
+) -> None:
     file = write_bag(tmp_path / "bag", regular(5)) / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[:-100])
 
     with pytest.raises(BagReadError, match=r"bag_0.mcap: the file has no end"):
-        play(tmp_path / "bag")
+        play(tmp_path / "bag", options={"cli_args": SHIPPED})

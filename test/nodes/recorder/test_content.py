@@ -142,6 +142,19 @@ def test_a_bag_is_split_on_demand_and_each_file_has_what_is_latched(ros, recordi
     assert files[1][-2:] == ["y2", "two"]
 
 
+@pytest.mark.parametrize("limit", [{"max_bag_size": 20_000}, {"max_bag_duration": 0.001}])
+def test_a_bag_is_split_by_size_and_by_duration(ros, recording, limit: dict[str, Any]) -> None:
+    recorder = recording.start(topics=["a"], compression="none", **limit)
+    # Of two, as chunks are written when they are full.
+    said = [f"{index}".ljust(400_000) for index in range(6)]
+    for pair in zip(said[::2], said[1::2], strict=True):
+        recording.say(recorder, "a", *pair)
+        ros.spin_for(0.002)
+    recorder.close()
+    assert len(read_metadata(recorder.path).files) >= 3
+    assert recording.texts(recorder.path) == said
+
+
 def test_a_snapshot_holds_the_last_messages_and_what_is_latched(recording, call) -> None:
     # A message counts as 256 bytes and its own, so that two of these fit into 1 MiB.
     large = ["x" * 400_000 + str(index) for index in range(5)]
