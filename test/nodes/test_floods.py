@@ -1,0 +1,149 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Floods of bad messages at an observer's process, in real time."""
+
+import math
+import re
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from staging import diagnostics, to_nanoseconds, values
+from staging.stage import Arm
+
+from tsobs_ros.estimation.records import RejectReason
+from tsobs_ros.nodes.observer.joints import NAMES as REASONS
+from tsobs_ros.series import NANOSECONDS
+
+TIMEOUT = 120.0
+COUNT = 10_000
+WRONG = RejectReason.WRONG_JOINT.value
+BEST_EFFORT = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
+Make = Callable[[Arm, int, int], Any]
+
+"""A message from the arm, the stamp of its newest good one [ns], and its number in the flood."""
+
+
+def alone(**changes: Any) -> Make:
+    return lambda arm, newest, _: arm.message(newest + 1000, **changes)
+
+
+def stamped(shift: Callable[[int], int]) -> Make:
+    """A good sample, but for its stamp; no two have the same angle."""
+
+    def make(arm: Arm, newest: int, number: int) -> Any:
+        y = float(arm.measurement(newest).y[0]) + 0.01 * math.sin(7.0 * number)
+        return arm.message(newest + shift(number), position=[y])
+
+    return make
+
+
+def as_bytes(change: Callable[[bytes], bytes]) -> Make:
+    return lambda arm, newest, _: change(bytes(serialize_message(arm.message(newest))))
+
+
+FLOODS: dict[str, tuple[Make, str | None]] = {
+    "nan angle": (alone(position=[math.nan]), RejectReason.NON_FINITE.value),
+    "infinite torque": (
+        lambda arm, newest, number: arm.message(
+            newest + number, position=[0.01 * (number % 5)], effort=[math.inf]
+        ),
+        RejectReason.IMPLAUSIBLE_TORQUE.value,
+    ),
+    "foreign joint": (alone(name=["elbow"]), WRONG),
+    "truncated bytes": (as_bytes(lambda data: data[:50]), WRONG),
+    "random bytes": (as_bytes(lambda _: b"\x00\x01\x00\x00" + b"\xff" * 60), WRONG),
+    "clock since boot": (stamped(lambda _: -3600 * NANOSECONDS), RejectReason.TOO_OLD.value),
+    "outliers in a row": (
+        lambda arm, newest, number: arm.message(newest + number, position=[9.0 + number]),
+        RejectReason.GATED.value,
+    ),
+    "descending": (stamped(lambda number: -20_000 * number), None),
+    "late in turn": (stamped(lambda number: -(number % 2) * 200_000_000 - 100 * number), None),
+}
+
+
+class Sensor:
+    """Publishes good samples in real time, as often as it is asked to, and floods between them."""
+
+    def __init__(self, ros: Any) -> None:
+        self._node = ros.node("sensor")
+        self.arm = Arm(time.time_ns())
+        self.newest = self.arm.origin
+        self.publisher = self._node.create_publisher(JointState, "joint_measurements", BEST_EFFORT)
+
+    def publish_due(self) -> None:
+        """Publish the newest good sample if it has not been."""
+        now = time.time_ns()
+        stamp = now - (now - self.arm.origin) % self.arm.period
+        if stamp > self.newest:
+            self.newest = stamp
+            self.publisher.publish(self.arm.message(stamp))
+
+    def flood(self, make: Make) -> None:
+        """Publish a flood as fast as can be, with good samples as they are due."""
+        for number in range(COUNT):
+            self.publisher.publish(make(self.arm, self.newest, number))
+            if number % 50 == 0:
+                self.publish_due()
+
+
+@pytest.mark.slow
+def test_after_each_flood_the_observer_goes_on_and_a_signal_ends_it_in_the_last(
+    ros: Any, ros_process: Callable[..., Any]
+) -> None:
+    process = ros_process("observer")
+    sensor, estimated, statuses = Sensor(ros), [0], diagnostics(ros)
+    node = ros.node("watch")
+    node.create_subscription(
+        JointState, "observer/joint_states",
+        lambda message: estimated.append(to_nanoseconds(message.header.stamp)), BEST_EFFORT,
+    )  # fmt: skip
+
+    def counts() -> Counter[str]:
+        of_all = values(statuses["observer: measurements"]) if statuses else {}
+        return Counter({key: int(value) for key, value in of_all.items() if key != "remedy"})
+
+    def goes_on(condition: Callable[[], bool], what: str) -> None:
+        def met() -> bool:
+            sensor.publish_due()
+            return condition()
+
+        ros.spin_until(met, TIMEOUT, what)
+
+    process.wait_for_line("certificate holds", TIMEOUT)
+    began = time.monotonic()
+    goes_on(lambda: len(estimated) > 100, "the first estimates")
+    for name, (make, reason) in FLOODS.items():
+        grow = ["received"] if reason is None else ["received", f"rejected: {reason}"]
+        limits = {key: counts()[key] + 1000 for key in grow}
+        sensor.flood(make)
+        end = time.time_ns()
+        goes_on(lambda end=end: estimated[-1] > end, f"an estimate after the flood: {name}")
+        since = len(estimated)
+        goes_on(lambda since=since: len(estimated) > since + 50, f"its rate after: {name}")
+        goes_on(
+            lambda limits=limits: all(counts()[key] > limits[key] for key in limits),
+            f"the counts of the flood: {name}",
+        )
+        rejected = {key: value for key, value in counts().items() if key.startswith("rejected")}
+        assert counts()["received"] == counts()["used"] + sum(rejected.values()), name
+    lasted = time.monotonic() - began
+
+    process.signal(signal.SIGINT)
+    sensor.flood(FLOODS["descending"][0])
+    finished = process.finish(TIMEOUT)
+    assert finished.exit_code == 0, finished.stderr
+    assert "Traceback" not in finished.stderr
+    logged = Counter(re.findall(r"rejected: ([\w -]+) \(", finished.stderr + finished.stdout))
+    assert set(logged) <= set(REASONS)
+    assert max(logged.values()) <= 1 + lasted / 5.0
+    stamps = np.array(estimated[1:])
+    assert (np.diff(stamps) > 0).all()
