@@ -79,8 +79,8 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "83c03f9317413163",
-    "supervised arm, bad": "0d83d5c9ca3d2f18",
+    "supervised arm": "270a9e9055457825",
+    "supervised arm, bad": "e05d1708eac22a8f",
     "gyroscope": "bf21d2faf22f22e6",
     "gyroscope, bad": "80ab258c548b6b7f",
     "proportional": "d2bf1fd306894563",

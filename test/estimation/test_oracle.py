@@ -338,7 +338,9 @@ class Filter:
         if not self.certified:
             P = self.P[: self.n, : self.n]
             wide = max(1.0, float(np.trace(np.linalg.solve(self.plan.X, P))) / self.n)
-        return wide * (max(self.nis, 1.0) if self.plan.supervised else 1.0)
+        alike = max(self.colour / max(self.nis, 1.0) - 3.0 * math.sqrt(0.5 * self.plan.T), 0.0)
+        noisy = max(self.nis, 1.0) * (1.0 + alike) / (1.0 - alike)
+        return wide * (noisy if self.plan.supervised else 1.0)
 
     def _learn(self, omega: Array, e: float, known: float, inflation: float, adapt: bool) -> None:
         """Take a step of recursive least squares, within the limits."""

@@ -398,6 +398,14 @@ static double loudness(const sensor *of, long place)
     return place < 0 || place >= TONES ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
 }
 
+/* Return whether the arm itself swings at a frequency: after a start, until it is learnt. */
+static int is_own(const model *m, const state *at, double frequency)
+{
+    const double own = m->s.plant > 1 ? m->domain[1] / m->domain[0] : 0.0;
+    return *m->design_flow.kind == KIND_ARM && *at->age < 2.0 * m->constants[AWAKE]
+           && fabs(frequency - own) < 0.25 * own;
+}
+
 /* Listen for a tone in the design's innovations, and propose the loudest: where it stands between
  * its frequency and the louder neighbour, by how loud both are. */
 static void listen(const model *m, state *at, const correction *effect)
@@ -418,7 +426,7 @@ static void listen(const model *m, state *at, const correction *effect)
         listen_to(m, &of, minimum(maximum(r, -3.0), 3.0), elapsed, share);
         for (long j = 0; j < TONES; j++) {
             const double here = loudness(&of, j), power = here * here * (2.0 - share) * share;
-            if (power > most) {
+            if (power > most && !is_own(m, at, rate)) {
                 const double below = loudness(&of, j - 1), above = loudness(&of, j + 1);
                 const double other = maximum(below, above);
                 const double ratio = above > below ? step : 1.0 / step;

@@ -186,11 +186,14 @@ static void follow(
 }
 
 /* Return by how much less than one of the design an innovation says about parameters: by the mean
- * of the covariance relative to the certified bound, as regressors are wrong where x^ is, and by what
- * was measured of the innovations. */
+ * of the covariance relative to the certified bound, as regressors are wrong where x^ is; by what
+ * was measured of the innovations; and as neighbours that are alike, by more than the three sigmas of
+ * white noise, repeat each other. */
 static double inflation_of(const model *m, const hypothesis *h)
 {
     const long n = (long)m->s.n, width = (long)m->s.width;
+    const double alike
+        = maximum(*h->colour / larger(*h->nis, 1.0) - 3.0 * sqrt(0.5 * *m->period), 0.0);
     double inflation = 1.0;
     if (*h->certified == 0) {
         double total = 0.0;
@@ -199,7 +202,10 @@ static double inflation_of(const model *m, const hypothesis *h)
         }
         inflation = larger(total / (double)n, 1.0);
     }
-    return *m->supervised != 0 ? inflation * larger(*h->nis, 1.0) : inflation;
+    if (*m->supervised != 0) {
+        inflation *= larger(*h->nis, 1.0) * ((1.0 + alike) / (1.0 - alike));
+    }
+    return inflation;
 }
 
 /* Correct the parameters' covariance and the pending change of them by one output. */
