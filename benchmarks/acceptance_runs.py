@@ -18,7 +18,7 @@ from tsobs_ros.campaign.batches import observe
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.baselines import GATE, extended_kalman
-from tsobs_ros.estimation.estimator import Estimator, Rows
+from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, Rows
 from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.methods import ObserverSettings, make_tracker
@@ -137,6 +137,7 @@ def kalman(
     *,
     learns: bool = False,
     gated: bool = False,
+    resets: bool = True,
 ) -> Found:
     """Return the estimates of an EKF.
 
@@ -146,6 +147,7 @@ def kalman(
         arm: The filter's model; the nominal arm if None.
         learns: Whether stiffness and gravity are states.
         gated: Whether it has a gate.
+        resets: Whether it opens its covariance when it leaves out most samples for a while.
     """
     request = replace(design.arm_request, arm=arm or design.arm_request.arm)
     filter_ = extended_kalman(
@@ -155,6 +157,8 @@ def kalman(
         request.uncertainty_model if learns else None,
         gate=GATE if gated else np.inf,
     )
+    if not resets:
+        filter_.model["constants"][0, CONSTANTS["REJECTING"]] = 0.0
     ekf = make_tracker(design, estimator=filter_)
     stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
     rows = []

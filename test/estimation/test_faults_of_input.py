@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bad samples and stamps between good ones: their outcome, and the way back of the estimate.
 
-Kinds that are a matter of messages are in test/nodes/observer/test_io.py, those of topics in
-test/nodes/test_bad_input.py, what happens to arm and sensor in test_bank.py. docs/faults.md lists
-them.
+Faults of messages are in test/nodes/observer/test_io.py, those of arm and sensor in test_bank.py.
+docs/faults.md lists them.
 """
 
 import math

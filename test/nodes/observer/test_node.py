@@ -210,6 +210,19 @@ def test_messages_of_any_joints_in_any_order_give_each_joint_what_it_has_alone(
     assert list(stage.watcher.of("disturbance")[-1].message.name) == JOINTS
 
 
+def test_a_stale_joint_may_hold_its_last_estimate_without_bounds(stage: Stage) -> None:
+    stage.add(stale_after=0.2, when_stale="hold")
+    stage.step(BEGIN - PERIOD)
+    fresh_until = BEGIN + 19 * PERIOD + 200 * MS
+    stage.play(samples(0, 20), fresh_until + 20 * PERIOD)
+    states = {each.stamp: each for each in stage.watcher.of("joint_states")}
+    held = [stamp for stamp in states if stamp > fresh_until]
+    assert len(held) == 20
+    assert {states[stamp].bits for stamp in held} == {states[fresh_until].bits}
+    for topic in ("error_bound", "disturbance_bound"):
+        assert stage.watcher.of(topic)[-1].stamp == fresh_until
+
+
 @pytest.mark.parametrize(
     ("method", "others"),
     [
