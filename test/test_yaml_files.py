@@ -41,7 +41,7 @@ MERGES = "m0: &m0 {x: 1}\n" + "".join(
         ("%TAG !a! b\n--- 1", "abbreviations of tags are not supported"),
         ("- 1\n" * 150_000, "line 100000: more than 100000 values"),
         ("a" * 2_000_000, "larger than 1048576 bytes"),
-        ("[" * 1_000_000, "line 1: nested deeper than 50 levels"),
+        ("[" * 1_000_000, "line 1: nested deeper than 50 levels|line 1: exceeded maximum nesting"),
         ("a: " + "[" * 60 + "]" * 60, "line 1: nested deeper than 50 levels"),
         ("a: 1\nb: !!python/object/apply:os.system ['true']", "line 2: could not determine a con"),
         ("a: 1\nb: [1, 2", "did not find expected|expected"),
