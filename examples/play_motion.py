@@ -25,7 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray
 
 from tsobs_ros.errors import TsobsError
-from tsobs_ros.replay.torque_file import read_torques
+from tsobs_ros.replay.csv_file import read_torques
 
 parser = argparse.ArgumentParser(description="Play a motion on a robot.")
 parser.add_argument("motion", help="CSV file with the columns time and torque")

@@ -14,7 +14,7 @@ from tsobs_ros.design.request import Output, TorquePath
 from tsobs_ros.errors import LogError, ModelError, OutputError
 from tsobs_ros.identification.excitation import Excitation
 from tsobs_ros.identification.motion import trial_arms
-from tsobs_ros.replay.torque_file import read_torques
+from tsobs_ros.replay.csv_file import read_torques
 from tsobs_ros.resources import config_path
 
 pytestmark = pytest.mark.xdist_group("motion")  # its fixture takes seconds

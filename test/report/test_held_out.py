@@ -190,7 +190,7 @@ def test_a_coarse_encoder_has_the_noise_of_its_steps(run, design_file, tmp_path)
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        ("link_velocity", "no column is called velocity; name it: --held-out link_velocity=…"),
+        ("link_velocity", "no column is called link_velocity; name it: --held-out link_velocity=…"),
         ("link_angle=knee", "no column is called 'knee'"),
         ("link_angle=motor_angle", "column 'motor_angle' is used by the observer"),
         ("motor_angle", "held out: motor_angle is what the observer measures"),

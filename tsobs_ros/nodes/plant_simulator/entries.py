@@ -12,7 +12,7 @@ import numpy as np
 
 from tsobs_ros.checks import Array, shown
 from tsobs_ros.errors import LogError, ModelError, ParameterError
-from tsobs_ros.replay.torque_file import TorqueSeries, read_torques
+from tsobs_ros.replay.csv_file import TorqueSeries, read_torques
 from tsobs_ros.simulation.signals import EXCITATIONS, Signal
 from tsobs_ros.yaml_files import load_yaml
 

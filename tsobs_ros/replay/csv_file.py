@@ -1,0 +1,284 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""CSV files of stamped numbers: titles with units, cells, and errors that name line and column."""
+
+import csv
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from decimal import Decimal
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from tsobs_ros.checks import Array, shown
+from tsobs_ros.errors import LogError
+from tsobs_ros.series import NANOSECONDS, Stamps
+
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180},
+    "velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": math.pi / 180, "rpm": math.pi / 30},
+    "torque": {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2, "kNm": 1e3},
+}
+"""Each unit in ns, rad, rad/s or N m; the first one is the usual one."""
+
+MAX_LINE = 2**20
+"""Largest number of characters in a line: bounds the memory, whatever the file is."""
+
+NO_TIME = -(2**62)
+"""Stamp of a line without a time."""
+
+_BLOCK = 4096
+_LATEST = 2**31 * NANOSECONDS  # that a message's stamp cannot hold
+_NOTHING = frozenset(("", "nan", "n/a", "null"))
+_FRACTION = re.compile(r"(?<=:\d\d)[.,](\d+)")
+_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\d\])][^\])]*)[\])]")
+
+
+class Column(NamedTuple):
+    """A column: its place from 0, its title, the title's name and unit, and the unit's size."""
+
+    place: int
+    title: str
+    name: str
+    unit: str
+    factor: float = 1.0
+
+    def in_units_of(self, quantity: str, given: str = "") -> "Column":
+        """Return the column with the unit of its title, else the given one, else the usual one.
+
+        Raises:
+            LogError: A unit is unknown, or there are two.
+        """
+        known = UNITS[quantity]
+        plain = {plain_unit(name): name for name in known}
+        for text in filter(None, (self.unit, given)):
+            if plain_unit(text) not in plain:
+                raise LogError(
+                    f"column {self.title!r}: unit {text!r} of {quantity} is not known; "
+                    f"there are {', '.join(known)}"
+                )
+        if self.unit and given and plain_unit(self.unit) != plain_unit(given):
+            raise LogError(f"column {self.title!r}: its unit is not the given one, {given!r}")
+        unit = plain.get(plain_unit(self.unit or given), next(iter(known)))
+        return self._replace(unit=unit, factor=known[unit])
+
+
+def plain_unit(text: str) -> str:
+    """Return a unit as it compares with others: without signs of products, in small letters."""
+    text = re.sub(r"[\s.*·⋅-]", "", text)
+    return text.replace("°", "deg").replace("µ", "u").replace("μ", "u").lower()
+
+
+@contextmanager
+def naming_file(path: Path) -> Iterator[None]:
+    """Make errors of reading a file `LogError`s that name it."""
+    try:
+        yield
+    except OSError as error:
+        raise LogError(f"{path}: cannot read it: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise LogError(f"{path}: expected text in UTF-8") from error
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from error
+
+
+class CsvFile:
+    """A file of lines of cells, read line by line; its first line has the titles.
+
+    Args:
+        path: The file.
+
+    Attributes:
+        columns: The columns.
+        cut_off: Whether the last line that was read ends early, as of a logger that was killed.
+
+    Raises:
+        OSError: The file cannot be read.
+        UnicodeDecodeError: It is no text.
+        LogError: It is empty, or its first line is too long.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self.cut_off = path, False
+        first = next((line for line in self._lines() if line.strip()), "")
+        self._delimiter = max(",;\t", key=first.count)
+        _, titles = next(self._rows(), (0, []))
+        if not titles:
+            raise LogError("the file is empty")
+        self.columns = []
+        for place, title in enumerate(map(str.strip, titles)):
+            match = _UNIT.fullmatch(title)
+            name, unit = match.groups() if match else (title, "")
+            self.columns.append(Column(place, title, name, unit))
+
+    def find(self, name: str) -> Column | None:
+        """Return the column of a name or title, in capitals or not, None if there is none.
+
+        Raises:
+            LogError: There are several.
+        """
+        each = ((one, {one.name.lower(), one.title.lower()}) for one in self.columns)
+        found = [one for one, own in each if name.lower() in own]
+        if len(found) > 1:
+            raise LogError(f"several columns are called {name!r}; {self.described}")
+        return found[0] if found else None
+
+    @property
+    def described(self) -> str:
+        """The titles, for errors."""
+        titles = ", ".join(repr(one.title) for one in self.columns[:20])
+        return f"columns: {titles}{', …' if len(self.columns) > 20 else ''}"
+
+    def read(
+        self, time: Column, columns: Sequence[Column]
+    ) -> Iterator[tuple[list[int], Stamps, Array]]:
+        """Yield line numbers, times [ns] and values of n lines each, shape (n, columns).
+
+        Values are in the usual units, NaN of cells that are empty or a word for it.
+
+        Raises:
+            OSError: The file cannot be read.
+            LogError: A line or a cell is too long, has more cells than there are titles, or ends
+                early but is not the last; or a cell is not what is expected.
+        """
+        rows = self._records(1 + max(one.place for one in (time, *columns)))
+        while block := list(islice(rows, _BLOCK)):
+            stamps = [self._stamp(line, cells, time) for line, cells in block]
+            values = [[self._number(line, cells, one) for one in columns] for line, cells in block]
+            factors = np.array([one.factor for one in columns])
+            lines = [line for line, _ in block]
+            yield (
+                lines,
+                np.array(stamps, np.int64),
+                np.reshape(values, (-1, len(columns))) * factors,
+            )
+
+    def _records(self, needed: int) -> Iterator[tuple[int, list[str]]]:
+        """Yield the numbers and the cells of the lines below the titles."""
+        rows = self._rows()
+        next(rows, None)
+        for line, cells in rows:
+            if len(cells) < needed:
+                self.cut_off = next(rows, None) is None
+                if not self.cut_off:
+                    title = self.columns[len(cells)].title
+                    raise LogError(f"line {line} ends before column {title!r}")
+            elif any(cells[len(self.columns) :]):
+                raise LogError(f"line {line}: {len(cells)} cells, but {len(self.columns)} titles")
+            else:
+                yield line, cells
+
+    def _rows(self) -> Iterator[tuple[int, list[str]]]:
+        reader, last = csv.reader(self._lines(), delimiter=self._delimiter), 0
+        try:
+            for cells in reader:
+                if reader.line_num > last + 1:
+                    raise LogError(
+                        f"line {last + 1}: a quote opens a cell that is not closed there"
+                    )
+                last = reader.line_num
+                if any(map(str.strip, cells)):
+                    yield last, cells
+        except csv.Error as error:
+            raise LogError(f"line {last + 1}: {error}") from error
+
+    def _lines(self) -> Iterator[str]:
+        """Yield the lines; comments are empty ones."""
+        with self._path.open(encoding="utf-8-sig", newline="") as stream:
+            lines = iter(lambda: stream.readline(MAX_LINE + 1), "")
+            for number, line in enumerate(lines, 1):
+                if len(line) > MAX_LINE:
+                    raise LogError(f"line {number} is longer than {MAX_LINE:,} characters")
+                yield "" if line.lstrip().startswith("#") else line
+
+    def _number(self, line: int, cells: Sequence[str], column: Column) -> float:
+        text = self._pointed(cells[column.place])
+        try:
+            return math.nan if text.lower() in _NOTHING else float(text)
+        except ValueError as error:
+            what = f"number in {column.unit}" if column.unit else "number"
+            raise _misread(what, line, cells, column) from error
+
+    def _stamp(self, line: int, cells: Sequence[str], time: Column) -> int:
+        """Return the time in a cell [ns], `NO_TIME` if it is empty; dates are ISO 8601, in UTC."""
+        text = cells[time.place].strip()
+        if text.lower() in _NOTHING:
+            return NO_TIME
+        try:
+            if ":" in text:
+                match = _FRACTION.search(text)
+                moment = datetime.fromisoformat(_FRACTION.sub("", text, count=1))
+                moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+                fraction = int(match[1][:9].ljust(9, "0")) if match else 0
+                stamp = int(moment.timestamp()) * NANOSECONDS + fraction
+            else:
+                # A double has no nanoseconds left at today's dates.
+                stamp = round(Decimal(self._pointed(text)) * int(time.factor))
+        except (ValueError, ArithmeticError) as error:
+            raise _misread(f"time in {time.unit}, or ISO 8601", line, cells, time) from error
+        if abs(stamp) >= _LATEST:
+            raise _misread(f"time in {time.unit} below 68 years", line, cells, time)
+        return stamp
+
+    def _pointed(self, text: str) -> str:
+        """Return a number with a decimal point; commas that separate no cells are decimal ones."""
+        return text.strip() if self._delimiter == "," else text.strip().replace(",", ".")
+
+
+def _misread(what: str, line: int, cells: Sequence[str], column: Column) -> LogError:
+    got = shown(cells[column.place].strip())
+    return LogError(f"line {line}, column {column.title!r}: expected a {what}, got {got}")
+
+
+class TorqueSeries(NamedTuple):
+    """Torques, each held from its time to the next.
+
+    Attributes:
+        time: Since the first one [s], rising, shape (n,).
+        torque: [N m], shape (n,).
+    """
+
+    time: Array
+    torque: Array
+
+
+def read_torques(path: str | Path) -> TorqueSeries:
+    """Return the columns `time` and `torque` of a CSV file, such as that of `tsobs excite`.
+
+    Raises:
+        LogError: The file cannot be read, lacks a column, or has a cell that is no finite number,
+            or times that do not rise; the text names file and line.
+    """
+    with naming_file(Path(path)):
+        file, columns = CsvFile(Path(path)), []
+        for name in ("time", "torque"):
+            if (column := file.find(name)) is None:
+                raise LogError(f"no column is called {name!r}; {file.described}")
+            columns.append(column.in_units_of(name))
+        stamps, torques, last = list[Stamps](), list[Array](), NO_TIME
+        for lines, times, values in file.read(columns[0], columns[1:]):
+            for wrong, text in (
+                (
+                    (times == NO_TIME) | ~np.isfinite(values[:, 0]),
+                    "expected a time and a finite torque",
+                ),
+                (
+                    np.diff(times, prepend=last) <= 0,
+                    "its time is not after that of the line before",
+                ),
+            ):
+                if wrong.any():
+                    raise LogError(f"line {lines[int(wrong.argmax())]}: {text}")
+            stamps.append(times)
+            torques.append(values[:, 0])
+            last = int(times[-1])
+        if not stamps:
+            raise LogError("no lines below the header")
+    times = np.concatenate(stamps)
+    return TorqueSeries((times - times[0]) / NANOSECONDS, np.concatenate(torques))
