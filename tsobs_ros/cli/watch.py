@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""`tsobs watch`: an observer's estimates, bounds, faults, rates and rejects, live in a terminal."""
+"""`tsobs watch`: an observer's estimates, bounds and diagnostics, live in a terminal."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tsobs_ros.cli.common import Commands, add_command, positive, show
 from tsobs_ros.errors import NodeError
 from tsobs_ros.stop import signal_came
 
 if TYPE_CHECKING:
-    from tsobs_ros.nodes.watcher import Snapshot
+    from tsobs_ros.nodes.watcher import View
 
-_ENOUGH = 1.0  # time of estimates that a single snapshot counts rates over [s]
+# Time after the first diagnostics in which all else has come that there is [s].
+_ENOUGH = 1.0
 
 
 def add_parser(commands: Commands) -> None:
@@ -41,65 +41,43 @@ def run(options: argparse.Namespace) -> int:
     from rich.live import Live
 
     from tsobs_ros.cli.picture import picture
-
-    console = Console(highlight=False)
-    if options.once or options.json or not sys.stdout.isatty():
-        taken, failed = _once(options)
-        if taken is None or failed:
-            return 1
-        if signal_came():
-            raise KeyboardInterrupt
-        if not taken.is_known:
-            raise NodeError(
-                f"no observer {taken.observer} within {options.timeout:g} s; is it running, in the "
-                "same ROS_DOMAIN_ID, and called so?"
-            )
-        if options.json:
-            show(_plain(taken), "", as_json=True)
-        else:
-            console.print(picture(taken))
-        return 0
-    with ExitStack() as stack:
-        screens: list[Live] = []
-
-        def draw(snapshot: Snapshot) -> bool:
-            # Not before there is something to show: an error would go with the screen.
-            if not screens:
-                live = Live(console=console, screen=True, auto_refresh=False)
-                screens.append(stack.enter_context(live))
-            screens[0].update(picture(snapshot), refresh=True)
-            return True
-
-        return _watch(options, draw)
-
-
-def _once(options: argparse.Namespace) -> tuple[Snapshot | None, int]:
-    """Return a snapshot with all that an observer publishes, or what there is, and an exit code."""
-    taken: Snapshot | None = None
-    deadline, first = time.monotonic() + options.timeout, math.inf
-
-    def keep(snapshot: Snapshot) -> bool:
-        nonlocal taken, first
-        now, taken = time.monotonic(), snapshot
-        if snapshot.positions:
-            first = min(first, now)
-        state = snapshot.statuses.get("state")
-        is_silent = state is not None and not state.message.startswith(("TRACKING", "COASTING"))
-        is_whole = state is not None and now > first + _ENOUGH
-        return not (is_silent or is_whole or now > deadline)
-
-    failed = _watch(options, keep)
-    return taken, failed
-
-
-def _watch(options: argparse.Namespace, take: Callable[[Snapshot], bool]) -> int:
     from tsobs_ros.nodes import runtime
     from tsobs_ros.nodes.watcher import Watcher
 
-    return runtime.run(lambda: Watcher(options.observer, options.period, take), args=[])
+    console = Console(highlight=False)
+    once = options.once or options.json or not sys.stdout.isatty()
+    deadline: float = time.monotonic() + options.timeout
+    seen = math.inf
+    newest: View | None = None
+    live: Live | None = None
 
+    def take(view: View) -> bool:
+        nonlocal newest, live, seen
+        newest, now = view, time.monotonic()
+        if not once:
+            # Not before there is something to show: an error would go with the screen.
+            live = live or screen.enter_context(
+                Live(console=console, screen=True, auto_refresh=False)
+            )
+            live.update(picture(view), refresh=True)
+            return True
+        seen = min(seen, now) if view.statuses else seen
+        return now < min(deadline, seen + _ENOUGH)
 
-def _plain(value: Any) -> Any:
-    """Return a record, or a mapping of them, as plain data."""
-    value = value._asdict() if hasattr(value, "_asdict") else value
-    return {k: _plain(v) for k, v in value.items()} if isinstance(value, dict) else value
+    with ExitStack() as screen:
+        failed = runtime.run(lambda: Watcher(options.observer, options.period, take), args=[])
+    if failed or not once:
+        return failed
+    if signal_came() or newest is None:
+        raise KeyboardInterrupt
+    if not (newest.statuses or newest.tables["estimate"]):
+        raise NodeError(
+            f"no observer {newest.observer} within {options.timeout:g} s; is it running, in the "
+            "same ROS_DOMAIN_ID, and called so?"
+        )
+    if options.json:
+        statuses = {name: status._asdict() for name, status in newest.statuses.items()}
+        show({**newest._asdict(), "statuses": statuses}, "", as_json=True)
+    else:
+        console.print(picture(newest))
+    return 0

@@ -2,16 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What live views show: the newest messages of an observer, of its sensors and of the truth.
 
-`ObserverFeed` keeps them for any node; `Watcher` is the node of `tsobs watch`, which sums them up a
-few times a second.
+`ObserverFeed` keeps them for any node; `Watcher` is the node of `tsobs watch`.
 """
 
 import math
 import os
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from itertools import chain
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -32,14 +31,40 @@ from tsobs_ros.errors import MessageError, NodeError, TsobsError
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.runtime import Ticker
 from tsobs_ros.nodes.wire import LATCHED, DrainedSubscription
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.replay.places import FIELDS
 
 MEASUREMENTS = "measurements"
 """The key of the sensors' messages: `joint_measurements` until the observer publishes its topic."""
 
-_RATE_WINDOW = 3 * NANOSECONDS
-_MAX_READS = 1000
-_DEPTH = 5000
+_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+_COLUMNS = ("value", "bound", "truth")
+_TABLES = {
+    "estimate": (topics.STATES, topics.STATE_BOUNDS, topics.TRUE_STATES),
+    "sensor disturbance": (topics.DISTURBANCE, topics.DISTURBANCE_BOUND, topics.TRUE_DISTURBANCE),
+    "innovation": (topics.INNOVATION,),
+    "torque disturbance": (*topics.TORQUE_TOPICS, topics.TRUE_TORQUE),
+    "learnt change": topics.PARAMETER_TOPICS,
+}
+"""The topics of each table's columns."""
+
+
+class View(NamedTuple):
+    """What is known of an observer at an instant.
+
+    Attributes:
+        observer: Its full name.
+        age: Time since its last estimate [s]; NaN if there was none.
+        tables: By title, name of the entry and field of the message: the `value`, and its 1σ
+            `bound` and the `truth` if they are known.
+        statuses: Its diagnostics by name.
+        problem: What keeps the view from being complete.
+    """
+
+    observer: str
+    age: float
+    tables: dict[str, dict[str, dict[str, dict[str, float]]]]
+    statuses: Mapping[str, Status]
+    problem: str
 
 
 class ObserverFeed:
@@ -50,7 +75,6 @@ class ObserverFeed:
         observer: The observer's name, relative to the node's namespace or full.
         wanted: Topics of JointStates, those of `estimate_topics` below the observer's name, and of
             `TRUTH`.
-        depth: Messages that a topic keeps between two reads; only kept ones count in rates.
 
     Attributes:
         name: The observer's full name.
@@ -61,15 +85,12 @@ class ObserverFeed:
         problem: Why the record cannot be used; empty if it can.
     """
 
-    def __init__(self, node: Node, observer: str, wanted: Iterable[str], depth: int = 1) -> None:
+    def __init__(self, node: Node, observer: str, wanted: Iterable[str]) -> None:
         self._node = node
-        self._qos = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._decode = JointStateDecoder()
         self.name = node.resolve_topic_name(observer)
         self.latest: dict[str, JointState] = {}
         self.arrived: dict[str, float] = {}
-        # Of each read: when its newest message was received [ns], and how many there were so far.
-        self._received: dict[str, deque[tuple[int, int]]] = {}
         self.statuses: dict[str, Status] = {}
         self.requests: dict[str, ArmRequest | TSRequest] = {}
         self.problem = ""
@@ -87,8 +108,6 @@ class ObserverFeed:
         for key, subscription in self._topics.items():
             taken = subscription.drain()
             if taken:
-                past = self._received.setdefault(key, deque([(0, 0)], _MAX_READS))
-                past.append((taken[-1][1]["received_timestamp"], past[-1][1] + len(taken)))
                 self.arrived[key] = time.monotonic()
                 with suppress(MessageError):
                     self.latest[key] = self._decode(taken[-1][0])
@@ -106,16 +125,6 @@ class ObserverFeed:
             return {}
         return dict(zip(message.names, getattr(message, field), strict=False))
 
-    def rates(self) -> dict[str, float]:
-        """Return the messages a second of each topic that had any, over the last seconds."""
-        began = time.time_ns() - _RATE_WINDOW
-        found = {}
-        for key, past in self._received.items():
-            recent = [each for each in past if each[0] > began] or [past[-1]]
-            (first, before), (last, count) = recent[0], recent[-1]
-            found[key] = NANOSECONDS * (count - before) / (last - first) if last > first else 0.0
-        return found
-
     def status_of(self, joint: str, concern: str) -> list[Status]:
         """Return the newest statuses of a joint whose names begin with a concern."""
         return [
@@ -129,7 +138,7 @@ class ObserverFeed:
         return signals(self.requests[joint], joint, alone=len(self.requests) == 1)
 
     def _subscribe(self, topic: str) -> DrainedSubscription:
-        return DrainedSubscription(self._node, JointStateMessage, topic, self._qos, raw=True)
+        return DrainedSubscription(self._node, JointStateMessage, topic, _QOS, raw=True)
 
     def _take_record(self, message: Any) -> None:
         """Take over what the observer runs, which is new after each of its starts."""
@@ -164,68 +173,13 @@ class ObserverFeed:
         self.statuses = found or self.statuses
 
 
-class Quantity(NamedTuple):
-    """An estimated number.
-
-    Attributes:
-        value: The estimate.
-        bound: 1σ of it; NaN if there is none.
-        truth: The true value; NaN if it is not known.
-    """
-
-    value: float
-    bound: float = math.nan
-    truth: float = math.nan
-
-
-class Snapshot(NamedTuple):
-    """What is known of an observer at an instant.
-
-    Attributes:
-        observer: Its full name.
-        age: Time since its last estimate [s]; NaN if there was none.
-        in_radians: Whether all joints are known to be arms.
-        positions: Of each entry of the estimates.
-        velocities: The same; of a T–S system there are none.
-        disturbances: Of each output.
-        disturbance_rates: Of each output, if its disturbance has one.
-        innovations: Of each output in use.
-        torques: Torque disturbances [N m].
-        parameters: Learnt changes.
-        health: Numbers of the topic `health` by their names.
-        statuses: Its diagnostics by name.
-        rates: Messages a second of each topic that had any.
-        problem: What keeps the view from being complete.
-    """
-
-    observer: str
-    age: float
-    in_radians: bool
-    positions: dict[str, Quantity]
-    velocities: dict[str, Quantity]
-    disturbances: dict[str, Quantity]
-    disturbance_rates: dict[str, Quantity]
-    innovations: dict[str, float]
-    torques: dict[str, Quantity]
-    parameters: dict[str, Quantity]
-    health: dict[str, float]
-    statuses: Mapping[str, Status]
-    rates: dict[str, float]
-    problem: str
-
-    @property
-    def is_known(self) -> bool:
-        """Whether anything has come from the observer."""
-        return bool(self.statuses or self.positions)
-
-
 class Watcher(Node):
     """Shows an observer until it is told to stop.
 
     Args:
         observer: Full name of the observer, or relative to the root.
-        period: Time between two snapshots [s].
-        show: Takes a snapshot; returns whether there shall be another.
+        period: Time between two views [s].
+        show: Takes a view; returns whether there shall be another.
 
     Attributes:
         finished: Whether the process may end.
@@ -236,7 +190,7 @@ class Watcher(Node):
     """
 
     def __init__(
-        self, observer: str, period: float, show: Callable[[Snapshot], bool], **node_kwargs: Any
+        self, observer: str, period: float, show: Callable[[View], bool], **node_kwargs: Any
     ) -> None:
         namespace, _, name = observer.rpartition("/")
         if not name:
@@ -250,47 +204,24 @@ class Watcher(Node):
         )
         self.finished = False
         self._show = show
-        own = (*topics.TOPICS, *topics.PARAMETER_TOPICS, *topics.TORQUE_TOPICS)
-        wanted = [key for key in own if key != topics.RESTARTS]
-        self._feed = ObserverFeed(self, name, (*wanted, *topics.TRUTH), depth=_DEPTH)
+        self._feed = ObserverFeed(self, name, chain.from_iterable(_TABLES.values()))
         self.ticker = Ticker(self, period, self._tick)
         self.ticker.start()
 
-    def snapshot(self) -> Snapshot:
-        """Return what is known now."""
-        feed = self._feed
-        feed.read()
-        arms = [isinstance(each, ArmRequest) for each in feed.requests.values()]
-        states = topics.STATES, topics.STATE_BOUNDS, topics.TRUE_STATES
-        disturbance = topics.DISTURBANCE, topics.DISTURBANCE_BOUND, topics.TRUE_DISTURBANCE
-        torque = topics.TORQUE_DISTURBANCE, topics.TORQUE_DISTURBANCE_BOUND, topics.TRUE_TORQUE
-        return Snapshot(
-            observer=feed.name,
-            age=time.monotonic() - feed.arrived.get(topics.STATES, math.nan),
-            in_radians=bool(arms) and all(arms),
-            positions=self._quantities("position", *states),
-            velocities=self._quantities("velocity", *states),
-            disturbances=self._quantities("position", *disturbance),
-            disturbance_rates=self._quantities("velocity", *disturbance[:2]),
-            innovations=feed.values("position", topics.INNOVATION),
-            torques=self._quantities("effort", *torque),
-            parameters=self._quantities("position", *topics.PARAMETER_TOPICS),
-            health=feed.values("position", topics.HEALTH),
-            statuses=feed.statuses,
-            rates=feed.rates(),
-            problem=feed.problem,
-        )
-
     def _tick(self) -> None:
-        self.finished = not self._show(self.snapshot())
+        self._feed.read()
+        self.finished = not self._show(self._view())
 
-    def _quantities(
-        self, field: str, topic: str, bound: str, truth: str = ""
-    ) -> dict[str, Quantity]:
-        """Return the numbers of a topic with those of the same names on two others."""
-        feed = self._feed
-        bounds, truths = feed.values(field, bound), feed.values(field, truth)
-        return {
-            name: Quantity(value, bounds.get(name, math.nan), truths.get(name, math.nan))
-            for name, value in feed.values(field, topic).items()
-        }
+    def _view(self) -> View:
+        feed, tables = self._feed, {}
+        for title, sources in _TABLES.items():
+            rows: dict[str, dict[str, dict[str, float]]] = {}
+            for field in FIELDS:
+                columns = [feed.values(field, topic) for topic in sources]
+                for name in columns[0]:
+                    known = zip(_COLUMNS, columns, strict=False)
+                    numbers = {what: each[name] for what, each in known if name in each}
+                    rows.setdefault(name, {})[field] = numbers
+            tables[title] = rows
+        age = time.monotonic() - feed.arrived.get(topics.STATES, math.nan)
+        return View(feed.name, age, tables, feed.statuses, feed.problem)
