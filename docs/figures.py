@@ -192,7 +192,10 @@ def watch(path: Path) -> None:
         running = subprocess.Popen([*command, "demo", *arguments, *bias])
         try:
             shown = ""
-            while not re.search(r"TRACKING.*sensor fault +bias", shown, re.DOTALL) and running.poll() is None:
+            while (
+                not re.search(r"TRACKING.*sensor fault +bias", shown, re.DOTALL)
+                and running.poll() is None
+            ):
                 looked = [*command, "watch", "--once", "--timeout", "60"]
                 shown = subprocess.run(
                     looked, env=environment, capture_output=True, text=True, check=False

@@ -12,15 +12,14 @@ its own `wait_for_message` uses; no other file calls it.
 """
 
 import math
-import operator
 import re
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from functools import reduce
+from functools import lru_cache, reduce
 from importlib import import_module
-from typing import Any, TypeAlias, get_args
+from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -29,15 +28,13 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 
 from tsobs_ros.bag.definitions import share_folders
-from tsobs_ros.bag.joint_states import JointStateEncoder
-from tsobs_ros.design.signals import Field, Place
+from tsobs_ros.design.signals import Place
 from tsobs_ros.errors import NodeError
+from tsobs_ros.replay.places import Layout
 from tsobs_ros.series import NANOSECONDS
 
 Taken = list[tuple[Any, Mapping[str, Any]]]
 """Messages, each with its info."""
-Numbers: TypeAlias = Sequence[float]
-Pick: TypeAlias = Callable[[Numbers], Numbers]
 
 QUIET = PublisherEventCallbacks(use_default_callbacks=False)
 """Every QoS event is one more thing that an executor gathers for each of its waits."""
@@ -196,10 +193,14 @@ class JointStatePublisher:
         events: PublisherEventCallbacks | None = QUIET,
     ) -> None:
         self.publisher = node.create_publisher(JointState, topic, qos, event_callbacks=events)
-        self._parts = parts
-        self._layouts: dict[tuple[tuple[int, int], ...], tuple[JointStateEncoder, list[Pick]]] = {}
 
-    def publish(self, stamp: int, rows: Mapping[int, Numbers]) -> None:
+        @lru_cache(MAX_LAYOUTS)
+        def layout(key: tuple[tuple[int, int], ...]) -> Layout:
+            return Layout([place for part, count in key for place in parts[part][:count]])
+
+        self._layout = layout
+
+    def publish(self, stamp: int, rows: Mapping[int, Sequence[float]]) -> None:
         """Send a message of the numbers of some parts, by their index, unless there are none.
 
         Args:
@@ -207,41 +208,9 @@ class JointStatePublisher:
             rows: Of each part as many of its first numbers as there are.
         """
         if rows:
-            key = tuple([(part, len(row)) for part, row in rows.items()])
-            encode, picks = self._layouts.get(key) or self._find(key)
-            numbers = [*(number for row in rows.values() for number in row), math.nan]
-            self.publisher.publish(encode(stamp, *[pick(numbers) for pick in picks]))
-
-    def _find(self, key: tuple[tuple[int, int], ...]) -> tuple[JointStateEncoder, list[Pick]]:
-        """Return what makes messages of so many numbers of parts.
-
-        A field has a number for each name, or none.
-        """
-        names: list[str] = []
-        columns: dict[str, dict[int, int]] = {field: {} for field in get_args(Field)}
-        column = 0
-        for part, length in key:
-            begin = len(names)
-            for name, field in self._parts[part][:length]:
-                if name not in names[begin:]:
-                    names.append(name)
-                columns[field][names.index(name, begin)] = column
-                column += 1
-        picks = [
-            picker([own.get(entry, -1) for entry in range(len(names))] if own else [])
-            for own in columns.values()
-        ]
-        if len(self._layouts) >= MAX_LAYOUTS:
-            self._layouts.clear()
-        layout = self._layouts[key] = JointStateEncoder(names), picks
-        return layout
-
-
-def picker(places: Sequence[int]) -> Pick:
-    """Return what takes the numbers at some places out of others."""
-    if len(places) > 1:
-        return operator.itemgetter(*places)
-    return lambda numbers: [numbers[place] for place in places]
+            layout = self._layout(tuple([(part, len(row)) for part, row in rows.items()]))
+            numbers = [number for row in rows.values() for number in row]
+            self.publisher.publish(layout.encode_one(stamp, numbers))
 
 
 def set_stamp(stamp: Any, nanoseconds: int) -> None:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The places of joints' numbers in the topics of an observer and of a simulator."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -80,6 +81,22 @@ class Layout:
         for column, (name, field) in enumerate(places):
             self._columns[field][self._names.index(name)] = column
         self._encoders: dict[tuple[int, ...], JointStateEncoder] = {}
+        self._encode_one = JointStateEncoder(self._names)
+
+    def encode_one(self, stamp: int, values: Sequence[float]) -> bytes:
+        """Return one message of all entries, as `encode` does at a higher cost.
+
+        Args:
+            stamp: Of its header [ns].
+            values: In the order of the places.
+        """
+        numbers = [*values, math.nan]
+        entries = range(len(self._names))
+        fields = [
+            [numbers[columns.get(entry, -1)] for entry in entries] if columns else ()
+            for columns in self._columns.values()
+        ]
+        return self._encode_one(stamp, *fields)
 
     def entries_of(self, columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return whether each entry has any of some columns of m messages, shape (m, entries)."""

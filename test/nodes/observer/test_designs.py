@@ -118,7 +118,7 @@ def test_a_contact_is_estimated_and_an_encoder_that_stops_is_reported(
     stage.wait_until(
         lambda: logs("motor_angle is missing for 3 s: expected position of elbow_motor"), "its log"
     )
-    assert logs("position of elbow_motor missing (names ['elbow'])")
+    assert logs("position of elbow_motor missing, effort of elbow")
     assert replayed(watcher, observer, [*before, *after]) >= 350
     assert watcher.broken == []
 
@@ -179,7 +179,7 @@ def test_a_system_alone_has_the_names_of_its_file(
     assert "observer: hypothesis" not in found
     rejected = values(found["observer: measurements"])
     assert rejected["rejected: wrong joint or shape"] == "1"
-    assert "position of encoder missing (names ['drive'])" in capfd.readouterr().err
+    assert "position of encoder missing, position of gyroscope missing" in capfd.readouterr().err
     good = [event for event in events if event is not events[40]]
     assert replayed(stage.watcher, observer, good) >= 59
     assert stage.watcher.broken == []

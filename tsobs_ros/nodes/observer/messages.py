@@ -9,6 +9,8 @@ are those of a replay.
 import math
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from itertools import accumulate, pairwise, zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +25,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.signals import Place, Signals, positions
 from tsobs_ros.errors import MessageError
 from tsobs_ros.estimation.records import REASONS, USED, Estimate, RejectReason
-from tsobs_ros.nodes.wire import MAX_LAYOUTS, QUIET, JointStatePublisher, Numbers, Pick, picker
+from tsobs_ros.nodes.wire import MAX_LAYOUTS, QUIET, JointStatePublisher
 from tsobs_ros.replay.places import ESTIMATES, places_of
 from tsobs_ros.series import Stamps
 
@@ -56,18 +58,6 @@ class Batch(NamedTuple):
     codes: Stamps
 
 
-class _Layout(NamedTuple):
-    """Where the samples are in messages with the same names and lengths.
-
-    Attributes:
-        pick: Takes a row's numbers from a message's, which `_CONSTANTS` follow.
-        codes: As those of `Batch`, of each joint.
-    """
-
-    pick: Pick
-    codes: tuple[int, ...]
-
-
 class MeasurementReader:
     """Finds the samples of the node's joints in messages of any joints, in any order.
 
@@ -82,17 +72,16 @@ class MeasurementReader:
         self._joints = dict(joints)
         self._absent_effort = _ZERO if assume_zero_torque else _NOTHING
         self._decode = JointStateDecoder()
-        # By the names and lengths of a message, which hardly ever change.
-        self._layouts: dict[tuple[tuple[str, ...], int, int, int], _Layout] = {}
+        # Messages hardly ever change their names and lengths.
+        self._layout = lru_cache(MAX_LAYOUTS)(self._find)
         # Where the outputs, inputs and other inputs of the joints are in a row.
-        self._parts: list[tuple[slice, slice, slice]] = []
+        self._parts: list[list[slice]] = []
         end = 0
         for each in joints.values():
-            parts = []
-            for count in map(len, (each.outputs, each.inputs, each.other_inputs)):
-                parts.append(slice(end, end + count))
-                end += count
-            self._parts.append((parts[0], parts[1], parts[2]))
+            counts = map(len, (each.outputs, each.inputs, each.other_inputs))
+            ends = list(accumulate(counts, initial=end))
+            self._parts.append([slice(*pair) for pair in pairwise(ends)])
+            end = ends[-1]
         self._unreadable = [math.nan] * end, (WRONG,) * len(joints)
 
     def read(self, messages: Sequence[bytes]) -> Batch:
@@ -112,16 +101,16 @@ class MeasurementReader:
             u.append(own)
         return Batch(order, np.array(stamps, np.int64), y, u, np.array(codes, np.int64).T.copy())
 
-    def _read(self, data: bytes) -> tuple[int, Numbers, tuple[int, ...]]:
+    def _read(self, data: bytes) -> tuple[int, Sequence[float], tuple[int, ...]]:
         try:
             stamp, names, position, velocity, effort, _ = self._decode(data)
         except MessageError:
             return 0, *self._unreadable
-        key = (names, len(position), len(velocity), len(effort))
-        layout = self._layouts.get(key) or self._find(*key)
-        if layout.codes.count(NOT_NAMED) == len(layout.codes):
+        picked, codes = self._layout(names, len(position), len(velocity), len(effort))
+        if codes.count(NOT_NAMED) == len(codes):
             return 0, *self._unreadable
-        return stamp, layout.pick(position + velocity + effort + _CONSTANTS), layout.codes
+        numbers = position + velocity + effort + _CONSTANTS
+        return stamp, [numbers[place] for place in picked], codes
 
     def describe(self, data: bytes, joint: str) -> str:
         """Return what a message contains of a joint, for the log line of its rejection."""
@@ -129,32 +118,21 @@ class MeasurementReader:
             message = self._decode(data)
         except MessageError as error:
             return f"not a JointState: {error}"
+        own, text = self._joints[joint], f"stamp {message.stamp * 1e-9:.3f}"
+        for place in dict.fromkeys(own.outputs + own.inputs):
+            named = zip(message.names, getattr(message, place.field), strict=False)
+            number = next((str(number) for name, number in named if name == place.name), "missing")
+            text += f", {place.described} {number}"
         # The publisher decides how many names there are, and how long.
-        names = reprlib.repr(list(message.names))
-        own = self._joints[joint]
-        if own.entries.isdisjoint(message.names):
-            expected = dict.fromkeys(
-                place.name for each in self._joints.values() for place in each.outputs + each.inputs
-            )
-            return f"expected {', '.join(expected)}; got names {names}"
-        text = f"stamp {message.stamp * 1e-9:.3f}"
-        for place in own.outputs + own.inputs:
-            text += f", {place.field} " if place.name == joint else f", {place.described} "
-            if place.name not in message.names:
-                text += f"missing (names {names})"
-                continue
-            index, numbers = message.names.index(place.name), getattr(message, place.field)
-            there = index < len(numbers)
-            text += str(numbers[index]) if there else f"missing ({len(numbers)} in all)"
-        return text
+        return f"{text}, names {reprlib.repr(list(message.names))}"
 
     def _find(
         self, names: tuple[str, ...], positions: int, velocities: int, efforts: int
-    ) -> _Layout:
-        """Return the layout of messages with these names and numbers of values."""
-        if len(self._layouts) >= MAX_LAYOUTS:
-            self._layouts.clear()
-        # Of a name that comes twice, the first.
+    ) -> tuple[list[int], tuple[int, ...]]:
+        """Return the places of a row in the numbers of messages with these names and lengths.
+
+        The codes of the joints are those of `Batch`. Of a name that comes twice the first counts.
+        """
         found = {name: place for place, name in reversed(list(enumerate(names)))}
         parts = {
             "position": (0, positions),
@@ -169,27 +147,24 @@ class MeasurementReader:
                 return begin + index
             return self._absent_effort if place.field == "effort" and not efforts else _NOTHING
 
-        picked, codes = [], []
+        picked, codes = list[int](), []
         for each in self._joints.values():
             outputs, inputs, others = (
                 [place_of(place) for place in places]
                 for places in (each.outputs, each.inputs, each.other_inputs)
             )
-            for index, other in enumerate(others):
-                if inputs[index] == _NOTHING:
-                    inputs[index] = other
             picked += outputs + inputs + others
             measured = any(place != _NOTHING for place in outputs)
-            if measured and _NOTHING not in inputs:
+            fed = all(
+                {*pair} != {_NOTHING} for pair in zip_longest(inputs, others, fillvalue=_NOTHING)
+            )
+            if measured and fed:
                 codes.append(USED)
             elif each.entries.isdisjoint(found):
                 codes.append(NOT_NAMED)
             else:
                 codes.append(MISSING if measured else WRONG)
-        layout = self._layouts[names, positions, velocities, efforts] = _Layout(
-            picker(picked), tuple(codes)
-        )
-        return layout
+        return picked, tuple(codes)
 
 
 class EstimatePublisher:
