@@ -159,15 +159,15 @@ def accuracy(case: Case, design: Design, plain: Design, seeds: Sequence[int]) ->
     """Return the errors of the observers; `plain` is the design without torque disturbance."""
     runs = simulate(case.scenario, seeds)
     ours = observe(design, runs)
-    states = {"ours": ours.field("state"), "EKF": _ekf(design, runs, "ekf_plain")}
+    states = {"ours": ours.rows["state"], "EKF": _ekf(design, runs, "ekf_plain")}
     states["gated EKF"] = _ekf(design, runs, "ekf")
     if plain is not design:
-        states[_PLAIN] = observe(plain, runs, estimator=plain.observer()).field("state")
-        states[_PLAIN_NODE] = observe(plain, runs).field("state")
+        states[_PLAIN] = observe(plain, runs, estimator=plain.observer()).rows["state"]
+        states[_PLAIN_NODE] = observe(plain, runs).rows["state"]
     full = _inside(runs.times, WINDOWS["full"])
     kept = (
-        np.abs(ours.field("state") - runs.physical)[:, full]
-        <= SIGMAS * ours.field("state_bound")[:, full]
+        np.abs(ours.rows["state"] - runs.physical)[:, full]
+        <= SIGMAS * ours.rows["state_bound"][:, full]
     )
     squares = {who: _squares(design, each, runs) for who, each in states.items()}
     return Accuracy(
@@ -178,7 +178,7 @@ def accuracy(case: Case, design: Design, plain: Design, seeds: Sequence[int]) ->
 
 
 def _ekf(design: Design, runs: Trajectories, method: str) -> Array:
-    return observe(design, runs, ObserverSettings(method=method)).field("state")
+    return observe(design, runs, ObserverSettings(method=method)).rows["state"]
 
 
 def _squares(design: Design, states: Array, runs: Trajectories) -> Array:

@@ -9,8 +9,6 @@ import pytest
 
 from tsobs_ros.campaign.batches import CLAIMS, claimed, observe, recorded
 from tsobs_ros.design.file import load_design
-from tsobs_ros.design.record import Design
-from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.records import Basis, Measurement
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.report.metrics import measure
@@ -88,10 +86,3 @@ def test_what_is_observed_is_what_a_tracker_estimates(method: str) -> None:
                     assert found[run, sample].tolist() == expected.tolist()
         assert observed.events[run] == tracker.events
     assert np.isnan(observed.rows["state"]).any()
-
-
-def test_samples_that_are_followed_ascend(design: Design) -> None:
-    tracker = make_tracker(design)
-    samples = np.zeros((3, 1))
-    with pytest.raises(ModelError, match="stamps: expected them to ascend from 0 ns on"):
-        tracker.follow([5, 5, 7], samples, samples)

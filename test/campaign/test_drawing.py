@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.campaign.definition import Campaign, CampaignEntries, load_campaign
-from tsobs_ros.campaign.drawing import check, draw, scenario_like
+from tsobs_ros.campaign.drawing import Drawn, check, draw_group
 from tsobs_ros.campaign.premises import violated
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design, SolverReport
@@ -21,12 +21,15 @@ from tsobs_ros.errors import TsobsError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.torque_path import TorquePath
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.simulation.scenarios import SCENARIOS
 
 
 def campaign_of(scenario: dict[str, Any], design: Path | None = None, **entries: Any) -> Campaign:
     file = load_design_file(design or config_path(SHIPPED_DESIGN))
     return Campaign(CampaignEntries(scenarios={"only": scenario}, **entries), file)
+
+
+def draw(campaign: Campaign, run: int) -> Drawn:
+    return draw_group(campaign, run, run + 1)[0]
 
 
 def test_a_run_is_drawn_by_its_number_alone(short: Campaign) -> None:
@@ -121,8 +124,6 @@ def test_two_encoders_and_a_contact_have_what_their_design_says(both_encoders: P
         ({"motor_torque": [{"kind": "ramp"}]}, "torque disturbance"),
         ({"mismatch": {"link_inertia": 0.1}}, "parameters"),
         ({"mismatch": {"stiffness": 0.41}, "uncertainty": 0.0}, "parameters"),
-        ({"like": "stiff_dropouts", "uncertainty": 0.0}, ""),
-        ({"like": "stiff_student", "uncertainty": 0.0}, "heavy tails"),
     ],
 )
 def test_premises_of_the_bound(scenario: dict[str, Any], expected: str) -> None:
@@ -159,25 +160,9 @@ def test_delays_of_the_design_are_those_of_the_plant() -> None:
     path = TorquePath(0.9, 0.1, 0.007)
     request = ArmRequest(outputs=[Output("motor_angle", 0.001, delay=0.004)], torque=path)
     design = Design(request, np.eye(4), np.zeros((4, 1)), SolverReport())
-    for scenario in ({}, {"like": "noise", "sensor": {"latency": 0.01}}):
-        asked = Campaign(CampaignEntries(scenarios={"only": scenario}), DesignFile.of(design))
-        drawn = draw(asked, 0).scenario
-        assert drawn.torque == path
-        assert drawn.outputs[0].delay == 0.004
-
-
-def test_scenarios_of_the_simulator_befall_the_arm_of_a_design(both_encoders: Path) -> None:
-    base = campaign_of({}, both_encoders).plant
-    for name, known in SCENARIOS.items():
-        scenario = scenario_like(base, name)
-        first, second = scenario.outputs
-        assert first.disturbance == known.disturbance
-        louder = known.sensor.noise_std / 0.028
-        assert first.sensor == replace(known.sensor, noise_std=louder * 0.005)
-        assert second.sensor.noise_std == 0.002
-        assert (scenario.mismatch, scenario.friction) == (known.mismatch, known.friction)
-    with pytest.raises(TsobsError, match="like: held holds the default arm"):
-        scenario_like(replace(base, arm=ElasticJointArm(stiffness=20.0)), "held")
+    drawn = draw(Campaign(CampaignEntries(), DesignFile.of(design)), 0).scenario
+    assert drawn.torque == path
+    assert drawn.outputs[0].delay == 0.004
 
 
 @pytest.mark.parametrize(
@@ -188,7 +173,6 @@ def test_scenarios_of_the_simulator_befall_the_arm_of_a_design(both_encoders: Pa
         ({"duration": 0.3}, "duration: expected more than settle_time = 0.3 s"),
         ({"design": "paper_example_1.design.yaml"}, "expected one for an arm"),
         ({"observer": {"gate": 3.0}}, "parameter 'gate' decides no estimate"),
-        ({"scenarios": {"a": {"like": "b"}}}, "scenarios.a.like: expected one of noise, bias_step"),
         ({"scenarios": {"a": {"weight": 0}}}, "scenarios.a.weight: expected a whole number"),
         (
             {"scenarios": {"a": {"disturbance": [{"kind": "ramp", "slope": 1}]}}},

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tsobs_ros.campaign.batches import compute
 from tsobs_ros.campaign.definition import Campaign, CampaignError, load_campaign
-from tsobs_ros.campaign.execution import compute
 from tsobs_ros.campaign.folder import PART, CampaignFolder, run_campaign
 from tsobs_ros.campaign.rerun import rerun
 from tsobs_ros.campaign.summary import summarise
@@ -201,7 +201,7 @@ def test_the_command_shows_refuses_and_replaces(
     assert main(["campaign", "--show", str(done)]) == 0
     text = capsys.readouterr().out
     assert text == (done / "summary.txt").read_text(encoding="utf-8")
-    assert "250 runs of 1 s" in text
+    assert "250 of 250 runs of 1 s" in text
     assert main(["campaign", "--show", str(done), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["scenarios"]["as_designed"]["runs"] == 99
@@ -221,8 +221,9 @@ def test_the_command_shows_refuses_and_replaces(
     )
     assert main(["campaign", str(short_file), "--runs", "3", "--force", *output]) == 0
     assert CampaignFolder.open(folder).read()["run"].tolist() == [0, 1, 2]
-    assert main(["campaign", str(other), "--output", str(done.parent)]) == 1
-    assert "other files than a campaign's" in capsys.readouterr().err
+    (tmp_path / "summary.txt").write_text("mine")
+    assert main(["campaign", str(other), "--output", str(tmp_path)]) == 1
+    assert "summary.txt: exists already; choose another folder" in capsys.readouterr().err
     for wrong in ([], [str(other), "--show", str(done)], [str(other)]):
         with pytest.raises(SystemExit, match="2"):
             main(["campaign", *wrong])

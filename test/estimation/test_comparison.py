@@ -12,6 +12,7 @@ from scipy.linalg import block_diag
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
+from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import (
     THETA_STD,
     THETA_WANDER,
@@ -144,3 +145,8 @@ def test_high_gain_observers_follow_the_arm(make: Callable[..., Estimator]) -> N
     assert tracker.used == count
     assert rows.state_bound.shape[1] == rows.disturbance.shape[1] == 0
     assert np.sqrt(((rows.state - RUN.physical[0, :count])[2000:, 0] ** 2).mean()) < 0.02
+
+
+def test_samples_that_are_followed_ascend() -> None:
+    with pytest.raises(ModelError, match="stamps: expected them to ascend from 0 ns on"):
+        make_tracker(SHIPPED).follow([5, 5, 7], np.zeros((3, 1)), np.zeros((3, 1)))

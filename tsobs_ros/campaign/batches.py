@@ -2,13 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Batches of simulated runs: their estimates, and the scores of these."""
 
+import json
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tsobs_ros.campaign.definition import Campaign
+from tsobs_ros.campaign.drawing import draw_group
+from tsobs_ros.campaign.premises import violated
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest
@@ -17,10 +21,10 @@ from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.arm import SIDES
-from tsobs_ros.report.metrics import SIGMAS
+from tsobs_ros.report.metrics import SIGMAS, measure
 from tsobs_ros.report.run import ESTIMATED, RecordedRun
 from tsobs_ros.series import NANOSECONDS, Series
-from tsobs_ros.simulation.plant import Trajectories
+from tsobs_ros.simulation.plant import Plant, Trajectories
 
 CLAIMS: Mapping[str, tuple[Basis, ...]] = {
     "certified": (Basis.CERTIFIED,),
@@ -36,6 +40,12 @@ CLAIMS: Mapping[str, tuple[Basis, ...]] = {
 }
 """What a claimed bound is said to be by its basis: the certificate's, the certificate's but for the
 learnt parameters, a covariance; and nothing, which any other one is said to be."""
+
+DOMAIN = "domain"
+"""The premise that the arm stays in the certificate's domain."""
+
+Columns: TypeAlias = dict[str, NDArray[Any]]
+"""Of a table, by name, one entry per run."""
 
 _CLAIM_OF = np.array(
     [[basis in bases for bases in CLAIMS.values()].index(True) for basis in Basis], np.int64
@@ -138,14 +148,13 @@ def recorded(
 def claimed(run: RecordedRun, rows: Rows) -> dict[str, int | float]:
     """Return what holds of the errors by what their bounds are said to be, settled or not.
 
+    For each of `CLAIMS` that is the number of samples and, of each quantity, the share of errors
+    inside `SIGMAS` times their bound, and the root mean square and the largest of error / bound,
+    NaN without any.
+
     Args:
         run: The run.
         rows: Its estimates.
-
-    Returns:
-        For each of `CLAIMS` the number of samples and, of each quantity, the share of errors
-        inside `SIGMAS` times their bound, and the root mean square and the largest of error /
-        bound, NaN without any.
     """
     basis, known = rows["basis"], np.isfinite(rows["basis"])
     said = np.full(len(basis), -1)
@@ -160,10 +169,63 @@ def claimed(run: RecordedRun, rows: Rows) -> dict[str, int | float]:
             ratio = np.abs(one.error) / one.bounds
         for claim, name in enumerate(CLAIMS):
             own = ratio[np.isfinite(ratio) & (said == claim)]
-            inside, size, worst = math.nan, math.nan, math.nan
+            numbers = [math.nan] * 3
             if len(own):
-                inside, size = np.mean(own <= SIGMAS), np.sqrt(np.mean(own * own))
-                worst = own.max()
-            numbers = {"inside": inside, "ratio": size, "worst": worst}
-            found |= {f"{quantity.key}_{name}_{what}": float(n) for what, n in numbers.items()}
+                numbers = [np.mean(own <= SIGMAS), np.sqrt(np.mean(own * own)), own.max()]
+            for what, number in zip(("inside", "ratio", "worst"), numbers, strict=True):
+                found[f"{quantity.key}_{name}_{what}"] = float(number)
     return found
+
+
+def compute(campaign: Campaign, begin: int, end: int) -> Columns:
+    """Draw, simulate, observe and score the runs from a number up to another.
+
+    A row depends on the campaign and the run's number alone, whatever runs are computed beside it.
+
+    Raises:
+        TsobsError: A scenario does not fit the design.
+    """
+    design, request = campaign.file.design, campaign.file.design.arm_request
+    learnt = campaign.settings.learnt(design)
+    rows: list[dict[str, Any]] = []
+    while begin + len(rows) < end:
+        group = draw_group(campaign, begin + len(rows), end)
+        scenario = group[0].scenario
+        truth = Plant(scenario, [one.seed for one in group]).run(scenario.sample_count)
+        observed = observe(design, truth, campaign.settings, campaign.estimator)
+        start = request.arm.to_physical(np.array(scenario.initial_state)).tolist()
+        for place, drawn in enumerate(group):
+            run = recorded(truth, place, observed.of(place), request)
+            metrics = measure(run, settle_time=campaign.entries.settle_time)
+            reach = float(np.abs(truth.physical[place, :, 0]).max())
+            broken = violated(scenario, request) + (DOMAIN,) * (reach > request.max_angle)
+            errors = {
+                "normalised_rmse": metrics.normalised_rmse,
+                **{
+                    f"{one.key}_{what}": getattr(one, what)
+                    for one in metrics.quantities
+                    for what in ("rmse", "bound", "inside")
+                },
+            }
+            row = {
+                "run": drawn.run,
+                "scenario": drawn.name,
+                "seed": drawn.seed,
+                "drawn": json.dumps(drawn.numbers),
+                **{f"start_{k}": x for k, x in zip(request.state_names, start, strict=True)},
+                **{f"true_{k}": x for k, x in drawn.theta.items()},
+                "premises_hold": not broken,
+                "violated": ", ".join(broken),
+                "max_link_angle": reach,
+                **{k: math.nan if x is None else x for k, x in errors.items()},
+                **claimed(run, observed.rows[place]),
+            }
+            last = observed.rows[place][-1]
+            for at, name in enumerate(learnt):
+                row[f"learnt_{name}"] = float(last["parameters"][at])
+                row[f"learnt_bound_{name}"] = float(last["parameter_bound"][at])
+            if learnt:
+                row["learnt_valid"] = bool(last["parameters_valid"] == 1.0)
+            row |= {k.replace(" ", "_"): count for k, count in observed.events[place].items()}
+            rows.append(row)
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}

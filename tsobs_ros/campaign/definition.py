@@ -1,9 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Campaign files: a design, what its arm goes through, and the ranges that runs are drawn from.
-
-Wherever a scenario has a number, it may have a range [least, most], of which each run draws one.
-"""
+"""Campaign files: a design, what its arm goes through, and the ranges that runs are drawn from."""
 
 import json
 from collections.abc import Sequence
@@ -19,11 +16,10 @@ from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.errors import DesignFileError, ModelError, TsobsError
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.methods import ObserverSettings, make_estimator
-from tsobs_ros.plants import scenario_of
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode, encode, naming
 from tsobs_ros.simulation.integrator import Friction
-from tsobs_ros.simulation.plant import Mismatch, Scenario
+from tsobs_ros.simulation.plant import Mismatch
 from tsobs_ros.yaml_files import read_text, yaml_mapping, yaml_text
 
 FORMAT, VERSION = "tsobs_ros campaign", 1
@@ -36,17 +32,15 @@ class CampaignError(TsobsError, RuntimeError):
 
 
 SignalEntry: TypeAlias = dict[str, Any]
-"""A component of a disturbance, given by its kind and its numbers."""
+"""A component of a disturbance: its kind and its numbers."""
 
 
 @dataclass(kw_only=True, frozen=True)
 class PayloadEntry:
-    """What the link carries for a time; a duration of 0 is for ever."""
+    """A mass [kg] on the link, at a distance from its axis [m], for a time; 0 s is for ever."""
 
     mass: float = 0.0
     distance: float = 0.0
-    link_inertia: float = 0.0
-    gravity_torque: float = 0.0
     start: float = 0.0
     duration: float = 0.0
 
@@ -70,7 +64,6 @@ class ScenarioEntries(OutputEntries):
     initial_state: list[float]
     excitation: dict[str, Any]
     weight: int = 1
-    like: str = ""
     as_designed: bool = False
     noise: float = 1.0
     process_noise: float = 1.0
@@ -85,24 +78,9 @@ class ScenarioEntries(OutputEntries):
 
 @dataclass(kw_only=True)
 class CampaignEntries:
-    """The entries of a campaign file; what is drawn is plain data here.
+    """The entries of a campaign file, which `config/campaign.yaml` describes.
 
-    Attributes:
-        design: Path of a design file of an arm, from the campaign file's folder; or the name of
-            one that the package ships.
-        observer: Parameters of the observer that decide estimates, by their names in the node.
-        runs: How many.
-        repeats: How many of them share what is drawn from ranges, with other random numbers in the
-            simulation; these are simulated at once, which takes less time.
-        seed: Of everything that is drawn.
-        duration: Of a run [s].
-        settle_time: Time after the start, and after each jump of a disturbance, that does not
-            count for the errors [s]; for the bounds it does.
-        uncertainty: Share of the design's bounds on its uncertain parameters that these are drawn
-            from.
-        initial_state: True [q₁, q̇₁, q₂, q̇₂] at the start (rad, rad/s).
-        excitation: Of the motor.
-        scenarios: By their names.
+    What is drawn is plain data here.
     """
 
     design: str = SHIPPED_DESIGN
@@ -144,6 +122,7 @@ class Campaign:
 
     def __post_init__(self) -> None:
         entries = self.entries
+        _ = self.file.design.arm_request, self.settings
         for name, least in (("runs", 1), ("repeats", 1), ("seed", 0)):
             if getattr(entries, name) < least:
                 raise ModelError(f"{name}: expected at least {least}, got {getattr(entries, name)}")
@@ -152,16 +131,8 @@ class Campaign:
                 f"duration: expected more than settle_time = {entries.settle_time!r} s, which is "
                 f"at least 0 s, got {entries.duration!r}"
             )
-        if not entries.scenarios:
+        if not self.turns:
             raise ModelError("scenarios: expected at least one")
-        _ = self.file.design.arm_request, self.settings
-        for name, weight in self._weights.items():
-            # `drawing.check` looks at the rest.
-            if not isinstance(weight, int) or weight < 1:
-                raise ModelError(
-                    f"scenarios.{name}.weight: expected a whole number of at least 1, "
-                    f"got {weight!r}"
-                )
 
     @cached_property
     def settings(self) -> ObserverSettings:
@@ -175,22 +146,17 @@ class Campaign:
         return make_estimator(self.file.design, self.settings)
 
     @cached_property
-    def plant(self) -> Scenario:
-        """The plant as it is designed."""
-        made = scenario_of(self.file.design.arm_request)
-        assert isinstance(made, Scenario)
-        return made
-
-    @property
-    def _weights(self) -> dict[str, Any]:
-        return {name: one.get("weight", 1) for name, one in self.entries.scenarios.items()}
-
-    @cached_property
     def turns(self) -> Sequence[str]:
         """The scenarios that runs go through in turn, those of a larger weight more often."""
-        weights = self._weights
+        weights = {name: one.get("weight", 1) for name, one in self.entries.scenarios.items()}
+        for name, weight in weights.items():
+            if not isinstance(weight, int) or weight < 1:
+                raise ModelError(
+                    f"scenarios.{name}.weight: expected a whole number of at least 1, "
+                    f"got {weight!r}"
+                )
         # One after the other, not in blocks, so that a few runs already have most of them.
-        rounds = range(max(weights.values()))
+        rounds = range(max(weights.values(), default=0))
         return [name for turn in rounds for name, weight in weights.items() if weight > turn]
 
     @cached_property

@@ -3,28 +3,22 @@
 """The runs of a campaign: what each goes through, drawn by its number."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tsobs_ros.campaign.definition import (
-    Campaign,
-    OutputEntries,
-    PayloadEntry,
-    ScenarioEntries,
-    SignalEntry,
-)
+from tsobs_ros.campaign.definition import Campaign, OutputEntries, ScenarioEntries, SignalEntry
 from tsobs_ros.checks import check_names, non_negative
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.plants import scenario_of
 from tsobs_ros.schema import decode, within
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput, TorqueDisturbance
-from tsobs_ros.simulation.scenarios import SCENARIOS
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
     EXCITATIONS,
@@ -70,18 +64,12 @@ class Drawn(NamedTuple):
     numbers: dict[str, float]
 
 
-def draw(campaign: Campaign, run: int) -> Drawn:
-    """Return a run of a campaign.
+def draw_group(campaign: Campaign, begin: int, end: int) -> list[Drawn]:
+    """Return runs that share what is drawn from ranges, from a number up to another, or fewer.
 
     Raises:
-        TsobsError: An entry of its scenario is unknown, out of range or does not fit the design.
+        TsobsError: An entry of their scenario is unknown, out of range or does not fit the design.
     """
-    (drawn,) = draw_group(campaign, run, run + 1)
-    return drawn
-
-
-def draw_group(campaign: Campaign, begin: int, end: int) -> list[Drawn]:
-    """Return runs that share what is drawn from ranges, from a number up to another, or fewer."""
     repeats = campaign.entries.repeats
     group = begin // repeats
     end = min(end, (group + 1) * repeats)
@@ -89,11 +77,8 @@ def draw_group(campaign: Campaign, begin: int, end: int) -> list[Drawn]:
     random = np.random.Generator(np.random.Philox(sequence))
     seeds = random.integers(_SEEDS, size=repeats).tolist()
     name = campaign.turns[group % len(campaign.turns)]
-    scenario, theta, numbers = _drawn(campaign, name, random, random.uniform)
-    return [
-        Drawn(run, name, seeds[run - group * repeats], scenario, theta, numbers)
-        for run in range(begin, end)
-    ]
+    drawn = _drawn(campaign, name, random, random.uniform)
+    return [Drawn(run, name, seeds[run - group * repeats], *drawn) for run in range(begin, end)]
 
 
 def check(campaign: Campaign) -> None:
@@ -127,8 +112,8 @@ def _drawn(
             theta[parameter] = share * bound * choose(-1.0, 1.0)
             if parameter.endswith("damping"):  # which is not negative
                 theta[parameter] = max(theta[parameter], -getattr(request.arm, parameter))
-        scenario = _scenario(request, campaign.plant, given, theta, entries.duration, random)
-    return scenario, theta, numbers
+        scenario = _scenario(request, given, theta, random)
+    return replace(scenario, duration=entries.duration), theta, numbers
 
 
 def _filled(data: Any, path: str, choose: Choose, numbers: dict[str, float]) -> Any:
@@ -151,116 +136,86 @@ def _filled(data: Any, path: str, choose: Choose, numbers: dict[str, float]) -> 
 
 def _scenario(
     request: ArmRequest,
-    base: Scenario,
     given: ScenarioEntries,
     theta: Mapping[str, float],
-    duration: float,
     random: np.random.Generator,
 ) -> Scenario:
-    known = scenario_like(base, given.like) if given.like else base
-    mismatch, damping = _true_arm(request.arm, theta)
+    base = scenario_of(request)
+    assert isinstance(base, Scenario)
     if len(given.initial_state) != 4:
         raise ModelError(f"initial_state: expected four numbers, got {given.initial_state}")
+    mismatch, damping = (asdict(one) for one in _true_arm(request.arm, theta))
     noise, factor = request.process_noise, given.process_noise * given.process_noise
+    payload = given.payload
     torques = {
-        side: [
-            *getattr(known.torque_disturbance, side),
-            *(_designed(terms, random) if given.as_designed else ()),
+        side: (
+            *_designed(getattr(request.torque_disturbance, side), given, random),
             *_signals(f"{side}_torque", getattr(given, f"{side}_torque")),
-        ]
+        )
         for side in SIDES
-        for terms in [getattr(request.torque_disturbance, side)]
     }
-    changes = [asdict(one) for one in (known.mismatch, given.mismatch, mismatch)]
-    frictions = [asdict(one) for one in (known.friction, given.friction, damping)]
     return replace(
         base,
-        rate=known.rate,
-        backlash=known.backlash,
         # One change after the other.
         mismatch=Mismatch(
-            **{name: math.prod(1.0 + one[name] for one in changes) - 1.0 for name in changes[0]}
+            **{
+                name: (1.0 + own) * (1.0 + mismatch[name]) - 1.0
+                for name, own in asdict(given.mismatch).items()
+            }
         ),
-        friction=Friction(**{name: sum(one[name] for one in frictions) for name in frictions[0]}),
-        duration=duration,
+        friction=Friction(
+            **{name: own + damping[name] for name, own in asdict(given.friction).items()}
+        ),
         initial_state=tuple(request.arm.from_physical(given.initial_state).tolist()),
         initial_spread=(0.0,) * 4,
         process_noise=ProcessNoise(noise.link * factor, noise.motor * factor),
         excitation=signal_of(EXCITATIONS, given.excitation),
-        torque_error=(*known.torque_error, *_signals("torque_error", given.torque_error)),
-        outputs=_outputs(request, given, known, random),
-        torque_disturbance=TorqueDisturbance(**{side: tuple(one) for side, one in torques.items()}),
-        payload=_payload(given.payload) or known.payload,
-    )
-
-
-def scenario_like(base: Scenario, name: str) -> Scenario:
-    """Return a scenario of the simulator with the arm and the sensors of another.
-
-    What befalls the sensor befalls the first output; the noise's 1σ and the rate are in the same
-    proportion to the designed ones.
-
-    Args:
-        base: The plant as it is designed, of `plants.scenario_of`.
-        name: Of the scenario.
-
-    Raises:
-        ModelError: There is no such scenario, or it moves the default arm in a way of its own.
-    """
-    if name not in SCENARIOS:
-        raise ModelError(f"like: expected one of {', '.join(SCENARIOS)}, got {name!r}")
-    known, plain = SCENARIOS[name], Scenario()
-    moved = known.excitation != plain.excitation or known.initial_state != plain.initial_state
-    if moved and base.arm != plain.arm:
-        raise ModelError(f"like: {name} holds the default arm, expected another for this arm")
-    first, *others = base.outputs
-    louder = known.sensor.noise_std / plain.sensor.noise_std
-    sensor = replace(known.sensor, noise_std=louder * first.sensor.noise_std)
-    return replace(
-        known,
-        arm=base.arm,
-        rate=base.rate * known.rate / plain.rate,
-        process_noise=base.process_noise,
-        sensor=Sensor(),
-        disturbance=(),
-        outputs=(replace(first, sensor=sensor, disturbance=known.disturbance), *others),
-        torque=base.torque,
+        torque_error=_signals("torque_error", given.torque_error),
+        outputs=_outputs(request, given, base.outputs, random),
+        torque_disturbance=TorqueDisturbance(**torques),
+        payload=Payload.point(
+            payload.mass, payload.distance, payload.start, payload.duration or math.inf
+        ),
     )
 
 
 def _outputs(
-    request: ArmRequest, given: ScenarioEntries, known: Scenario, random: np.random.Generator
+    request: ArmRequest,
+    given: ScenarioEntries,
+    designed: Sequence[SimulatedOutput],
+    random: np.random.Generator,
 ) -> tuple[SimulatedOutput, ...]:
     check_names("outputs", given.outputs, request.output_names)
     found: list[SimulatedOutput] = []
-    for asked, output in zip(request.sensors, known.outputs, strict=True):
-        own: list[OutputEntries] = [given] if not found else []
+    for asked, output in zip(request.sensors, designed, strict=True):
+        numbers = {**asdict(output.sensor), "noise_std": given.noise * output.sensor.noise_std}
+        components = _designed(asked.disturbance, given, random)
+        own: list[OutputEntries] = [] if found else [given]
         own += [given.outputs[asked.measures]] if asked.measures in given.outputs else []
-        components = [*output.disturbance]
-        components += _designed(asked.disturbance, random) if given.as_designed else ()
-        numbers = asdict(output.sensor) | {"noise_std": given.noise * output.sensor.noise_std}
         for entries in own:
             numbers |= entries.sensor
             components += _signals("disturbance", entries.disturbance)
         with within("sensor"):
             sensor = decode(numbers, Sensor)
-        found.append(replace(output, sensor=sensor, disturbance=tuple(components)))
+        found.append(replace(output, sensor=sensor, disturbance=components))
     return tuple(found)
 
 
-def _signals(name: str, entries: Sequence[SignalEntry]) -> Iterator[Signal]:
-    """Yield the signals of entries of a name."""
+def _signals(name: str, entries: Sequence[SignalEntry]) -> tuple[Signal, ...]:
+    """Return the signals of entries of a name."""
+    found: list[Signal] = []
     for place, entry in enumerate(entries):
         with within(f"{name}[{place}]"):
-            yield signal_of(KINDS, entry)
+            found.append(signal_of(KINDS, entry))
+    return tuple(found)
 
 
 def _designed(
-    terms: "tuple[DisturbanceTerm, ...] | Any", random: np.random.Generator
+    terms: Iterable[DisturbanceTerm], given: ScenarioEntries, random: np.random.Generator
 ) -> tuple[Signal, ...]:
-    """Return a disturbance as terms of a design say that it is, with the start that they say."""
+    """Return a disturbance as terms of a design describe it, with its start, if it is asked for."""
     found: list[Signal] = []
-    for term in terms:
+    for term in terms if given.as_designed else ():
         if term.kind in ("bias", "ramp"):
             found.append(BiasStep(term["initial_std"] * random.standard_normal(), 0.0))
             found.append(GaussMarkov(math.sqrt(0.5 * term["density"] * WALK), WALK, 0.0))
@@ -290,13 +245,3 @@ def _true_arm(arm: ElasticJointArm, theta: Mapping[str, float]) -> tuple[Mismatc
         elif value < 0.0:
             changes[name] = max(value / getattr(arm, name), math.nextafter(-1.0, 0.0))
     return Mismatch(**changes), Friction(**damping)
-
-
-def _payload(given: PayloadEntry) -> Payload | None:
-    """Return what the link carries, None if nothing."""
-    point = Payload.point(given.mass, given.distance)
-    inertia = point.link_inertia + given.link_inertia
-    torque = point.gravity_torque + given.gravity_torque
-    if not inertia and not torque:
-        return None
-    return Payload(inertia, torque, given.start, given.duration or math.inf)

@@ -1,81 +1,46 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a campaign: what it is, a Parquet file for each part that is done, the summary.
+"""The folder of a campaign: its file, a Parquet file for each part that is done, the summary.
 
-A file appears once it is complete. So a campaign goes on from whatever is there.
+A file appears once it is complete. So a campaign goes on from whatever is there. Parts are computed
+by threads, or by the workers of a Dask cluster.
 """
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as parquet
 
-from tsobs_ros.campaign.definition import Campaign, CampaignError, load_campaign
+from tsobs_ros import __version__
+from tsobs_ros.campaign.batches import Columns, compute
+from tsobs_ros.campaign.definition import Campaign, CampaignError, load_campaign, parse_campaign
 from tsobs_ros.campaign.drawing import check
-from tsobs_ros.campaign.execution import Columns, Part, on_cluster, on_threads
+from tsobs_ros.design.file import load_design_file
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.files import written_whole
 
 PART = 100
 """Runs in a part: what is computed, sent and written at a time."""
 
+Part: TypeAlias = tuple[int, int]
+"""A part's first run, and the run after its last."""
+
 CAMPAIGN, DESIGN, RUNS = "campaign.yaml", "campaign.design.yaml", "runs"
 SUMMARY = ("summary.json", "summary.txt")
 _IDENTITY = b"tsobs_ros campaign"
-
-
-def run_campaign(
-    campaign: Campaign,
-    output: Path,
-    *,
-    threads: int | None = None,
-    scheduler: str | None = None,
-    force: bool = False,
-    progress: Callable[[int], object] = lambda _: None,
-) -> "CampaignFolder":
-    """Run a campaign, or what is missing of it, and return its folder.
-
-    The numbers depend neither on where runs are computed, nor by how many, nor on what was done
-    before.
-
-    Args:
-        campaign: The campaign.
-        output: Its folder; see `CampaignFolder.make`.
-        threads: Of this machine; the number of its cores if None.
-        scheduler: Address of a Dask scheduler, to compute there.
-        force: Whether to replace another campaign's files.
-        progress: Called with the number of runs that are done since.
-
-    Raises:
-        CampaignError: The folder has something else, or the cluster cannot do it.
-        TsobsError: A scenario does not fit the design.
-    """
-    check(campaign)
-    folder = CampaignFolder.make(output, campaign, force=force)
-    missing = folder.missing()
-    progress(campaign.entries.runs - sum(end - begin for begin, end in missing))
-    if scheduler is None:
-        done = on_threads(campaign, missing, threads or os.cpu_count() or 1)
-    else:
-        done = on_cluster(campaign, missing, scheduler)
-    for (begin, end), columns in done:
-        folder.write(begin, columns)
-        progress(end - begin)
-    return folder
+_CONNECT_TIMEOUT = 30
 
 
 @dataclass(frozen=True)
 class CampaignFolder:
-    """The folder of a campaign; what is in it already is kept.
-
-    Attributes:
-        path: The folder.
-        campaign: The campaign.
-    """
+    """The folder of a campaign."""
 
     path: Path
     campaign: Campaign
@@ -92,36 +57,30 @@ class CampaignFolder:
             raise CampaignError(f"{path}: no campaign, expected {CAMPAIGN} in it")
         return cls(path, load_campaign(path / CAMPAIGN))
 
-    @classmethod
-    def make(cls, path: Path, campaign: Campaign, *, force: bool = False) -> "CampaignFolder":
-        """Return a folder for a campaign: a new one, or one that has the same campaign.
+    def begin(self, *, force: bool) -> None:
+        """Write what the campaign is, and go on if that is there already.
 
         Args:
-            path: The folder.
-            campaign: The campaign; it may have more runs than the folder.
             force: Whether to replace another campaign's files.
 
         Raises:
-            CampaignError: The folder has another campaign, other files, or more runs.
+            CampaignError: The folder has another campaign, files of a campaign's names, or more
+                runs.
         """
-        folder = cls(path, campaign)
-        if path.exists() and not path.is_dir():
-            raise CampaignError(f"{path}: expected a folder")
-        begun = (path / CAMPAIGN).exists()
-        if not begun and path.is_dir() and any(map(_is_foreign, path.iterdir())):
-            raise CampaignError(f"{path}: has other files than a campaign's; choose another folder")
+        runs, summary = self.path / RUNS, [self.path / name for name in SUMMARY]
         if force:
-            for own in [*(path / RUNS).glob("*.parquet"), *map(path.joinpath, SUMMARY)]:
+            for own in [*runs.glob("*.parquet"), *summary]:
                 own.unlink(missing_ok=True)
-        elif begun:
-            folder._require_same()
-        (path / RUNS).mkdir(parents=True, exist_ok=True)
-        _write(path / DESIGN, campaign.file.text.encode())
-        _write(path / CAMPAIGN, campaign.text(DESIGN).encode())
-        return folder
+        elif (self.path / CAMPAIGN).exists():
+            self._require_same()
+        elif there := [str(path) for path in (runs, *summary) if path.exists()]:
+            raise CampaignError(f"{there[0]}: exists already; choose another folder")
+        with written_whole(self.path, CampaignError, force=True) as folder:
+            (folder / DESIGN).write_text(self.campaign.file.text, encoding="utf-8")
+            (folder / CAMPAIGN).write_text(self.campaign.text(DESIGN), encoding="utf-8")
 
     def missing(self) -> list[Part]:
-        """Return the parts that are not done, each as its first run and the one after its last."""
+        """Return the parts that are not done."""
         runs = self.campaign.entries.runs
         parts = [(begin, min(begin + PART, runs)) for begin in range(0, runs, PART)]
         return [part for part in parts if self._rows(part[0]) < part[1] - part[0]]
@@ -132,9 +91,9 @@ class CampaignFolder:
         Raises:
             CampaignError: It cannot be written.
         """
-        sink, table = pa.BufferOutputStream(), pa.table(columns)
-        parquet.write_table(table.replace_schema_metadata({_IDENTITY: self._identity}), sink)
-        _write(self._part(begin), sink.getvalue().to_pybytes())
+        table = pa.table(columns).replace_schema_metadata({_IDENTITY: self.campaign.identity})
+        with written_whole(self.path / RUNS, CampaignError, force=True) as folder:
+            parquet.write_table(table, folder / self._part(begin).name)
 
     def read(self) -> Columns:
         """Return the columns of all runs that are there, in the order of their numbers.
@@ -157,23 +116,20 @@ class CampaignFolder:
 
     def write_summary(self, texts: Iterable[str]) -> None:
         """Write the summary's files, in the order of `SUMMARY`."""
-        for name, text in zip(SUMMARY, texts, strict=True):
-            _write(self.path / name, text.encode())
-
-    @property
-    def _identity(self) -> bytes:
-        return self.campaign.identity.encode()
+        with written_whole(self.path, CampaignError, force=True) as folder:
+            for name, text in zip(SUMMARY, texts, strict=True):
+                (folder / name).write_text(text, encoding="utf-8")
 
     def _part(self, begin: int) -> Path:
         return self.path / RUNS / f"{begin:08d}.parquet"
 
     def _rows(self, begin: int) -> int:
-        """Return the number of rows of a part, 0 if it is not there or damaged."""
+        """Return the number of rows of a part, 0 if it is not there, damaged or another's."""
         try:
             metadata = parquet.read_metadata(self._part(begin))
         except (OSError, pa.ArrowInvalid):
             return 0
-        is_own = (metadata.metadata or {}).get(_IDENTITY) == self._identity
+        is_own = (metadata.metadata or {}).get(_IDENTITY) == self.campaign.identity.encode()
         return int(metadata.num_rows) if is_own else 0
 
     def _require_same(self) -> None:
@@ -195,11 +151,96 @@ class CampaignFolder:
             )
 
 
-def _is_foreign(path: Path) -> bool:
-    """Return whether a file or folder is none of what a campaign writes before it is begun."""
-    return path.name not in (DESIGN, RUNS) and path.suffix != ".partial"
+def run_campaign(
+    campaign: Campaign,
+    output: Path,
+    *,
+    threads: int | None = None,
+    scheduler: str | None = None,
+    force: bool = False,
+    progress: Callable[[int], object] = lambda _: None,
+) -> CampaignFolder:
+    """Run a campaign, or what is missing of it, and return its folder.
+
+    The numbers depend neither on where runs are computed, nor by how many, nor on what was done
+    before.
+
+    Args:
+        campaign: The campaign.
+        output: Its folder: a new one, or one that has the same campaign with at most as many runs.
+        threads: Of this machine; the number of its cores if None.
+        scheduler: Address of a Dask scheduler, to compute there.
+        force: Whether to replace another campaign's files.
+        progress: Called with the number of runs that are done since.
+
+    Raises:
+        CampaignError: The folder has something else, or the cluster cannot do it.
+        TsobsError: A scenario does not fit the design.
+    """
+    check(campaign)
+    folder = CampaignFolder(output, campaign)
+    folder.begin(force=force)
+    missing = folder.missing()
+    progress(campaign.entries.runs - sum(end - begin for begin, end in missing))
+    if scheduler is None:
+        done = _on_threads(campaign, missing, threads or os.cpu_count() or 1)
+    else:
+        done = _on_cluster(campaign, missing, scheduler)
+    for (begin, end), columns in done:
+        folder.write(begin, columns)
+        progress(end - begin)
+    return folder
 
 
-def _write(path: Path, content: bytes) -> None:
-    with written_whole(path.parent, CampaignError, force=True) as folder:
-        (folder / path.name).write_bytes(content)
+def _on_threads(
+    campaign: Campaign, parts: list[Part], count: int
+) -> Iterator[tuple[Part, Columns]]:
+    pool = ThreadPoolExecutor(count)
+    try:
+        yield from zip(parts, pool.map(lambda part: compute(campaign, *part), parts), strict=True)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _on_cluster(
+    campaign: Campaign, parts: list[Part], scheduler: str
+) -> Iterator[tuple[Part, Columns]]:
+    # Slow to import, and for clusters only.
+    import distributed
+
+    dask: Any = distributed  # without types
+    texts = __version__, campaign.text("design"), campaign.file.text
+    where = f"scheduler {scheduler}"
+    try:
+        client = dask.Client(scheduler, timeout=_CONNECT_TIMEOUT)
+    except (OSError, ValueError) as error:
+        raise CampaignError(f"{where}: cannot be reached: {error}") from error
+    try:
+        with client:
+            futures = {
+                client.submit(_on_worker, *texts, *part, pure=False, retries=0): part
+                for part in parts
+            }
+            for future in dask.as_completed(futures):
+                yield futures[future], future.result()
+                future.release()
+    except dask.KilledWorker as error:
+        raise CampaignError(f"{where}: workers died again and again: {error}") from error
+    except (CancelledError, OSError) as error:
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise CampaignError(
+            f"{where}: the connection was lost: {reason}; the same command goes on with the runs "
+            "that are missing"
+        ) from error
+
+
+def _on_worker(version: str, campaign: str, design: str, begin: int, end: int) -> Columns:
+    """Return the columns of a part, by a worker that has the package and the texts of files."""
+    if version != __version__:
+        raise CampaignError(f"a worker has tsobs_ros {__version__}, expected {version}")
+    return compute(_campaign(campaign, design), begin, end)
+
+
+@lru_cache(maxsize=2)
+def _campaign(campaign: str, design: str) -> Campaign:
+    return Campaign(parse_campaign(campaign, "campaign"), load_design_file("design", design))

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Premises of a certified bound: which of them a simulated run does not keep."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
+from tsobs_ros.campaign.drawing import WALK
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.simulation.plant import Mismatch, Scenario
@@ -35,7 +36,6 @@ def violated(scenario: Scenario, request: ArmRequest) -> tuple[str, ...]:
     uncertain = request.uncertainty
     found = {
         "payload": payload.link_inertia or payload.gravity_torque,
-        "backlash": scenario.backlash,
         "torque error": scenario.torque_error,
         "process noise": _is_more(noise.link, designed.link)
         or _is_more(noise.motor, designed.motor),
@@ -75,36 +75,32 @@ def _thetas(mismatch: Mismatch, arm: ElasticJointArm) -> dict[str, float]:
     }
 
 
-def _foresees(terms: Iterable[DisturbanceTerm], components: Iterable[Signal]) -> bool:
+def _foresees(terms: Sequence[DisturbanceTerm], components: Iterable[Signal]) -> bool:
     """Return whether terms of a design have a place for each of some components."""
-    terms = list(terms)
-    wandering = sum(term["density"] for term in terms if term.kind in ("bias", "ramp"))
-    drifts = [term for term in terms if term.kind == "gauss_markov"]
+    drifts = list(terms)
     for component in components:
-        match component:
-            case BiasStep(start=start):
-                fits = start <= 0.0 and any(term.kind in ("bias", "ramp") for term in terms)
-            case Ramp(start=start):
-                fits = start <= 0.0 and any(term.kind == "ramp" for term in terms)
-            case Sinusoid(frequency=frequency, start=start):
-                fits = start <= 0.0 and any(term.get("frequency") == frequency for term in terms)
-            case GaussMarkov(std=std, time_constant=time_constant):
-                alike = [
-                    term
-                    for term in drifts
-                    if term["time_constant"] == time_constant and not _is_more(std, term["std"])
-                ]
-                density = 2.0 * std * std / time_constant
-                fits = bool(alike)
-                if alike:
-                    drifts.remove(alike[0])
-                elif time_constant >= 1e5 and not _is_more(density, wandering):
-                    wandering, fits = wandering - density, True
-            case _:
-                fits = False
-        if not fits:
+        drifting = isinstance(component, GaussMarkov)
+        fitting = [term for term in (drifts if drifting else terms) if _fits(component, term)]
+        if not fitting:
             return False
+        if drifting:
+            drifts.remove(fitting[0])  # one drift per term
     return True
+
+
+def _fits(component: Signal, term: DisturbanceTerm) -> bool:
+    match component:
+        case BiasStep(start=start):
+            return start <= 0.0 and term.kind in ("bias", "ramp")
+        case Ramp(start=start):
+            return start <= 0.0 and term.kind == "ramp"
+        case Sinusoid(frequency=frequency, start=start):
+            return start <= 0.0 and term.get("frequency") == frequency
+        case GaussMarkov(std=std, time_constant=time) if term.kind == "gauss_markov":
+            return term["time_constant"] == time and not _is_more(std, term["std"])
+        case GaussMarkov(std=std, time_constant=time) if term.kind in ("bias", "ramp"):
+            return time == WALK and not _is_more(2.0 * std * std / time, term["density"])
+    return False
 
 
 def _is_more(value: float, limit: float) -> bool:

@@ -14,7 +14,7 @@ from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.campaign.batches import stamps_of
 from tsobs_ros.campaign.definition import Campaign, CampaignError
-from tsobs_ros.campaign.drawing import draw
+from tsobs_ros.campaign.drawing import draw_group
 from tsobs_ros.design.signals import Place, positions, signals
 from tsobs_ros.replay.estimate import Observer, make_runs, open_source, run_all
 from tsobs_ros.replay.places import Layout
@@ -50,7 +50,7 @@ def rerun(campaign: Campaign, run: int, output: Path) -> Path:
 
 def _record(campaign: Campaign, run: int, bag: Path) -> None:
     """Write what a plant simulator would have sent."""
-    drawn = draw(campaign, run)
+    (drawn,) = draw_group(campaign, run, run + 1)
     own = signals(campaign.file.design.arm_request, JOINT, alone=True)
     runs = Plant(drawn.scenario, drawn.seed).run(drawn.scenario.sample_count)
     stamps = stamps_of(runs.times)
