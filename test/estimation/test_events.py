@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tsobs_ros.estimation.events import Event, EventKind, EventLog
-from tsobs_ros.estimation.health import Level, judged
+from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 
 SECOND = 1_000_000_000
@@ -86,7 +86,7 @@ def test_a_recording_which_lacks_the_silence_gives_the_same_events() -> None:
     ("kind", "changes", "text"),
     [
         *(
-            (kind, {kind.value if kind is not EventKind.BOUND else "basis": code}, judged(code)[1])
+            (kind, {kind.value if kind is not EventKind.BOUND else "basis": code}, code.judged[1])
             for kind, code in (
                 *((EventKind.BOUND, basis) for basis in Basis if basis is not Basis.CERTIFIED),
                 (EventKind.LEARNING, Learning.STARTING),

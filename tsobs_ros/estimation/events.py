@@ -9,7 +9,7 @@ an estimate over a recording and a report on it list the same ones.
 import enum
 from typing import Any, NamedTuple
 
-from tsobs_ros.estimation.health import Debounce, Level, Phase, judged, phase_of
+from tsobs_ros.estimation.health import Debounce, Level, Phase, phase_of
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.series import NANOSECONDS
 
@@ -36,29 +36,12 @@ class EventKind(enum.Enum):
 
 
 class Event(NamedTuple):
-    """A change.
-
-    Attributes:
-        stamp: When it began [ns].
-        kind: What has changed.
-        level: How bad what follows is.
-        text: What follows, for people.
-    """
+    """A change: when it began [ns], and how bad what follows is."""
 
     stamp: int
     kind: EventKind
     level: Level
     text: str
-
-
-_USUAL: dict[EventKind, Any] = {
-    EventKind.STATE: None,
-    EventKind.BOUND: Basis.STARTING,
-    EventKind.NOISE: False,
-    EventKind.LEARNING: Learning.STARTING,
-    EventKind.HYPOTHESIS: Hypothesis.AS_DESIGNED,
-}
-"""States that need no report."""
 
 
 class EventLog:
@@ -70,11 +53,8 @@ class EventLog:
 
     Args:
         source: Where the measurements come from, such as a topic.
-        coast_after: Age of the newest measurement for COASTING [s].
+        coast_after: Age of the newest measurement for COASTING [s]; may be changed at any time.
         stale_after: Age of it for STALE [s].
-
-    Attributes:
-        coast_after: May be changed at any time.
 
     Example:
         >>> log = EventLog("/joint_measurements", coast_after=0.1, stale_after=5.0)
@@ -89,12 +69,24 @@ class EventLog:
     def __init__(self, source: str, coast_after: float, stale_after: float) -> None:
         self.coast_after = coast_after
         self._source, self._stale_after = source, stale_after
-        self._began: int | None = None
+        usual = (None, Basis.STARTING, False, Learning.STARTING, Hypothesis.AS_DESIGNED)
+        self._changes = {
+            kind: _Changes(kind, each) for kind, each in zip(EventKind, usual, strict=True)
+        }
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the states, but not how much has been reported, as the estimate has no past."""
+        self._waits_since: int | None = None
         self._newest: int | None = None
-        self._noisy = False
-        self._basis = Basis.STARTING
         self._gap_since: int | None = None
-        self._tellers = {kind: _Teller(kind, usual) for kind, usual in _USUAL.items()}
+        self._noisy, self._basis = False, Basis.STARTING
+        for changes in self._changes.values():
+            changes.restart()
+
+    def since(self, kind: EventKind) -> int | None:
+        """Return the stamp at which something became what it is [ns], None if it never changed."""
+        return self._changes[kind].lasting.since
 
     def update(self, estimate: Estimate) -> list[Event]:
         """Return what an estimate gives occasion to report, in the order of its beginning.
@@ -103,60 +95,39 @@ class EventLog:
             estimate: The next one, about a tenth of a second after the last.
         """
         stamp, scale = estimate.stamp, estimate.noise_scale
-        newest = stamp - round(estimate.age * NANOSECONDS)
+        newest, before = stamp - round(estimate.age * NANOSECONDS), self._newest
         events = []
-        if self._newest is not None:
-            missing = newest - self._newest
-            if missing > max(self._stale_after, _SHORTEST_SILENCE) * NANOSECONDS:
-                events += self._go_stale(self._newest)
-        events += self._tell_phase(estimate, newest)
-        self._newest = newest
-        events += self._tell_bound(stamp, estimate.basis)
+        limit = max(self._stale_after, _SHORTEST_SILENCE) * NANOSECONDS
+        if before is not None and newest - before > limit:
+            events += self._go_stale(before)
+        self._newest, state = newest, self._changes[EventKind.STATE]
+        if phase_of(estimate.age, self.coast_after, self._stale_after) is Phase.TRACKING:
+            text = f"TRACKING: measurements arrive on {self._source}"
+            if before is not None:
+                gap = f"after {(stamp - before) / NANOSECONDS:.2g} s without"
+                text = f"TRACKING again: measurements arrive on {self._source}, {gap}"
+            events += state.update(stamp, Phase.TRACKING, (Level.OK, text))
+        else:
+            missing = f"no measurement on {self._source} for {estimate.age:.2g} s"
+            text = f"COASTING: {missing}; estimates are predictions"
+            since = newest + round(self.coast_after * NANOSECONDS)
+            events += state.update(since, Phase.COASTING, (Level.WARN, text))
+        events += self._update_bound(stamp, estimate.basis)
         self._noisy = scale >= (NOT_NOISY if self._noisy else NOISY)
-        level, text = Level.OK, f"the sensor's noise is below {NOT_NOISY} times the design's"
+        judged = Level.OK, f"the sensor's noise is below {NOT_NOISY} times the design's"
         if self._noisy:
-            level, text = Level.WARN, f"the sensor's noise is {scale:.2g} times the design's"
-        events += self._tell(EventKind.NOISE, stamp, self._noisy, level, text, _LASTING)
-        learning, hypothesis = estimate.learning, estimate.hypothesis
-        if learning is not Learning.NONE:
-            events += self._tell(EventKind.LEARNING, stamp, learning, *judged(learning), _LASTING)
-        events += self._tell(EventKind.HYPOTHESIS, stamp, hypothesis, *judged(hypothesis), _LASTING)
+            judged = Level.WARN, f"the sensor's noise is {scale:.2g} times the design's"
+        events += self._changes[EventKind.NOISE].update(stamp, self._noisy, judged, _LASTING)
+        for kind, code in (
+            (EventKind.LEARNING, estimate.learning),
+            (EventKind.HYPOTHESIS, estimate.hypothesis),
+        ):
+            if code is not Learning.NONE:
+                events += self._changes[kind].update(stamp, code, code.judged, _LASTING)
         return sorted(events, key=lambda event: event.stamp)
 
-    def silence(self, now: int) -> list[Event]:
-        """Return what it gives occasion to report that there is no estimate.
-
-        Args:
-            now: Time on the clock of the stamps [ns].
-        """
-        state = self._tellers[EventKind.STATE]
-        if self._newest is not None:
-            late = now - self._newest > self._stale_after * NANOSECONDS
-            return [*(self._go_stale(self._newest) if late else ()), *state.due(now)]
-        if self._began is None:
-            self._began = now
-        if state.state is Phase.WAITING or now - self._began < _LASTING * NANOSECONDS:
-            return []
-        state.state = Phase.WAITING
-        text = f"WAITING for the first measurement on {self._source}"
-        return [Event(self._began, EventKind.STATE, Level.WARN, text)]
-
-    def _tell(self, kind: EventKind, *news: Any) -> list[Event]:
-        return self._tellers[kind].update(*news)
-
-    def since(self, kind: EventKind) -> int | None:
-        """Return the stamp at which something became what it is [ns], None if it never changed."""
-        return self._tellers[kind].since
-
-    def restart(self) -> None:
-        """Forget the states, but not how much has been reported, as the estimate has no past."""
-        self._began = self._newest = self._gap_since = None
-        self._noisy, self._basis = False, Basis.STARTING
-        for teller in self._tellers.values():
-            teller.restart()
-
-    def _tell_bound(self, stamp: int, basis: Basis) -> list[Event]:
-        lasting = 0.0 if judged(basis)[0] is Level.WARN else _LASTING
+    def _update_bound(self, stamp: int, basis: Basis) -> list[Event]:
+        lasting = 0.0 if basis.level is Level.WARN else _LASTING
         if basis is not Basis.GAP:
             self._basis, self._gap_since = basis, None
         else:
@@ -167,84 +138,68 @@ class EventLog:
                 basis = self._basis
             else:
                 stamp, lasting = self._gap_since, 0.0
-        return self._tell(EventKind.BOUND, stamp, basis, *judged(basis), lasting)
+        return self._changes[EventKind.BOUND].update(stamp, basis, basis.judged, lasting)
 
-    def _tell_phase(self, estimate: Estimate, newest: int) -> list[Event]:
-        age, source = estimate.age, self._source
-        if phase_of(age, self.coast_after, self._stale_after) is Phase.TRACKING:
-            text = f"TRACKING: measurements arrive on {source}"
-            if self._newest is not None:
-                gap = (estimate.stamp - self._newest) / NANOSECONDS
-                text = f"TRACKING again: measurements arrive on {source}, after {gap:.2g} s without"
-            return self._tell(EventKind.STATE, estimate.stamp, Phase.TRACKING, Level.OK, text)
-        text = f"COASTING: no measurement on {source} for {age:.2g} s; estimates are predictions"
-        at = newest + round(self.coast_after * NANOSECONDS)
-        return self._tell(EventKind.STATE, at, Phase.COASTING, Level.WARN, text)
+    def silence(self, now: int) -> list[Event]:
+        """Return what a time [ns] without an estimate gives occasion to report."""
+        state = self._changes[EventKind.STATE]
+        if self._newest is not None:
+            late = now - self._newest > self._stale_after * NANOSECONDS
+            return [*(self._go_stale(self._newest) if late else ()), *state.due(now)]
+        if self._waits_since is None:
+            self._waits_since = now
+        if state.value is Phase.WAITING or now - self._waits_since < _LASTING * NANOSECONDS:
+            return []
+        state.value = Phase.WAITING
+        text = f"WAITING for the first measurement on {self._source}"
+        return [Event(self._waits_since, EventKind.STATE, Level.WARN, text)]
 
     def _go_stale(self, newest: int) -> list[Event]:
-        text = (
-            f"STALE: no measurement on {self._source} for {self._stale_after:g} s; the next one "
-            "restarts the estimate"
-        )
-        at = newest + round(self._stale_after * NANOSECONDS)
-        return self._tell(EventKind.STATE, at, Phase.STALE, Level.ERROR, text)
+        missing = f"no measurement on {self._source} for {self._stale_after:g} s"
+        text = f"STALE: {missing}; the next one restarts the estimate"
+        since = newest + round(self._stale_after * NANOSECONDS)
+        return self._changes[EventKind.STATE].update(since, Phase.STALE, (Level.ERROR, text))
 
 
-class _Teller:
-    """Reports the changes of one kind.
+class _Changes:
+    """The changes of one kind, reported at most five times at once and then every ten seconds."""
 
-    Args:
-        kind: The kind.
-        state: The state that needs no report.
-
-    Attributes:
-        state: The state that has lasted.
-    """
-
-    def __init__(self, kind: EventKind, state: Any) -> None:
-        self.state = state
-        self._kind, self._initial = kind, state
+    def __init__(self, kind: EventKind, usual: Any) -> None:
+        self._kind, self._usual = kind, usual
         self._credit = _BURST
         self.restart()
 
     def restart(self) -> None:
-        """Return to the state that needs no report."""
-        self.state = self._initial
-        self._lasting = Debounce(self._initial)
-        self._event = Event(0, self._kind, Level.OK, "")
-        self._changed = self._changes = 0
-        self._told: int | None = None
-
-    @property
-    def since(self) -> int | None:
-        """Stamp at which the state began [ns], None if it is the first."""
-        return self._lasting.since
+        """Return to the value that needs no report."""
+        self.value, self.lasting = self._usual, Debounce(self._usual)
+        self._changed = self._count = 0
+        self._reported: int | None = None
 
     def update(
-        self, stamp: int, state: Any, level: Level, text: str, lasting: float = 0.0
+        self, stamp: int, value: Any, judged: tuple[Level, str], lasting: float = 0.0
     ) -> list[Event]:
-        """Take in the state at a stamp [ns], at or after the last; it must last so long [s]."""
+        """Take in a value, which must last so long [s], and return the reports that are due."""
         events = self.due(stamp)
-        value = self._lasting.update(stamp, state, lasting)
-        if value != self.state:
-            self.state, self._changed = value, stamp
-            self._event = Event(self._lasting.since or stamp, self._kind, level, text)
-            self._changes += 1
+        value = self.lasting.update(stamp, value, lasting)
+        if value != self.value:
+            self.value, self._changed = value, stamp
+            self._event = Event(self.lasting.since or stamp, self._kind, *judged)
+            self._count += 1
         return events + self.due(stamp)
 
     def due(self, stamp: int) -> list[Event]:
         """Return the report that is due by a stamp [ns], if any."""
-        if not self._changes:
+        if not self._count:
             return []
         # Stamps may have gone back at a restart.
-        rested = 0 if self._told is None else self._changed - self._told
+        rested = 0 if self._reported is None else self._changed - self._reported
         credit = self._credit + rested / (_INTERVAL * NANOSECONDS)
         missing = max(0.0, 1.0 - credit)
         at = self._changed + round(missing * _INTERVAL * NANOSECONDS)
         if stamp < at:
             return []
-        event, changes, self._changes = self._event, self._changes, 0
-        self._credit, self._told = min(_BURST, credit + missing) - 1.0, at
-        if changes > 1:
-            event = event._replace(text=f"{event.text} ({changes} changes since the last report)")
+        event, count, self._count = self._event, self._count, 0
+        self._credit, self._reported = min(_BURST, credit + missing) - 1.0, at
+        if count > 1:
+            event = event._replace(text=f"{event.text} ({count} changes since the last report)")
         return [event]

@@ -1,19 +1,14 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Health of an estimator as data, which nodes, reports and `tsobs watch` only show.
-
-`STATUSES` is the one table of codes with their levels, words and remedies: log, diagnostics,
-events, reports and JSON word them from it.
-"""
+"""Health of an estimator as data, which nodes, reports and `tsobs watch` only show."""
 
 import enum
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, Self, TypeVar
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.records import Basis, Hypothesis, Learning, RejectReason
 from tsobs_ros.settings import check, live_setting
 
 T = TypeVar("T")
@@ -42,17 +37,8 @@ class Status(NamedTuple):
     values: dict[str, str]
 
 
-class Phase(enum.Enum):
-    """How fresh the measurements behind an estimate are."""
-
-    WAITING = "WAITING"
-    TRACKING = "TRACKING"
-    COASTING = "COASTING"
-    STALE = "STALE"
-
-
-class Meaning(NamedTuple):
-    """What a code means.
+class Code(enum.IntEnum):
+    """A code of the compiled core with its meaning, which log, diagnostics and reports share.
 
     Attributes:
         level: How bad it is.
@@ -62,143 +48,36 @@ class Meaning(NamedTuple):
 
     level: Level
     text: str
-    remedy: str = ""
+    remedy: str
+
+    def __new__(cls, value: int, level: Level = Level.OK, text: str = "", remedy: str = "") -> Self:
+        code = int.__new__(cls, value)
+        code._value_, code.level, code.text, code.remedy = value, level, text, remedy
+        return code
+
+    @property
+    def judged(self) -> tuple[Level, str]:
+        """How bad it is, and its text with the remedy."""
+        return self.level, f"{self.text}; {self.remedy}" if self.remedy else self.text
+
+    @property
+    def words(self) -> str:
+        """Its name, for people."""
+        return self.name.lower().replace("_", " ")
 
 
-STATUSES: Mapping[type[enum.Enum], Mapping[Any, Meaning]] = {
-    Phase: {
-        Phase.TRACKING: Meaning(Level.OK, "measurements arrive"),
-        Phase.COASTING: Meaning(Level.WARN, "no measurement lately; estimates are predictions"),
-        Phase.WAITING: Meaning(Level.WARN, "waiting for the first measurement"),
-        Phase.STALE: Meaning(Level.ERROR, "no measurement; the next one restarts the estimate"),
-    },
-    Basis: {
-        Basis.CERTIFIED: Meaning(Level.OK, "the bound is certified"),
-        Basis.LEARNT: Meaning(
-            Level.OK,
-            "the bound holds: it is certified but for the uncertainty of the learnt parameters",
-        ),
-        Basis.COVARIANCE: Meaning(
-            Level.OK, "the bound is not certified: it is the covariance along the estimate"
-        ),
-        Basis.STARTING: Meaning(
-            Level.OK, "the bound is not certified yet: the estimate settles after a start"
-        ),
-        Basis.GAP: Meaning(
-            Level.OK, "the bound is not certified: measurements or torques are missing or rejected"
-        ),
-        Basis.JUMP: Meaning(Level.OK, "the bound is not certified: the sensor has jumped"),
-        Basis.CONTRADICTED: Meaning(
-            Level.WARN,
-            "the bound is void: the measurements contradict the design",
-            "the arm, the noise or the disturbance differs from it",
-        ),
-        Basis.HYPOTHESIS: Meaning(
-            Level.WARN,
-            "the bound is not certified: it is a covariance for an arm or a sensor unlike the "
-            "design's",
-        ),
-        Basis.OUTSIDE: Meaning(
-            Level.WARN, "the bound is void: the link angle is outside of the certificate's domain"
-        ),
-    },
-    Learning: {
-        Learning.NONE: Meaning(Level.OK, "nothing is learnt"),
-        Learning.STARTING: Meaning(Level.OK, "learning waits until the estimate has settled"),
-        Learning.ACTIVE: Meaning(Level.OK, "the parameters are being learnt"),
-    },
-    Hypothesis: {
-        Hypothesis.AS_DESIGNED: Meaning(Level.OK, "arm and sensor behave as designed"),
-        Hypothesis.FORCE: Meaning(
-            Level.WARN,
-            "the arm is pushed by something the model lacks: friction, contact, a payload?",
-            "a torque_disturbance in the design, or damping as an uncertain parameter, may explain "
-            "it",
-        ),
-        Hypothesis.IMPERFECT: Meaning(
-            Level.WARN,
-            "the arm moves in ways that the model lacks",
-            "its parameters are wrong, or process_noise in the design is too small",
-        ),
-        Hypothesis.LOUD: Meaning(
-            Level.WARN,
-            "the sensor is much noisier than designed",
-            "a larger measurement_std would expect that",
-        ),
-        Hypothesis.COLOURED_NOISE: Meaning(
-            Level.WARN,
-            "the sensor's noise is alike from sample to sample: a filter in the sensor?",
-            "a gauss_markov disturbance of 0.02 to 0.1 s in the design would estimate it",
-        ),
-        Hypothesis.DRIFT: Meaning(
-            Level.WARN,
-            "the sensor moves away, or is wrong for a while",
-            "a larger density of its disturbance in the design would follow it",
-        ),
-        Hypothesis.TONE: Meaning(
-            Level.WARN,
-            "the sensor oscillates",
-            "a sinusoid among the design's disturbances would estimate it",
-        ),
-    },
-    RejectReason: {
-        reason: Meaning(Level.WARN, reason.value, remedy)
-        for reason, remedy in (
-            (RejectReason.NON_FINITE, "the driver has no reading; see what it logs"),
-            (
-                RejectReason.WRONG_JOINT,
-                "compare the names in the messages with the parameter `joints`",
-            ),
-            (
-                RejectReason.DUPLICATE,
-                "does a second publisher, or a bridge, send the same samples?",
-            ),
-            (
-                RejectReason.TOO_OLD,
-                "compare the clocks of sensor and node; `history` is the limit",
-            ),
-            (
-                RejectReason.FROM_FUTURE,
-                "compare the clocks of sensor and node; in simulations, `use_sim_time`",
-            ),
-            (RejectReason.GATED, "is the design this arm's, the unit rad, the sign right?"),
-            (
-                RejectReason.ZERO_STAMP,
-                "let the driver stamp with the time of sampling, or republish its messages with "
-                "stamps",
-            ),
-            (
-                RejectReason.IMPLAUSIBLE_TORQUE,
-                "is the unit N m? `torque_limit` has what is plausible",
-            ),
-            (
-                RejectReason.MISSING_INPUT,
-                "publish it in the same messages; `assume_zero_torque` takes a missing effort as 0",
-            ),
-            (
-                RejectReason.UNKNOWN_INPUT,
-                "the outputs are used; publish numbers to have narrower bounds",
-            ),
-        )
-    },
-}
-"""What every code means."""
+class Phase(enum.IntEnum):
+    """How fresh the measurements behind an estimate are, from best to worst."""
 
+    TRACKING = 0
+    COASTING = 1
+    WAITING = 2
+    STALE = 3
 
-def meaning(code: enum.Enum) -> Meaning:
-    """Return what a code means."""
-    return STATUSES[type(code)][code]
-
-
-def judged(code: enum.Enum) -> tuple[Level, str]:
-    """Return how bad a code is, and its text with the remedy."""
-    level, text, remedy = meaning(code)
-    return level, f"{text}; {remedy}" if remedy else text
-
-
-def words(code: enum.Enum) -> str:
-    """Return a code's name, for people."""
-    return code.name.lower().replace("_", " ")
+    @property
+    def level(self) -> Level:
+        """How bad it is."""
+        return (Level.OK, Level.WARN, Level.WARN, Level.ERROR)[self]
 
 
 def phase_of(age: float | None, coast_after: float, stale_after: float) -> Phase:

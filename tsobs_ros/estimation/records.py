@@ -1,14 +1,15 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Input and output of an estimator as plain records."""
+"""Input and output of an estimator as plain records, and what their codes mean."""
 
 import enum
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from tsobs_ros.checks import Array
+from tsobs_ros.estimation.health import Code, Level
 
 
 class Measurement(NamedTuple):
@@ -30,18 +31,46 @@ class RejectReason(enum.Enum):
     """Why a measurement was not used; the value is its name in reports.
 
     Of one with an implausible torque or an unknown input the outputs are used all the same.
+
+    Attributes:
+        remedy: What to do about it.
     """
 
-    NON_FINITE = "non-finite"
-    WRONG_JOINT = "wrong joint or shape"
-    DUPLICATE = "duplicate stamp"
-    TOO_OLD = "too old"
-    FROM_FUTURE = "from the future"
-    GATED = "gated"
-    ZERO_STAMP = "zero stamp"
-    IMPLAUSIBLE_TORQUE = "implausible torque"
-    MISSING_INPUT = "missing input"
-    UNKNOWN_INPUT = "unknown input"
+    remedy: str
+
+    def __new__(cls, value: str, remedy: str = "") -> Self:
+        reason = object.__new__(cls)
+        reason._value_, reason.remedy = value, remedy
+        return reason
+
+    NON_FINITE = "non-finite", "the driver has no reading; see what it logs"
+    WRONG_JOINT = (
+        "wrong joint or shape",
+        "compare the names in the messages with the parameter `joints`",
+    )
+    DUPLICATE = "duplicate stamp", "does a second publisher, or a bridge, send the same samples?"
+    TOO_OLD = "too old", "compare the clocks of sensor and node; `history` is the limit"
+    FROM_FUTURE = (
+        "from the future",
+        "compare the clocks of sensor and node; in simulations, `use_sim_time`",
+    )
+    GATED = "gated", "is the design this arm's, the unit rad, the sign right?"
+    ZERO_STAMP = (
+        "zero stamp",
+        "let the driver stamp with the time of sampling, or republish its messages with stamps",
+    )
+    IMPLAUSIBLE_TORQUE = (
+        "implausible torque",
+        "is the unit N m? `torque_limit` has what is plausible",
+    )
+    MISSING_INPUT = (
+        "missing input",
+        "publish it in the same messages; `assume_zero_torque` takes a missing effort as 0",
+    )
+    UNKNOWN_INPUT = (
+        "unknown input",
+        "the outputs are used; publish numbers to have narrower bounds",
+    )
 
 
 REASONS = (None, *RejectReason)
@@ -57,38 +86,97 @@ CORRECTING = (USED, IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT)
 """Outcomes of measurements whose outputs were used."""
 
 
-class Basis(enum.IntEnum):
-    """What the published bounds rest on; `health.STATUSES` says what each means."""
+class Basis(Code):
+    """What the published bounds rest on."""
 
-    CERTIFIED = 0
-    LEARNT = 1
-    COVARIANCE = 2
-    STARTING = 3
-    GAP = 4
-    JUMP = 5
-    CONTRADICTED = 6
-    HYPOTHESIS = 7
-    OUTSIDE = 8
+    CERTIFIED = 0, Level.OK, "the bound is certified"
+    LEARNT = (
+        1,
+        Level.OK,
+        "the bound holds: it is certified but for the uncertainty of the learnt parameters",
+    )
+    COVARIANCE = (
+        2,
+        Level.OK,
+        "the bound is not certified: it is the covariance along the estimate",
+    )
+    STARTING = (
+        3,
+        Level.OK,
+        "the bound is not certified yet: the estimate settles after a start",
+    )
+    GAP = (
+        4,
+        Level.OK,
+        "the bound is not certified: measurements or torques are missing or rejected",
+    )
+    JUMP = 5, Level.OK, "the bound is not certified: the sensor has jumped"
+    CONTRADICTED = (
+        6,
+        Level.WARN,
+        "the bound is void: the measurements contradict the design",
+        "the arm, the noise or the disturbance differs from it",
+    )
+    HYPOTHESIS = (
+        7,
+        Level.WARN,
+        "the bound is not certified: it is a covariance for an arm or a sensor unlike the design's",
+    )
+    OUTSIDE = (
+        8,
+        Level.WARN,
+        "the bound is void: the link angle is outside of the certificate's domain",
+    )
 
 
-class Learning(enum.IntEnum):
-    """What the learning of parameters does; `health.STATUSES` says what each means."""
+class Learning(Code):
+    """What the learning of parameters does."""
 
-    NONE = 0
-    STARTING = 1
-    ACTIVE = 2
+    NONE = 0, Level.OK, "nothing is learnt"
+    STARTING = 1, Level.OK, "learning waits until the estimate has settled"
+    ACTIVE = 2, Level.OK, "the parameters are being learnt"
 
 
-class Hypothesis(enum.IntEnum):
-    """What the estimate takes the arm and its sensor for; `health.STATUSES` says more."""
+class Hypothesis(Code):
+    """What the estimate takes the arm and its sensor for."""
 
-    AS_DESIGNED = 0
-    FORCE = 1
-    IMPERFECT = 2
-    LOUD = 3
-    COLOURED_NOISE = 4
-    DRIFT = 5
-    TONE = 6
+    AS_DESIGNED = 0, Level.OK, "arm and sensor behave as designed"
+    FORCE = (
+        1,
+        Level.WARN,
+        "the arm is pushed by something the model lacks: friction, contact, a payload?",
+        "a torque_disturbance in the design, or damping as an uncertain parameter, may explain it",
+    )
+    IMPERFECT = (
+        2,
+        Level.WARN,
+        "the arm moves in ways that the model lacks",
+        "its parameters are wrong, or process_noise in the design is too small",
+    )
+    LOUD = (
+        3,
+        Level.WARN,
+        "the sensor is much noisier than designed",
+        "a larger measurement_std would expect that",
+    )
+    COLOURED_NOISE = (
+        4,
+        Level.WARN,
+        "the sensor's noise is alike from sample to sample: a filter in the sensor?",
+        "a gauss_markov disturbance of 0.02 to 0.1 s in the design would estimate it",
+    )
+    DRIFT = (
+        5,
+        Level.WARN,
+        "the sensor moves away, or is wrong for a while",
+        "a larger density of its disturbance in the design would follow it",
+    )
+    TONE = (
+        6,
+        Level.WARN,
+        "the sensor oscillates",
+        "a sinusoid among the design's disturbances would estimate it",
+    )
 
 
 class Innovation(NamedTuple):

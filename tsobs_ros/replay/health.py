@@ -19,7 +19,6 @@ from tsobs_ros.estimation.events import (
     Event,
     EventLog,
 )
-from tsobs_ros.estimation.health import judged, words
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.series import NANOSECONDS
 
@@ -155,7 +154,7 @@ class Health(NamedTuple):
         likeliest = max(others, key=others.__getitem__, default=Hypothesis.AS_DESIGNED)
         # A cause under which little can be claimed is none.
         if likeliest in _OF_SENSOR and self.bases.get(Basis.CONTRADICTED, 0.0) <= 0.5 * wrong:
-            return f"{often}: {judged(likeliest)[1]}"
+            return f"{often}: {likeliest.judged[1]}"
         return (
             f"{often}: it seems to be of another arm, the torque of another sign, unit or "
             "joint, or there is a force that the design lacks"
@@ -171,7 +170,7 @@ class Health(NamedTuple):
             "bases": {basis.name.lower(): share for basis, share in self.bases.items()},
             "hypotheses": {one.name.lower(): share for one, share in self.hypotheses.items()},
             "learning": self.learning.name.lower(),
-            "learning_text": judged(self.learning)[1],
+            "learning_text": self.learning.judged[1],
             "hypothesis": self.hypothesis.name.lower(),
         }
 
@@ -181,13 +180,13 @@ class Health(NamedTuple):
             f"noise {self.noise_scale:.2f} times the design's, at most {self.max_noise_scale:.2f}",
             f"bounds {_shares(self.bases)}; claimed to hold {100.0 * self.claimed:.3g} %",
             f"taken for {_shares(self.hypotheses)}",
-            f"at the end {judged(self.learning)[1]}; {judged(self.hypothesis)[1]}",
+            f"at the end {self.learning.judged[1]}; {self.hypothesis.judged[1]}",
             *([f"warning: {self.misfit}"] if self.misfit else []),
         )
 
 
 def _shares(parts: Mapping[Any, float]) -> str:
-    return ", ".join(f"{100.0 * share:.3g} % {words(one)}" for one, share in parts.items())
+    return ", ".join(f"{100.0 * share:.3g} % {one.words}" for one, share in parts.items())
 
 
 def health_of(conditions: Array) -> Health | None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
-from tsobs_ros.estimation.health import Level, words
+from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.replay.health import CLAIMED, HYPOTHESIS
 from tsobs_ros.report.diagnosed import Diagnosed, FaultSpan
@@ -528,7 +528,7 @@ def _health(times: Array, values: Array) -> Plot:
     remark = (
         sizes,
         f"marked: no bound is claimed, {100.0 * void.mean():.3g} %",
-        *(f"{100.0 * share:.3g} % {words(one)}" for one, share in shares if share),
+        *(f"{100.0 * share:.3g} % {one.words}" for one, share in shares if share),
     )
     (edges,) = np.nonzero(np.diff(np.concatenate([[False], void, [False]])))
     ends = times[edges.clip(max=len(times) - 1)]

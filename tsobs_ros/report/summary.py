@@ -90,8 +90,7 @@ def summarise(
         until: Stamp of the last measurement [ns]; the silence after it is no fault of the run.
     """
     silences = sum(
-        one.event.text.startswith(Phase.COASTING.value) and one.event.stamp < until
-        for one in events
+        one.event.text.startswith(Phase.COASTING.name) and one.event.stamp < until for one in events
     )
     often = "once" if silences == 1 else f"{silences} times"
     parts = [

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from staging.stage import BEGIN, MS, PERIOD, Arm
 
-from tsobs_ros.estimation.health import Level, Status, judged
+from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.nodes.observer.joints import ObservedJoint, TorqueWatch, observed_joints
 from tsobs_ros.nodes.observer.messages import WRONG
@@ -103,7 +103,7 @@ def test_each_concern_of_one_joint_has_a_status() -> None:
         "premise domain": (Level.OK, "inside the certificate's domain"),
         "innovation": (Level.OK, found["innovation"].message),
         "sensor fault": (Level.OK, found["sensor fault"].message),
-        "certificate": judged(Basis.STARTING),
+        "certificate": Basis.STARTING.judged,
         "hypothesis": (Level.OK, "arm and sensor behave as designed"),
         "parameters": (Level.OK, "learning waits until the estimate has settled"),
     }

@@ -47,7 +47,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.design.published import record_text
 from tsobs_ros.estimation.events import Event
 from tsobs_ros.estimation.fault_shapes import FaultKind
-from tsobs_ros.estimation.health import Level, Status, meaning
+from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.records import REASONS, Estimate
 from tsobs_ros.methods import warning
 from tsobs_ros.nodes.managed import ManagedNode, Statuses
@@ -215,7 +215,7 @@ class Observer(ManagedNode[ObserverParameters]):
         found = f"{self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f}"
         self.log(
             Level.WARN,
-            f"{what} of {joint.name} rejected: {reason.value} ({found}): {meaning(reason).remedy}",
+            f"{what} of {joint.name} rejected: {reason.value} ({found}): {reason.remedy}",
         )
 
     def _publish(self, now: int) -> bool:

@@ -287,7 +287,7 @@ class ObservedJoint:
         text = event.text.replace("no measurement", "no usable measurement")
         return (
             f"{text}; {self.in_vain.total()} came and all were rejected, most: {main}; "
-            f"{health.meaning(RejectReason(main)).remedy}"
+            f"{RejectReason(main).remedy}"
         )
 
     def estimate(self, now: int, *, hold: bool) -> tuple[Estimate | None, Status | None]:

@@ -10,12 +10,11 @@ from collections.abc import Mapping, Sequence
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.estimation import health
 from tsobs_ros.estimation.events import NOISY, EventKind
-from tsobs_ros.estimation.health import Level, Phase, Status, judged, meaning, words
+from tsobs_ros.estimation.health import Level, Phase, Status
 from tsobs_ros.estimation.records import IMPLAUSIBLE_TORQUE, Estimate, Learning, RejectReason
 from tsobs_ros.nodes.managed import Statuses
 from tsobs_ros.nodes.observer.joints import NAMES, ObservedJoint, main_of
 
-_FROM_BEST_TO_WORST = (Phase.TRACKING, Phase.COASTING, Phase.WAITING, Phase.STALE)
 _MANY_REJECTED = 0.01
 _MANY_MISSED = 0.05
 _MANY_TORQUES, _ENOUGH = 0.2, 100
@@ -79,12 +78,12 @@ def _state_status(
 ) -> Status:
     """Return the worst state of joints, and why their samples are all refused if they are."""
     phases = [joint.phase(now) for joint in joints]
-    phase = max(phases, key=_FROM_BEST_TO_WORST.index)
+    phase = max(phases)
     if not enabled:
         return Status("state", Level.WARN, "DISABLED", values)
     if failed:
-        return Status("state", Level.ERROR, f"{phase.value}, after a numerical failure", values)
-    level, message = meaning(phase).level, phase.value
+        return Status("state", Level.ERROR, f"{phase.name}, after a numerical failure", values)
+    level, message = phase.level, phase.name
     in_it = [joint for joint, each in zip(joints, phases, strict=True) if each is phase]
     refused = main_of(sum((joint.newly for joint in in_it if joint.in_vain), Counter()))
     if refused and phase is not Phase.TRACKING:
@@ -131,7 +130,7 @@ def _measurement_status(joints: Sequence[ObservedJoint]) -> Status:
     amount = f"{100.0 * share:.0f} % of" if many else f"{causes.total()} in"
     now = main_of(sum((joint.newly for joint in joints), Counter()))
     most = now or main_of(causes)
-    values["remedy"] = meaning(RejectReason(most)).remedy
+    values["remedy"] = RejectReason(most).remedy
     message = f"{amount} the last minute rejected, most: {most}{'' if now else ', none now'}"
     if recent[NAMES[IMPLAUSIBLE_TORQUE]] > _MANY_TORQUES * max(recent["received"], _ENOUGH):
         message += f"; {_BEYOND_LIMIT}"
@@ -157,15 +156,15 @@ def _estimate_statuses(joint: ObservedJoint, now: int) -> list[Status]:
     if estimate is None:
         return statuses
     if isinstance(request, ArmRequest):
-        values = {"hypothesis": words(estimate.hypothesis)}
+        values = {"hypothesis": estimate.hypothesis.words}
         values |= _since(joint, EventKind.HYPOTHESIS, now)
-        statuses.append(Status("hypothesis", *judged(estimate.hypothesis), values))
+        statuses.append(Status("hypothesis", *estimate.hypothesis.judged, values))
     if joint.learnt:
         learnt = zip(joint.learnt, estimate.parameters, estimate.parameter_bound, strict=True)
         values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
-        values["learning"] = words(estimate.learning)
+        values["learning"] = estimate.learning.words
         values |= _since(joint, EventKind.LEARNING, now)
-        level, message = judged(estimate.learning)
+        level, message = estimate.learning.judged
         if estimate.learning is Learning.ACTIVE:
             valid = estimate.parameters_valid
             message = "learnt" if valid else "not yet: the motion is too poor"
@@ -238,9 +237,9 @@ def _certificate_status(joint: ObservedJoint, now: int) -> Status:
     if estimate is None:
         return Status("certificate", Level.OK, "no estimate yet", values)
     values["claimed"] = "yes" if estimate.claimed else "no"
-    values["basis"] = words(estimate.basis)
+    values["basis"] = estimate.basis.words
     values |= _since(joint, EventKind.BOUND, now)
-    return Status("certificate", *judged(estimate.basis), values)
+    return Status("certificate", *estimate.basis.judged, values)
 
 
 def _summary_status(statuses: Mapping[str, Sequence[Status]]) -> Status:
