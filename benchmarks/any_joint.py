@@ -26,7 +26,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.fault_shapes import FaultKind
-from tsobs_ros.estimation.faults import FaultMonitor, add_samples, new_watches
+from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.series import NANOSECONDS
@@ -198,31 +198,23 @@ def contact(case: Case, design: Design, seeds: Sequence[int]) -> Contact:
     side = request.torque_sides.index("link")
     for place in range(len(seeds)):
         tracker = make_tracker(design, ObserverSettings())
-        watches = new_watches([each.measurement_std for each in request.sensors])
-        monitors = [
-            FaultMonitor(each.measurement_std, watch=watches[output : output + 1])
-            for output, each in enumerate(request.sensors)
-        ]
+        monitor = FaultMonitor([each.measurement_std for each in request.sensors])
         beyond, kept, times = [], [], []
         for begin in range(0, len(stamps), every):
             part = slice(begin, begin + every)
             y, u = runs.measurements[place, part], runs.torques[place, part]
             found = tracker.offer_many(stamps[part], y, u, int(stamps[-1]))
-            samples = (y, found.output_codes, found.innovations, found.expected_std)
-            add_samples(watches, stamps[part], *(np.ascontiguousarray(each.T) for each in samples))
+            monitor.measured(stamps[part], y, *found[1:])
             last = min(begin + every, len(stamps)) - 1
             estimate = tracker.estimate(int(stamps[last]))
             if estimate is None:
                 continue
             when = "before" if runs.times[last] < _CONTACT else "after"
-            for output, monitor in enumerate(monitors):
-                fault = monitor.estimated(
-                    int(stamps[last]),
-                    float(estimate.disturbance[output]),
-                    float(estimate.disturbance_bound[output]),
-                )
-                if runs.times[last] >= _START:
-                    counts[when][names[output]][fault.kind.value] += 1
+            disturbance = estimate.disturbance, estimate.disturbance_bound
+            monitor.estimated(int(stamps[last]), *disturbance)
+            if runs.times[last] >= _START:
+                for name, sensor in zip(names, monitor.sensors, strict=True):
+                    counts[when][name][sensor.fault.kind.value] += 1
             truth = [
                 runs.torque_disturbances[place, last, 1:],
                 runs.disturbances[place, last],

@@ -90,22 +90,21 @@ def _run(design: Design, case: _Case, seed: int, duration: float) -> _Run:
     scenario = replace(case.scenario, rate=design.request.rate)
     plant = Plant(scenario, seed)
     observer = design.supervised()
-    monitor = FaultMonitor(design.request.measurement_std)
+    monitor = FaultMonitor([design.request.measurement_std])
     state, kinds, costs = observer.initial(), [], []
-    period = observer.period
+    period, used = observer.period, np.zeros((1, 1), np.int64)
     for index in range(round(duration * scenario.rate)):
         if case.sensor is not None and index == round(_ONSET * scenario.rate):
             plant.exchange_sensor(case.sensor)
         sample = plant.step()
         state, correction = observer.correct(state, sample.measurement)
         known = observer.readout(state)
-        y, innovation = float(sample.measurement[0]), float(correction.innovation[0])
-        std = math.sqrt(correction.innovation_covariance[0, 0])
-        disturbance, bound = float(known.disturbance[0]), float(known.disturbance_bound[0])
+        std = np.sqrt(correction.innovation_covariance[0])
         stamp = 1_000_000_000 + round(sample.time * 1e9)
         started = time.thread_time_ns()
-        monitor.measured(stamp, y, innovation, std)
-        kinds.append(monitor.estimated(stamp, disturbance, bound).kind)
+        monitor.measured([stamp], [sample.measurement], used, [correction.innovation], [std])
+        monitor.estimated(stamp, known.disturbance, known.disturbance_bound)
+        kinds.append(monitor.sensors[0].fault.kind)
         costs.append(time.thread_time_ns() - started)
         state = observer.predict(state, sample.torque, period)
     return _Run(kinds, costs)

@@ -16,7 +16,7 @@ from tsobs_ros import core
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.faults import new_watches
+from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.records import REASONS
 from tsobs_ros.estimation.state import Shape, new_model
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
@@ -85,12 +85,12 @@ def calls() -> dict[str, dict[str, Any]]:
         "history_estimate": {**memories, "stamp": 10**9, "row": zeros(width)},
         "history_advance": {**memories, **given, **results, **ticks},
         "faults_add_samples": {
-            "watches": numbers(new_watches([0.1, 0.2])), "stamps": stamps, "y": zeros(2, COUNT),
-            "codes": zeros(2, COUNT, kind=int), "innovations": zeros(2, COUNT),
-            "expected_std": zeros(2, COUNT),
+            "watches": numbers(FaultMonitor([0.1, 0.2]).watches), "stamps": stamps,
+            "y": zeros(2, COUNT), "codes": zeros(2, COUNT, kind=int),
+            "innovations": zeros(2, COUNT), "expected_std": zeros(2, COUNT),
         },
         "faults_add_estimates": {
-            "watches": numbers(new_watches([0.1])), "stamp": 1, "disturbances": zeros(1),
+            "watches": numbers(FaultMonitor([0.1]).watches), "stamp": 1, "disturbances": zeros(1),
             "bounds": zeros(1),
         },
         "advance_all": {

@@ -11,15 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.fault_shapes import shape_of
-from tsobs_ros.estimation.faults import (
-    Fault,
-    FaultKind,
-    FaultMonitor,
-    add_estimates,
-    add_samples,
-    new_watches,
-)
+from tsobs_ros.estimation.fault_shapes import Fault, FaultKind, shape_of
+from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -48,6 +41,14 @@ def swing(time: float) -> float:
     return 0.3 * math.sin(time)
 
 
+def add(monitor: FaultMonitor, stamp: int, y: float, innovation: float, w: float) -> Fault:
+    """Take in a sample and the estimate after it, and return the fault."""
+    used = np.zeros((1, 1), np.int64)
+    monitor.measured([stamp], [[y]], used, [[innovation]], [[STD]])
+    monitor.estimated(stamp, np.array([w]), np.array([BOUND]))
+    return monitor.sensors[0].fault
+
+
 def feed(
     monitor: FaultMonitor,
     disturbance: Signal,
@@ -65,14 +66,13 @@ def feed(
         now = stamp / SECOND
         r = colour * r + math.sqrt(1.0 - colour**2) * noise * float(rng.standard_normal())
         predicted = motion(now) + disturbance(now)
-        monitor.measured(stamp, predicted + STD * r, STD * r, STD)
         wander = 0.003 * math.sin(7.3 * now)
-        faults.append(monitor.estimated(stamp, disturbance(now) + wander, BOUND))
+        faults.append(add(monitor, stamp, predicted + STD * r, STD * r, disturbance(now) + wander))
     return faults
 
 
 def test_a_bias_is_told_with_its_size_and_when_it_was_first_seen() -> None:
-    faults = feed(FaultMonitor(STD), lambda t: 0.1 if t >= 21.0 else 0.0, 30.0)
+    faults = feed(FaultMonitor([STD]), lambda t: 0.1 if t >= 21.0 else 0.0, 30.0)
     kinds = [fault.kind for fault in faults]
     told = kinds.index(FaultKind.BIAS)
     assert 20.5 <= told / 200 <= 22.0
@@ -89,13 +89,13 @@ def test_a_bias_is_told_with_its_size_and_when_it_was_first_seen() -> None:
 
 
 def test_a_ramp_is_a_drift_with_its_rate() -> None:
-    monitor = FaultMonitor(STD)
+    monitor = FaultMonitor([STD])
     last = feed(monitor, lambda t: 0.01 * (t - 1.0), 25.0)[-1]
     assert last.kind is FaultKind.DRIFT
-    values = monitor.status(27 * SECOND).values
+    values = monitor.sensors[0].status(27 * SECOND).values
     assert {"kind", "since"} < values.keys()
     assert any(key.startswith("rate") for key in values)
-    assert monitor.innovation_status().level is Level.OK
+    assert monitor.sensors[0].innovation_status().level is Level.OK
     assert last.rate == pytest.approx(0.01, rel=0.1)
     assert last.frequency is None
     assert last.magnitude == pytest.approx(0.245, abs=0.01)
@@ -104,7 +104,7 @@ def test_a_ramp_is_a_drift_with_its_rate() -> None:
 
 def test_louder_white_innovations_are_noise_of_their_size() -> None:
     noise = 1.8
-    faults = feed(FaultMonitor(STD), nothing, 10.0, noise=noise)
+    faults = feed(FaultMonitor([STD]), nothing, 10.0, noise=noise)
     assert {fault.kind for fault in faults[400:]} == {FaultKind.NOISE}
     last = faults[-1]
     assert last.level is Level.WARN
@@ -114,7 +114,7 @@ def test_louder_white_innovations_are_noise_of_their_size() -> None:
 
 
 def test_large_innovations_with_a_colour_are_unknown_and_nothing_is_bounded() -> None:
-    last = feed(FaultMonitor(STD), nothing, 10.0, noise=3.0, colour=0.9)[-1]
+    last = feed(FaultMonitor([STD]), nothing, 10.0, noise=3.0, colour=0.9)[-1]
     assert last.kind is FaultKind.UNKNOWN
     assert last.level is Level.WARN
     assert last.bound == math.inf
@@ -125,13 +125,12 @@ def stick(monitor: FaultMonitor, begin: float, seconds: float) -> list[Fault]:
     faults = []
     for k in range(round(200 * seconds)):
         stamp = round(begin * SECOND) + k * PERIOD
-        monitor.measured(stamp, 0.2 + (k % 2) * 0.01 * STD, 0.0, STD)
-        faults.append(monitor.estimated(stamp, 0.0, BOUND))
+        faults.append(add(monitor, stamp, 0.2 + (k % 2) * 0.01 * STD, 0.0, 0.0))
     return faults
 
 
 def test_samples_that_repeat_are_stuck_within_a_tenth_of_a_second() -> None:
-    monitor = FaultMonitor(STD)
+    monitor = FaultMonitor([STD])
     feed(monitor, nothing, 5.0)
     faults = stick(monitor, 6.0, 1.0)
     kinds = [fault.kind for fault in faults]
@@ -166,20 +165,17 @@ def test_frequent_outliers_are_noise_and_the_steps_of_an_encoder_are_not(
     """As the node has it, which the gated samples do not pass by."""
     design = load_design(config_path(SHIPPED_DESIGN))
     tracker, std = make_tracker(design, ObserverSettings()), design.request.measurement_std
-    watch = new_watches([std])
-    monitor, run = FaultMonitor(std, watch=watch), simulate(scenario, [3], 40.0)
+    monitor, run = FaultMonitor([std]), simulate(scenario, [3], 40.0)
     kinds: Counter[FaultKind] = Counter()
     for k, (y, u) in enumerate(zip(run.measurements[0], run.torques[0], strict=False)):
         stamp = SECOND + k * PERIOD
-        _, codes, innovations, deviations = tracker.offer_many([stamp], [y], [u], stamp)
-        samples = (codes.T.copy(), innovations.T, deviations.T)
-        add_samples(watch, np.array([stamp]), np.array([y]), *samples)
+        outcomes = tracker.offer_many([stamp], [y], [u], stamp)
+        monitor.measured([stamp], [y], *outcomes[1:])
         known = tracker.estimate(stamp)
         assert known is not None
-        if add_estimates(watch, stamp, known.disturbance, known.disturbance_bound):
-            monitor.judge(float(known.disturbance[0]), float(known.disturbance_bound[0]))
+        monitor.estimated(stamp, known.disturbance, known.disturbance_bound)
         if k >= 4000:
-            kinds[monitor.fault.kind] += 1
+            kinds[monitor.sensors[0].fault.kind] += 1
     assert kinds[kind] >= 0.9 * kinds.total()
 
 
@@ -218,13 +214,12 @@ def coarse(angle: NDArray[np.float64]) -> NDArray[np.float64]:
 def test_a_sensor_is_stuck_if_its_noise_is_gone_or_its_arm_moves(
     reading: NDArray[np.float64], predicted: NDArray[np.float64], stuck_after: float | None
 ) -> None:
-    watches, seen = new_watches([STD]), []
+    monitor, seen = FaultMonitor([STD]), []
     for time, y, innovation in zip(TIMES, reading, reading - predicted, strict=True):
         stamp = SECOND + round(time * SECOND)
-        given = np.array([[[y]], [[innovation]], [[1.05 * STD]]])
-        codes = np.zeros((1, 1), np.int64)
-        add_samples(watches, np.array([stamp]), given[0], codes, given[1], given[2])
-        seen.append(bool(watches[0].stuck))
+        used = np.zeros((1, 1), np.int64)
+        monitor.measured([stamp], [[y]], used, [[innovation]], [[1.05 * STD]])
+        seen.append(bool(monitor.watches[0].stuck))
     if stuck_after is None:
         assert not any(seen)
     else:

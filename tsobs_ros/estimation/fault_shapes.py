@@ -15,10 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array
+from tsobs_ros.estimation.health import Level
 
-LEVEL_SIGMAS = 4.0
-"""A disturbance, or the amplitude of a tone, counts from so many bounds on."""
-
+_LEVEL_SIGMAS = 4.0
 _FLAT_SIGMAS = 1.5
 _TONE_SIGMAS = 3.0
 _OWN_MOTION = 1.0
@@ -43,30 +42,32 @@ class FaultKind(enum.Enum):
     UNKNOWN = "unknown"
 
 
-class Shape(NamedTuple):
-    """The history in a few numbers.
+class Fault(NamedTuple):
+    """A fault of the sensor; numbers are in its unit.
 
     Attributes:
-        kind: NONE, BIAS, DRIFT, OSCILLATION or UNKNOWN.
-        magnitude: Its present size, of a tone its amplitude [rad].
-        rate: Slope of a drift [rad/s], else None.
-        frequency: Of a tone [rad/s], else None.
+        kind: What it looks like.
+        magnitude: Of a bias or drift its present size, of an oscillation its amplitude, of noise
+            its standard deviation, else the largest disturbance of the last second.
+        bound: 1σ of the magnitude; infinite if the model does not hold.
+        level: How bad it is: of a size by the limits, WARN if the innovations are too large, ERROR
+            if the sensor is stuck or missing.
+        since: Stamp at which the kind was first seen [ns], None if there never was another.
+        rate: Of a drift [1/s], else None.
+        frequency: Of an oscillation [rad/s], else None.
     """
 
-    kind: FaultKind
-    magnitude: float
+    kind: FaultKind = FaultKind.NONE
+    magnitude: float = 0.0
+    bound: float = math.inf
+    level: Level = Level.OK
+    since: int | None = None
     rate: float | None = None
     frequency: float | None = None
 
 
-class _Tone(NamedTuple):
-    residual: float
-    amplitude: float
-    frequency: float
-
-
-def shape_of(times: Array, values: Array, motion: Array, bound: float) -> Shape:
-    """Return the shape of a history.
+def shape_of(times: Array, values: Array, motion: Array, bound: float) -> Fault:
+    """Return NONE, BIAS, DRIFT, OSCILLATION or UNKNOWN, the shape of a history.
 
     A recent tone is looked for in the last third too, if no curve explains the whole.
 
@@ -85,30 +86,29 @@ def shape_of(times: Array, values: Array, motion: Array, bound: float) -> Shape:
     return late if late.kind is FaultKind.OSCILLATION else whole
 
 
-def _shape(times: Array, values: Array, motion: Array, bound: float) -> Shape:
+def _shape(times: Array, values: Array, motion: Array, bound: float) -> Fault:
     recent = values[times > times[-1] - _NOW]
     now = float(recent.mean())
     flat = _root_mean_square(values - values.mean())
-    unknown = Shape(FaultKind.UNKNOWN, float(np.abs(recent).max()))
-    constant = Shape(
-        FaultKind.BIAS if abs(now) > LEVEL_SIGMAS * bound else FaultKind.NONE, abs(now)
+    unknown = Fault(FaultKind.UNKNOWN, float(np.abs(recent).max()))
+    constant = Fault(
+        FaultKind.BIAS if abs(now) > _LEVEL_SIGMAS * bound else FaultKind.NONE, abs(now)
     )
     if flat <= _FLAT_SIGMAS * bound:
         return constant
-    step, tone = _step_residual(values), _tone(times, values)
+    step, (tone, amplitude, frequency) = _step_residual(values), _tone(times, values)
     cubic, slope = _cubic(times, values)
     enough = max(_FLAT_SIGMAS * bound, _EXPLAINED * flat)
-    if tone.amplitude > _TONE_SIGMAS * bound and tone.residual < min(
-        enough, _CLEARLY * step, _CLEARLY * cubic
-    ):
-        own = _part_of(tone.frequency, times, motion)
-        if own > _OWN_MOTION * _part_of(tone.frequency, times, values):
+    explains = tone < min(enough, _CLEARLY * step, _CLEARLY * cubic)
+    if explains and amplitude > _TONE_SIGMAS * bound:
+        own = _part_of(frequency, times, motion)
+        if own > _OWN_MOTION * _part_of(frequency, times, values):
             return unknown
-        return Shape(FaultKind.OSCILLATION, tone.amplitude, frequency=tone.frequency)
+        return Fault(FaultKind.OSCILLATION, amplitude, frequency=frequency)
     if step < min(enough, cubic):
         return constant
     if cubic < enough and times[-1] - times[0] >= _SHORTEST:
-        return Shape(FaultKind.DRIFT, abs(now), rate=slope)
+        return Fault(FaultKind.DRIFT, abs(now), rate=slope)
     return unknown
 
 
@@ -135,8 +135,8 @@ def _cubic(times: Array, values: Array) -> tuple[float, float]:
     return _root_mean_square(values - basis @ fit), float(last) / (2.0 / 3.0 * half)
 
 
-def _tone(times: Array, values: Array) -> _Tone:
-    """Return the tone, on a line, that leaves least."""
+def _tone(times: Array, values: Array) -> tuple[float, float, float]:
+    """Return what the tone, on a line, leaves that leaves least, its amplitude and frequency."""
     n, elapsed = len(values), times - times[0]
     spacing = float(elapsed[-1]) / (n - 1)
     line = np.stack([np.ones(n), elapsed], axis=1)
@@ -153,7 +153,7 @@ def _tone(times: Array, values: Array) -> _Tone:
     basis = np.column_stack([line, np.cos(angle), np.sin(angle)])
     fit = _least_squares(basis, values)
     amplitude = math.hypot(fit[2], fit[3])
-    return _Tone(_root_mean_square(values - basis @ fit), amplitude, frequency)
+    return _root_mean_square(values - basis @ fit), amplitude, frequency
 
 
 def _part_of(frequency: float, times: Array, values: Array) -> float:

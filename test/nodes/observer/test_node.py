@@ -325,7 +325,7 @@ def test_parameters_are_refused_with_a_reason_or_taken_over_by_all_joints_and_pu
     assert [gate.tolist() for gate in gates] == [[5.0], [5.0]]
     assert node.set_parameters_atomically(parameters[:2]).successful
     for joint in node.joints:
-        assert joint.faults[0].limits.hold == 1.0
+        assert joint.faults.limits.hold == 1.0
         assert joint.tracker.estimator.model["gate"].tolist() == [4.0]
 
     # For those who come later too.

@@ -260,10 +260,10 @@ class Observer(ManagedNode[ObserverParameters]):
         """Log the outputs that messages have lacked for some seconds, each time once."""
         for joint in self._joints:
             names = joint.loaded.design.request.output_names
-            for output, place, monitor in zip(
-                names, joint.signals.outputs, joint.faults, strict=True
+            for output, place, sensor in zip(
+                names, joint.signals.outputs, joint.faults.sensors, strict=True
             ):
-                fault, key = monitor.fault, (joint.name, output)
+                fault, key = sensor.fault, (joint.name, output)
                 if fault.kind is not FaultKind.MISSING or fault.since is None:
                     self._missing.discard(key)
                 elif fault.since <= now - _PATIENCE and key not in self._missing:

@@ -15,7 +15,7 @@ from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation import health, records
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import Event, EventKind, EventLog
-from tsobs_ros.estimation.faults import FaultMonitor, add_estimates, add_samples, new_watches
+from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.health import Debounce, Level, Phase, Status
 from tsobs_ros.estimation.records import REASONS, USED, Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
@@ -126,7 +126,7 @@ class ObservedJoint:
         tracker: Orders its measurements and estimates.
         received: Number of its samples since the start: used + rejected.
         latest: The latest estimate, None before the first.
-        faults: Recognise the faults of its outputs, one each.
+        faults: Recognises the faults of its outputs.
         events: Finds changes of what its estimates are worth.
         torques: Watches its torque disturbance.
         method: Name of the method that estimates.
@@ -173,11 +173,7 @@ class ObservedJoint:
         self.latest: Estimate | None = None
         limits = self._parameters.fault
         stds = np.sqrt(np.diag(self.loaded.design.request.measurement_covariance)).tolist()
-        self.watches, self._open = new_watches(stds), np.full(len(stds), math.inf)
-        self.faults = tuple(
-            FaultMonitor(std, limits, self.watches[place : place + 1], unit)
-            for place, (std, unit) in enumerate(zip(stds, self.signals.units, strict=True))
-        )
+        self.faults = FaultMonitor(stds, limits)
         self.torques = TorqueWatch(
             self._sides, self._parameters.torque_warn_of[self.name], limits.hold
         )
@@ -188,8 +184,7 @@ class ObservedJoint:
         self.events.coast_after = parameters.coast_after
         self.torques.level = parameters.torque_warn_of[self.name]
         self.torques.hold = parameters.fault.hold
-        for monitor in self.faults:
-            monitor.limits = parameters.fault
+        self.faults.limits = parameters.fault
         if self.tracker.estimator.supervised:
             self.tracker.estimator.supervise(parameters.supervision)
 
@@ -236,15 +231,8 @@ class ObservedJoint:
 
     def _use(self, stamps: Stamps, y: Array, u: Array, now: int) -> tuple[Stamps, Array]:
         """Return the outcomes of samples and their innovations."""
-        codes = np.zeros(len(stamps), np.int64)
-        output_codes = np.zeros(y.shape, np.int64)
-        innovations, expected_std = np.empty((2, *y.shape))
-        self.tracker.offer_into(stamps, y, u, now, codes, output_codes, innovations, expected_std)
-        # A column of one and a row of one are the same numbers.
-        by_output = [
-            np.ascontiguousarray(each.T) for each in (y, output_codes, innovations, expected_std)
-        ]
-        add_samples(self.watches, stamps, *by_output)
+        codes, output_codes, innovations, std = self.tracker.offer_many(stamps, y, u, now)
+        self.faults.measured(stamps, y, output_codes, innovations, std)
         # Of several outputs one may be missing from a sample that is used.
         innovations[output_codes != USED] = math.nan
         return codes, innovations
@@ -304,13 +292,8 @@ class ObservedJoint:
         if estimate is None:
             return None, None
         self.latest = estimate
-        disturbance = estimate.disturbance
-        if disturbance.size:
-            bound = estimate.disturbance_bound if estimate.disturbance_bound.size else self._open
-            if add_estimates(self.watches, now, disturbance, bound):
-                pairs = zip(disturbance.tolist(), bound.tolist(), strict=True)
-                for monitor, each in zip(self.faults, pairs, strict=True):
-                    monitor.judge(*each)
+        if estimate.disturbance.size:
+            self.faults.estimated(now, estimate.disturbance, estimate.disturbance_bound)
         return estimate, self.torques.update(estimate)
 
     def _held(self) -> Estimate | None:

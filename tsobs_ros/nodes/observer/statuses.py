@@ -119,7 +119,7 @@ def _measurement_status(joints: Sequence[ObservedJoint]) -> Status:
         "last minute: received": str(recent["received"]),
         "last minute: rejected": str(causes.total()),
     }
-    if len(joints) == 1 and len(joints[0].faults) > 1:
+    if len(joints) == 1 and len(joints[0].faults.sensors) > 1:
         names = joints[0].loaded.design.request.output_names
         for output, counts in zip(names, trackers[0].output_counts, strict=True):
             values |= {f"{output}: {what}": str(count) for what, count in counts.items()}
@@ -140,7 +140,8 @@ def _measurement_status(joints: Sequence[ObservedJoint]) -> Status:
 def _estimate_statuses(joint: ObservedJoint, now: int) -> list[Status]:
     estimate, request = joint.latest, joint.loaded.design.request
     names = request.output_names
-    faults = [monitor.status(now) for monitor in joint.faults]
+    pairs = zip(joint.faults.sensors, joint.signals.units, strict=True)
+    faults = [sensor.status(now, unit) for sensor, unit in pairs]
     if len(names) > 1:
         faults = [
             status._replace(name=f"{status.name} of {output}")
@@ -182,7 +183,8 @@ def _innovation_status(joint: ObservedJoint) -> Status:
     """Return whether the innovations are as the design expects, and how large the noise is."""
     names = joint.loaded.design.request.output_names
     each = {
-        name: monitor.innovation_status() for name, monitor in zip(names, joint.faults, strict=True)
+        name: sensor.innovation_status()
+        for name, sensor in zip(names, joint.faults.sensors, strict=True)
     }
     output, (name, level, message, values) = max(each.items(), key=lambda item: item[1].level)
     if len(each) > 1:
