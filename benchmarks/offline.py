@@ -30,7 +30,6 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, make_runs, run_all
 from tsobs_ros.replay.source import BagSource
-from tsobs_ros.replay.windows import WINDOW
 from tsobs_ros.simulation.plant import Plant
 from tsobs_ros.simulation.scenarios import SCENARIOS
 
@@ -73,7 +72,7 @@ def _record(path: Path, design: Design, seconds: float) -> None:
 def _estimate(bag: Path, design: Design, output: Path | None) -> None:
     source = BagSource(bag)
     observer = Observer("observer", ObserverSettings(), (DesignFile.of(design),))
-    runs = make_runs(source, [observer], rate=None, as_live=True, window=WINDOW)
+    runs = make_runs(source, [observer], rate=None, as_live=True)
     run_all(source, runs, output)
     done = runs[0].estimates
     assert done == source.count, f"{done} estimates of {source.count} samples"

@@ -350,7 +350,7 @@ def estimate_bag(
     from tsobs_ros.replay.estimate import make_runs, run_all
 
     source, observers = _observers(path, design, settings, (), joints)
-    (run,) = runs = make_runs(source, observers, rate=rate, as_live=rate is None)
+    (run,) = runs = make_runs(source, observers, rate=rate, as_live=rate is None, window=None)
     run_all(source, runs, None if output is None else Path(output))
     agreement = run.agreement()
     return BagEstimates(
@@ -437,19 +437,19 @@ def _observers(
 
 
 def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
-    table, p = run.table, len(run.signals[joint].outputs)
-    estimator = run.loop.trackers[joint].estimator
+    p = len(run.signals[joint].outputs)
+    estimator = run.trackers[joint].estimator
     outputs_shape = (p,) if p > 1 else ()
-    innovations = table.innovations[joint]
+    innovations = run.innovations[joint]
     used = np.isfinite(innovations).any(axis=1)
     estimated = run.window.ticks.estimated
     return Estimates(
         time=run.window.ticks.stamps[estimated] / NANOSECONDS,
         innovation=innovations[used].reshape(-1, *outputs_shape),
         innovation_time=run.window.samples.stamps[used] / NANOSECONDS,
-        **_columns_of(table.rows[joint][estimated], estimator, outputs_shape),
+        **_columns_of(run.rows[joint][estimated], estimator, outputs_shape),
         used=int(used.sum()),
-        rejected={reason.value: n for reason, n in run.loop.rejected.items()},
+        rejected={reason.value: n for reason, n in run.rejected.items()},
     )
 
 

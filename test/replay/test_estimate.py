@@ -39,7 +39,7 @@ def observed(bag: Path) -> list[tuple[str, bytes, int]]:
 
 
 def states(run: Run, joint: int = 0) -> np.ndarray:
-    return run.table.values(joint, "state")
+    return run.values(joint, "state")
 
 
 def test_a_tick_includes_only_what_has_arrived(arms, design, write_bag, estimate) -> None:
@@ -47,7 +47,7 @@ def test_a_tick_includes_only_what_has_arrived(arms, design, write_bag, estimate
 
     tracker = make_tracker(design, ObserverSettings())
     offered = 0
-    for k, stamp in enumerate(run.window.ticks.stamps[run.table.done].tolist()):
+    for k, stamp in enumerate(run.window.ticks.stamps[run.done].tolist()):
         assert stamp == START + LATENCY + k * 10_000_000
         while offered < 300 and START + offered * PERIOD + LATENCY <= stamp:
             sample = Measurement(START + offered * PERIOD, arms.y[offered, :1], arms.u[offered, :1])
@@ -56,7 +56,7 @@ def test_a_tick_includes_only_what_has_arrived(arms, design, write_bag, estimate
         assert states(run)[k].tolist() == tracker.estimate(stamp).state.tolist()
     assert offered == 299
     # The last one is used without a tick.
-    assert run.loop.used == 300
+    assert run.used == 300
 
 
 @pytest.mark.parametrize(("rate", "joints"), [(None, 1), (130.0, 2)])
@@ -81,12 +81,12 @@ def test_a_recorded_run_is_reproduced(arms, write_bag, estimate, tmp_path, joint
     data = [sorted(one[:2] for one in observed(tmp_path / name)) for name in ("live", "again")]
     assert data[0] == data[1]
     for run in (live, again):
-        assert run.loop.rejected == {
+        assert run.rejected == {
             RejectReason.GATED: 3 * joints,
             RejectReason.DUPLICATE: joints,
             RejectReason.WRONG_JOINT: joints,
         }
-    assert again.loop.rewinds == live.loop.rewinds > 0
+    assert again.rewinds == live.rewinds > 0
 
 
 def test_what_comes_together_is_used_by_its_stamps(arms, write_bag, estimate) -> None:
@@ -100,8 +100,8 @@ def test_what_comes_together_is_used_by_its_stamps(arms, write_bag, estimate) ->
 
     run = estimate(write_bag(backwards), rate=100.0)
 
-    assert run.loop.used == 310
-    assert run.loop.rewinds == 0
+    assert run.used == 310
+    assert run.rewinds == 0
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ def test_what_the_live_observer_did_not_receive_is_left_out(
     agreement = run.agreement()
     assert agreement.reproduced == agreement.recorded == 54, agreement.text()
     assert agreement.not_received == len(unheard)
-    assert run.loop.used == (99 - len(unheard)) * joints
+    assert run.used == (99 - len(unheard)) * joints
     assert f"without {len(unheard)} measurements that did not reach it" in agreement.text()
 
 
@@ -207,7 +207,7 @@ def test_without_a_tick_log_estimates_are_at_the_measurements_and_a_note_says_so
 def test_every_method_runs(arms, write_bag, estimate, tmp_path, method) -> None:
     run = estimate(write_bag(arms.messages(50)), output="new", method=method)
 
-    assert run.table.done.all()
+    assert run.done.all()
     counts = {name: topic.count for name, topic in BagReader(tmp_path / "new").topics.items()}
     bounded = 50 if method in ("certified", *FILTERS) else 0
     assert counts["/observer/joint_states"] == 50
@@ -231,7 +231,7 @@ def test_what_cannot_be_used_is_counted(arms, write_bag, estimate) -> None:
     messages += [("/joint_measurements", data, time + k) for k, data in enumerate(bad, 1)]
 
     bag = write_bag(messages)
-    rejected = estimate(BagSource(bag, joints=["elbow"])).loop.rejected
+    rejected = estimate(BagSource(bag, joints=["elbow"])).rejected
 
     assert rejected == {
         RejectReason.NON_FINITE: 1,

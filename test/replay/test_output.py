@@ -175,7 +175,7 @@ def test_a_damaged_bag_is_copied_one_by_one_up_to_the_damage(
     assert topics[TRUTH].count in (30, 31)
     # Damage in the truth costs no estimates.
     used = 60 if topic == TRUTH else 30
-    assert run.loop.used == topics["/observer/joint_states"].count == used
+    assert run.used == topics["/observer/joint_states"].count == used
 
 
 def test_damage_that_comes_while_a_bag_is_copied_ends_the_copy(

@@ -119,7 +119,9 @@ def estimate(
     file = load_design_file(design)
     source.take_for_system([file.design.request])
     observer = Observer("observer", ObserverSettings(), (file,) * len(source.joints))
-    (run,) = make_runs(source, [observer], **{"rate": None, "as_live": True, **options})
+    (run,) = make_runs(
+        source, [observer], **{"rate": None, "as_live": True, "window": None, **options}
+    )
     run_all(source, [run], output)
     return run
 
@@ -148,10 +150,10 @@ def test_estimates_with_two_encoders_are_those_of_arrays_and_repeated_to_the_bit
     run = estimate(bag, BOTH, tmp_path / "live")
 
     expected = ts.estimate(ts.load_design(BOTH), arm.time, arm.y, arm.u)
-    assert run.loop.used == expected.used == len(arm.time)
+    assert run.used == expected.used == len(arm.time)
     for name in ESTIMATED:
-        np.testing.assert_array_equal(run.table.values(0, name), getattr(expected, name))
-    np.testing.assert_array_equal(run.table.innovations[0], expected.innovation)
+        np.testing.assert_array_equal(run.values(0, name), getattr(expected, name))
+    np.testing.assert_array_equal(run.innovations[0], expected.innovation)
     assert run.outputs() == {
         "elbow": {
             "link_angle": {"gated": 0, "missing": 20},
@@ -193,9 +195,9 @@ def test_ts_systems_are_estimated_and_repeated_to_the_bit(
 
     design = ts.load_design(SYSTEM)
     expected = ts.estimate(design, system.time, system.y, system.u)
-    assert run.loop.used == expected.used * len(joints) == len(system.time) * len(joints)
+    assert run.used == expected.used * len(joints) == len(system.time) * len(joints)
     for joint in range(len(joints)):
-        np.testing.assert_array_equal(run.table.values(joint, "state"), expected.state)
+        np.testing.assert_array_equal(run.values(joint, "state"), expected.state)
     names = design.request.state_names
     if len(joints) > 1:
         names = tuple(f"{joint}/{name}" for joint in joints for name in names)
@@ -274,7 +276,7 @@ def test_a_log_of_two_encoders_is_estimated_as_the_bag_that_it_was_exported_from
 
     source = LogSource(exported.path)
     assert source.joints == ("elbow",)
-    states = [estimate(one, BOTH).table.values(0, "state") for one in (bag, source)]
+    states = [estimate(one, BOTH).values(0, "state") for one in (bag, source)]
     np.testing.assert_array_equal(*states)
 
 

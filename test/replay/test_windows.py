@@ -55,7 +55,7 @@ def result(run, bag):
     found = {}
     for message in BagReader(bag).messages():
         found.setdefault(message.topic, []).append(message)
-    counts = run.loop.used, run.loop.rejected, run.loop.rewinds, run.loop.failures
+    counts = run.used, run.rejected, run.rewinds, run.estimates
     return found, counts, run.estimates, run.events, run.health(), run.agreement()
 
 

@@ -124,7 +124,6 @@ def estimate(
         run_all,
         without_misfits,
     )
-    from tsobs_ros.replay.windows import WINDOW
     from tsobs_ros.report.comparison import RunScores
 
     begin = time.monotonic()
@@ -154,7 +153,7 @@ def estimate(
             observers, tuned = tune(source, observers)
             remarks += tuned
     as_live = options.rate is None and options.at != "measurements"
-    runs = make_runs(source, observers, rate=options.rate, as_live=as_live, window=WINDOW)
+    runs = make_runs(source, observers, rate=options.rate, as_live=as_live)
     sensors = [] if held_out is None else held_out.read(source, observers)
     scores = RunScores(source, runs, sensors) if sensors or len(runs) > 1 else None
     with progress(source.count * len(runs), " samples", quiet=options.json) as advance:
@@ -173,7 +172,7 @@ def estimate(
     if source.damage is not None:
         complain(f"{source.damage}; estimated up to there")
     if not any(run.estimates for run in runs):
-        reasons = {reason.value for run in runs for reason in run.loop.rejected}
+        reasons = {reason.value for run in runs for reason in run.rejected}
         complain(f"no estimate was made; rejected: {', '.join(sorted(reasons)) or 'none'}")
         return 1
     return 0 if source.damage is None else 1
@@ -236,10 +235,10 @@ def _result(
     ]
     width = max(len(run.observer.name) for run in runs)
     for run in runs:
-        rejected = ", ".join(f"{n:,} {reason.value}" for reason, n in run.loop.rejected.items())
+        rejected = ", ".join(f"{n:,} {reason.value}" for reason, n in run.rejected.items())
         lines.append(
             f"{run.observer.name:<{width}}  {run.estimates:,} estimates from "
-            f"{run.loop.used:,} measurements; rejected: {rejected or 'none'}"
+            f"{run.used:,} measurements; rejected: {rejected or 'none'}"
         )
         certified = run.observer.settings.method == "certified"
         health = {joint: one.lines() for joint, one in run.health().items()} if certified else {}
@@ -272,11 +271,11 @@ def _result(
                 "name": run.observer.name,
                 "method": run.observer.settings.method,
                 "estimates": run.estimates,
-                "used": run.loop.used,
-                "rejected": {r.value: n for r, n in run.loop.rejected.items()},
+                "used": run.used,
+                "rejected": {r.value: n for r, n in run.rejected.items()},
                 "outputs": run.outputs(),
-                "rewinds": run.loop.rewinds,
-                "failures": run.loop.failures,
+                "rewinds": run.rewinds,
+                "failures": sum(tracker.failures for tracker in run.trackers),
                 "health": {joint: one.as_mapping() for joint, one in run.health().items()},
                 **map_events(run.events, begin),
             }

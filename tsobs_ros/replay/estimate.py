@@ -8,10 +8,11 @@ tenth of what they cost one by one.
 
 import math
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -30,27 +31,26 @@ from tsobs_ros.bag.cdr import (
 )
 from tsobs_ros.bag.container import MAGIC
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter, whole_bag
-from tsobs_ros.checks import Array, Flags
+from tsobs_ros.checks import Array, Flags, Integers
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagReadError, BagWriteError, LogError, ModelError
+from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.health import judge_rate
-from tsobs_ros.estimation.records import HEALTH
+from tsobs_ros.estimation.records import GATED, HEALTH, NON_FINITE, REASONS, RejectReason
 from tsobs_ros.methods import ObserverSettings, contender, make_estimator, make_tracker
 from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.health import Health, JointEvent, find_events, health_of
 from tsobs_ros.replay.live import COMPARED, Agreement, digests
 from tsobs_ros.replay.log import LogSource
-from tsobs_ros.replay.loop import Loop, Table
+from tsobs_ros.replay.loop import WINDOW, JointResults, Window, Windows, run_tracker
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
-from tsobs_ros.replay.source import BagSource, Source
-from tsobs_ros.replay.windows import Window, Windows
-from tsobs_ros.series import NANOSECONDS, Spool
+from tsobs_ros.replay.source import BagSource, Records, Source
+from tsobs_ros.series import NANOSECONDS, Spool, Stamps
 
 # So many intervals between measurements show their rate.
 _ENOUGH = 8
@@ -111,27 +111,17 @@ def without_misfits(observers: Iterable[Observer]) -> tuple[list[Observer], list
     Raises:
         ModelError: None of them can.
     """
-    fitting: list[Observer] = []
-    remarks = []
+    fitting, remarks = list[Observer](), list[str]()
     for one in observers:
         try:
             for design in one.designs:
-                make_tracker(design, one.settings)
-            if twin := next((other for other in fitting if _are_same(one, other)), None):
-                raise ModelError(f"its design calls no parameter uncertain, so it is {twin.name}")
+                make_estimator(design, one.settings)
             fitting.append(one)
         except ModelError as error:
             remarks.append(f"{one.name} is left out: {error}")
     if not fitting:
         raise ModelError("; ".join(remarks))
     return fitting, remarks
-
-
-def _are_same(one: Observer, other: Observer) -> bool:
-    """Return whether observers differ at most in that one would learn what no design has."""
-    learnt = any(each.settings.learnt(design) for each in (one, other) for design in each.designs)
-    alike = replace(one.settings, adapt=other.settings.adapt) == other.settings
-    return one.files == other.files and alike and not learnt
 
 
 class Run:
@@ -146,24 +136,33 @@ class Run:
         observer: The observer.
         windows: The recording's.
         signals: The places of each joint's signals.
-        loop: Its counts.
+        trackers: One per joint.
         estimates: Number of ticks with an estimate.
-        window: The last window.
-        table: The estimates and innovations of this window.
+        used: Number of measurements used, of all joints.
+        rejected: Number of measurements not used, by reason.
+        window: The last window, of n samples and m ticks.
+        rows: Its estimates of each joint, NaN where there is none, shape (m,).
+        done: Whether there is an estimate of any joint, shape (m,).
+        innovations: Of each joint y − ŷ of the outputs that were used, else NaN, shape (n, p).
     """
 
     window: Window
-    table: Table
+    rows: list[Rows]
+    done: Flags
+    innovations: list[Array]
 
     def __init__(self, observer: Observer, source: Source, windows: Windows) -> None:
         self.observer, self.windows, self._source = observer, windows, source
-        self.estimates = 0
         settings, each = observer.settings, {id(design): design for design in observer.designs}
         made = {key: make_estimator(design, settings) for key, design in each.items()}
-        trackers = [make_tracker(one, settings, made[id(one)]) for one in observer.designs]
-        self.loop = Loop(trackers, settings.stale_after, at_samples=windows.at_samples)
+        self.trackers = [make_tracker(one, settings, made[id(one)]) for one in observer.designs]
+        self.estimates = self.used = 0
+        self.rejected: Counter[RejectReason] = Counter()
+        # How often each output was gated and missing.
+        self._outputs = [np.zeros((one.estimator.shape.p, 2), int) for one in self.trackers]
         self.signals = source.signals_of([design.request for design in observer.designs])
         self._prefix = f"{source.namespace}/{observer.name}/"
+        joints = zip(source.joints, self.signals, observer.designs, strict=True)
         self._encoder = EstimateEncoder(
             self._prefix,
             [
@@ -174,17 +173,16 @@ class Run:
                     learnt=settings.learnt(design),
                     rated="disturbance_rate" not in made[id(design)].lacking,
                 )
-                for joint, own, design in zip(
-                    source.joints, self.signals, observer.designs, strict=True
-                )
+                for joint, own, design in joints
             ],
         )
-        self._made = {topic: Spool(np.dtype(np.int64)) for topic in COMPARED if windows.live}
-        self._parameters_due, self._health_due = _Due(), _Due()
+        self._made = Spool(np.dtype(np.int64))
         self._conditions = Spool(np.dtype(np.float64))
+        self._parameters_due = self._health_due = -topics.SLOW_PERIOD
         self._slow: list[tuple[NDArray[Any], ...]] = []
-        # Numbers of restarts: until now, and before the last health; and of ticks since the last.
-        self._restarts, self._restarts_before, self._ticks = 0, 0, 0
+        # Numbers of restarts until now and before the last health, of ticks since the last one, and
+        # the stamp of the last estimate.
+        self._restarts = self._restarts_before = self._ticks = self._last = 0
         self._is_first = True
 
     def begin(self, writer: BagWriter, definition: MessageDefinition) -> None:
@@ -212,6 +210,11 @@ class Run:
         for one in self.windows.live.restarts if self.windows.live else ():
             writer.write_series([one._replace(topic=self._prefix + topics.RESTARTS)])
 
+    @property
+    def rewinds(self) -> int:
+        """Number of late measurements put in their place."""
+        return sum(tracker.rewinds for tracker in self.trackers)
+
     def run(self, window: Window, *, encode: bool) -> list[MessageSeries]:
         """Run the observer over a window, and return the messages.
 
@@ -219,51 +222,106 @@ class Run:
             window: The window.
             encode: Whether there are to be messages.
         """
-        self.window, self.table = window, self.loop.run(window)
-        ticks, done = window.ticks, self.table.done
-        self.estimates += int(done.sum())
+        self.window, ticks = window, window.ticks
+        self._estimate()
         restarts = self._restarts + np.cumsum(ticks.resets)
         made: list[MessageSeries] = []
         if encode:
             made += self._restart_messages(restarts)
             made += self._tick_messages()
-            of_tick = np.searchsorted(ticks.known, np.arange(len(window.samples)), side="right")
-            of_use = ticks[of_tick]
+            of_use = ticks[np.searchsorted(ticks.known, np.arange(len(window.samples)), "right")]
             of_use.stamps = window.samples.stamps
-            made += self._encoder.messages(topics.INNOVATION, of_use, self.table.innovations)
-        for topic in COMPARED if encode or self._made else ():
-            messages = self._encoder.messages(topic, ticks, self._values(*ESTIMATES[topic]))
+            made += self._encoder.messages(topics.INNOVATION, of_use, self.innovations)
+        live = self.windows.live
+        for topic in COMPARED if encode or live is not None else ():
+            messages = self._messages(topic, ticks)
             made += messages
-            for one in messages if self._made else ():
-                self._made[topic].add(digests(one.data))
+            for one in messages if live is not None else ():
+                self._made.add(digests(topic, one.data))
         made += self._slow_messages(restarts, encode=encode)
         self._restarts = int(restarts[-1]) if len(restarts) else self._restarts
         self._is_first = self._is_first and not len(ticks)
         return made if encode else []
 
-    def _values(self, *names: str) -> list[Array]:
-        """Return some fields of each joint's estimates side by side."""
-        return [self.table.values(joint, *names) for joint in range(len(self.table.rows))]
+    def values(self, joint: int, *names: str) -> Array:
+        """Return some fields of a joint's estimates in the window side by side, shape (m, k)."""
+        parts = [np.asarray(self.rows[joint][name]) for name in names]
+        return np.hstack([part if part.ndim > 1 else part[:, np.newaxis] for part in parts])
 
-    def _restart_messages(self, restarts: NDArray[np.int64]) -> list[MessageSeries]:
+    def _estimate(self) -> None:
+        """Make the estimates of the window, each joint on its own, and count."""
+        samples, joints = self.window.samples, range(len(self.trackers))
+        with ThreadPoolExecutor(min(len(joints), os.cpu_count() or 1)) as pool:
+            results = list(pool.map(self._run_joint, joints))
+        self.done = self._published(results)
+        self.estimates += int(self.done.sum())
+        if refused := int(samples.refused.sum()):
+            self.rejected[RejectReason.WRONG_JOINT] += refused
+        self.rows, self.innovations = [], []
+        for joint, one in enumerate(results):
+            one.rows[~(self.done & one.there)] = np.nan
+            self.rows.append(self.trackers[joint].estimator.as_rows(one.rows))
+            innovations = np.full((len(samples), one.innovations.shape[1]), np.nan)
+            innovations[samples.complete[:, joint]] = one.innovations
+            self.innovations.append(innovations)
+            self.used += int(np.isfinite(one.innovations).any(axis=1).sum())
+            for code, number in enumerate(np.bincount(one.codes).tolist()):
+                if number and (reason := REASONS[code]):
+                    self.rejected[reason] += number
+            for place, code in enumerate((GATED, NON_FINITE)):
+                self._outputs[joint][:, place] += (one.output_codes == code).sum(axis=0)
+
+    def _run_joint(self, joint: int) -> JointResults:
+        (samples, ticks), tracker = self.window, self.trackers[joint]
+        own, shape = samples.complete[:, joint], tracker.estimator.shape
+        known = np.append(0, np.cumsum(own))[ticks.known]
+        return run_tracker(
+            tracker,
+            samples.stamps[own],
+            samples.y[own, joint, : shape.p],
+            samples.u[own, joint, : shape.m],
+            (ticks.stamps, ticks.now, known, ticks.resets),
+            self.observer.settings.stale_after,
+        )
+
+    def _published(self, results: Sequence[JointResults]) -> Flags:
+        """Return the ticks at which a node would publish estimates; stamps rise to a restart."""
+        ticks = self.window.ticks
+        done: Flags = np.any([one.there for one in results], axis=0) & ticks.estimated
+        if self.windows.at_samples:
+            done &= np.any([one.newest == ticks.stamps for one in results], axis=0)
+        for part in np.split(np.arange(len(ticks)), np.flatnonzero(ticks.resets)):
+            if len(part) and ticks.resets[part[0]]:
+                self._last = 0
+            stamps = np.where(done[part], ticks.stamps[part], 0)
+            before = np.maximum.accumulate(np.append(self._last, stamps))
+            done[part] &= stamps > before[:-1]
+            self._last = int(before[-1])
+        return done
+
+    def _messages(self, topic: str, at: Records, rows: Any = slice(None)) -> list[MessageSeries]:
+        """Return the messages of a topic of estimates at some of the ticks."""
+        each = [self.values(joint, *ESTIMATES[topic])[rows] for joint in range(len(self.rows))]
+        return self._encoder.messages(topic, at, each)
+
+    def _restart_messages(self, restarts: Integers) -> list[MessageSeries]:
         """Return the messages of the start and of the restarts, unless recorded ones are copied."""
         ticks, live = self.window.ticks, self.windows.live
         if live is not None and live.restarts:
             return []
         starts = ticks.resets == 1
         starts[: int(self._is_first)] = True
-        each = [restarts[starts, np.newaxis].astype(np.float64)] * len(self.observer.designs)
+        each = [restarts[starts, np.newaxis].astype(np.float64)] * len(self.trackers)
         return self._encoder.messages(topics.RESTARTS, ticks[starts], each)
 
     def _tick_messages(self) -> list[MessageSeries]:
         """Return the messages of the tick log."""
-        ticks, done = self.window.ticks, self.table.done
+        ticks, done = self.window.ticks, self.done
         counts = np.diff(ticks.known, prepend=0)
         logged = done | (counts > 0)
         numbers = self._ticks + np.cumsum(logged)
         for place in np.flatnonzero(ticks.resets).tolist():
-            before = int(numbers[place]) - int(logged[place])
-            numbers[place:] -= before
+            numbers[place:] -= int(numbers[place]) - int(logged[place])
         self._ticks = int(numbers[-1]) if len(numbers) else self._ticks
         # Without an estimate there is no stamp, and the clock decides what is from the future.
         stamps = np.where(done, ticks.stamps, ticks.now)
@@ -277,22 +335,24 @@ class Run:
             found.append(MessageSeries(self._prefix + topics.TICKS, TICK_LOG, *times, data))
         return found
 
-    def _slow_messages(self, restarts: NDArray[np.int64], *, encode: bool) -> list[MessageSeries]:
+    def _slow_messages(self, restarts: Integers, *, encode: bool) -> list[MessageSeries]:
         """Note what the estimates are worth; return the messages that come now and then."""
-        ticks, table, made = self.window.ticks, self.table, list[MessageSeries]()
-        valid: Flags = np.array([own["parameters_valid"] == 1.0 for own in table.rows])
-        due = self._parameters_due.among(ticks.stamps, np.asarray(valid.any(axis=0)))
+        ticks, made = self.window.ticks, list[MessageSeries]()
+        valid: Flags = np.array([own["parameters_valid"] == 1.0 for own in self.rows])
+        due, self._parameters_due = _due(
+            ticks.stamps, np.asarray(valid.any(axis=0)), self._parameters_due
+        )
         for topic in topics.PARAMETER_TOPICS if encode and len(due) else ():
-            each = zip(self._values(*ESTIMATES[topic]), valid, strict=True)
-            known = [np.where(there[due, None], own[due], np.nan) for own, there in each]
-            made += self._encoder.messages(topic, ticks[due], known)
-        conditions = np.stack(self._values(*HEALTH), axis=1)
+            each = [self.values(joint, *ESTIMATES[topic])[due] for joint in range(len(self.rows))]
+            for own, there in zip(each, valid[:, due], strict=True):
+                own[~there] = np.nan
+            made += self._encoder.messages(topic, ticks[due], each)
+        conditions = np.stack([self.values(j, *HEALTH) for j in range(len(self.rows))], axis=1)
         self._conditions.add(conditions)
-        due = self._health_due.among(ticks.stamps, table.done)
+        due, self._health_due = _due(ticks.stamps, self.done, self._health_due)
         if len(due):
             if encode:
-                of_joints = list(conditions[due].swapaxes(0, 1))
-                made += self._encoder.messages(topics.HEALTH, ticks[due], of_joints)
+                made += self._messages(topics.HEALTH, ticks[due], due)
             restarted = np.diff(restarts[due], prepend=self._restarts_before) > 0
             times = ticks.stamps[due], ticks.log_times[due]
             self._slow.append((*times, conditions[due], restarted))
@@ -301,7 +361,7 @@ class Run:
 
     def outputs(self) -> dict[str, dict[str, dict[str, int]]]:
         """Return how often each output was gated and missing, of joints that have several."""
-        each = zip(self._source.joints, self.observer.designs, self.loop.outputs, strict=True)
+        each = zip(self._source.joints, self.observer.designs, self._outputs, strict=True)
         return {
             joint: {
                 name: {"gated": int(gated), "missing": int(missing)}
@@ -352,24 +412,18 @@ class Run:
         live = self.windows.live
         if live is None:
             return None
-        return live.compare({topic: spool.read() for topic, spool in self._made.items()})
+        return live.compare(self._made.read())
 
 
-class _Due:
-    """Finds the ticks at which a node publishes what changes slowly."""
-
-    def __init__(self) -> None:
-        self._last = -topics.SLOW_PERIOD
-
-    def among(self, stamps: Times, there: Flags) -> NDArray[np.intp]:
-        """Return the places of those among the next ticks that have something to publish."""
-        due = []
-        for place in np.flatnonzero(there).tolist():
-            stamp = int(stamps[place])
-            if not 0 <= stamp - self._last < topics.SLOW_PERIOD:
-                due.append(place)
-                self._last = stamp
-        return np.array(due, np.intp)
+def _due(stamps: Stamps, there: Flags, last: int) -> tuple[NDArray[np.intp], int]:
+    """Return the ticks at which a node publishes what changes slowly, and the last one's stamp."""
+    due = []
+    for place in np.flatnonzero(there).tolist():
+        stamp = int(stamps[place])
+        if not 0 <= stamp - last < topics.SLOW_PERIOD:
+            due.append(place)
+            last = stamp
+    return np.array(due, np.intp), last
 
 
 def is_log(path: Path) -> bool:
@@ -429,7 +483,7 @@ def make_runs(
     *,
     rate: float | None,
     as_live: bool,
-    window: int | None = None,
+    window: int | None = WINDOW,
 ) -> list[Run]:
     """Return a run of every observer over the same measurements.
 

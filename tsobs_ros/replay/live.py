@@ -3,6 +3,7 @@
 """The output of the observer that ran during a recording, and the comparison with it."""
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,8 +15,9 @@ from tsobs_ros.bag.cdr import MessageSeries, decode_ticks
 from tsobs_ros.bag.joint_series import RawMessages, read_blocks
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.checks import Integers
 from tsobs_ros.errors import BagReadError, MessageError
-from tsobs_ros.series import NANOSECONDS, Spool, Stamps
+from tsobs_ros.series import NANOSECONDS, Spool
 
 COMPARED = (
     topics.STATES,
@@ -26,11 +28,11 @@ COMPARED = (
 )
 """Topics of estimates, one message per tick."""
 
-_BLOCK = 2**15
+_BLOCK = 2**13
 _STAMP = slice(4, 12)
-_TICK_NUMBERS = ("log_times", "publish_times", "stamps", "numbers", "estimated", "counts")
-_TICK = np.dtype([(name, np.int64) for name in _TICK_NUMBERS])
-_MESSAGE = np.dtype([("stamps", np.int64), ("digests", np.int64)])
+_HEAD = ("stamps", "numbers", "estimated")
+_TICK = np.dtype([(name, np.int64) for name in ("log_times", "publish_times", *_HEAD, "counts")])
+_MESSAGE = np.dtype([("stamps", np.int64), ("digests", np.int64), ("counts", np.bool_)])
 
 
 @dataclass
@@ -55,30 +57,25 @@ class Agreement:
     lost_ticks: int = 0
     ran_before: bool = False
 
-    @property
-    def complete(self) -> bool:
-        """Whether every estimate was reproduced."""
-        return self.reproduced == self.recorded
-
     def text(self) -> str:
         """Return one line for people, with the reason of any difference."""
         line = (
             f"live estimates: {self.reproduced:,} of {self.recorded:,} reproduced to the last bit"
         )
         if self.not_received:
-            line += f", without {_count(self.not_received, 'measurement')} that did not reach it"
-        if self.complete:
+            line += f", without {self.not_received:,} measurements that did not reach it"
+        if self.reproduced == self.recorded:
             return line
-        reasons = []
-        if self.ran_before:
-            reasons.append("the live observer had run before the recording of it began")
-        if self.not_recorded:
-            lost = _count(self.not_recorded, "measurement")
-            reasons.append(f"the live observer used {lost} that the bag lacks")
-        if self.lost_ticks:
-            reasons.append(f"its tick log lacks {_count(self.lost_ticks, 'tick')}")
-        reasons = reasons or ["it had another design, other parameters or another version"]
-        return f"{line}; {' and '.join(reasons)}"
+        reasons = (
+            (self.ran_before, "the live observer had run before the recording of it began"),
+            (
+                self.not_recorded,
+                f"the live observer used {self.not_recorded:,} measurements that the bag lacks",
+            ),
+            (self.lost_ticks, f"its tick log lacks {self.lost_ticks:,} ticks"),
+        )
+        known = " and ".join(text for there, text in reasons if there)
+        return f"{line}; {known or 'it had another design, other parameters or another version'}"
 
 
 class LiveRun:
@@ -91,7 +88,7 @@ class LiveRun:
         on_damage: Called with damage to the bag, up to which all is read.
 
     Attributes:
-        ticks: Its ticks in the order of sending; `counts` has the numbers of their measurements.
+        ticks: Its ticks in the order of recording; `counts` has the numbers of their measurements.
         used: Places of their measurements in the bag, in the order of use.
         restarts: Its messages of restarts.
     """
@@ -100,11 +97,11 @@ class LiveRun:
         self,
         reader: BagReader,
         names: Mapping[str, str],
-        measured: NDArray[np.int64],
+        measured: Integers,
         on_damage: Callable[[BagReadError], None],
     ) -> None:
         ticks, checksums = Spool(_TICK), Spool(np.dtype(np.int64))
-        self._estimates = {topic: Spool(_MESSAGE) for topic in COMPARED}
+        self._estimates = Spool(_MESSAGE)
         self.restarts: list[MessageSeries] = []
         raw = list(names.values())
         for block in read_blocks(reader, {}, _BLOCK, raw=raw, on_damage=on_damage):
@@ -112,106 +109,86 @@ class LiveRun:
                 messages = block.raw[name]
                 if topic == topics.TICKS:
                     _add_ticks(messages, ticks, checksums)
-                elif topic == topics.RESTARTS:
-                    for at, data in messages.groups:
+                    continue
+                for at, data in messages.groups:
+                    if topic == topics.RESTARTS:
                         times = messages.log_times[at], messages.publish_times[at]
                         self.restarts.append(MessageSeries(name, JOINT_STATE, *times, data))
-                else:
-                    for _, data in messages.groups:
-                        self._estimates[topic].add(_digested(data))
-        self.ticks, wanted = _in_order_of_sending(ticks.read(), checksums.read())
+                    elif data.shape[1] >= _STAMP.stop:
+                        self._estimates.add(_digested(topic, data))
+        self.ticks, wanted = ticks.read(), checksums.read()
         places = _match(wanted, measured)
         there = places >= 0
         self.used = places[there]
-        self._counts = _counts_of(self.ticks.numbers)
-        self._counts.not_recorded = int((~there).sum())
-        self._counts.not_received = len(measured) - len(self.used)
+        # The numbers of ticks count from 1 after each restart.
+        numbers = self.ticks.numbers
+        steps = np.diff(numbers)
+        lost = np.where(steps > 0, steps - 1, np.maximum(numbers[1:] - 1, 0))
+        self._agreement = Agreement(
+            not_recorded=int((~there).sum()),
+            not_received=len(measured) - len(self.used),
+            lost_ticks=int(lost.sum()),
+            ran_before=bool((numbers[:1] > 1).any()),
+        )
         before = np.append(0, np.cumsum(there))[np.append(0, np.cumsum(self.ticks.counts))]
         self.ticks.counts = np.diff(before)
 
-    def compare(self, made: Mapping[str, NDArray[np.int64]]) -> Agreement:
-        """Return the comparison with other messages.
-
-        Args:
-            made: Their digests by the topics of `COMPARED`.
-        """
-        recorded = {topic: spool.read() for topic, spool in self._estimates.items()}
+    def compare(self, made: Integers) -> Agreement:
+        """Return the comparison with other messages, whose digests are given."""
+        recorded = self._estimates.read()
         # An estimate counts by its states, and is the same if all messages of its stamp are.
-        differing = [
-            own.stamps[~np.isin(own.digests, made[topic])] for topic, own in recorded.items()
-        ]
-        stamps = recorded[topics.STATES].stamps
-        wrong = stamps[np.isin(stamps, np.concatenate(differing))]
+        differing = recorded.stamps[~np.isin(recorded.digests, made)]
+        stamps = recorded.stamps[recorded.counts]
+        wrong = stamps[np.isin(stamps, differing)]
         return replace(
-            self._counts,
+            self._agreement,
             recorded=len(stamps),
             reproduced=len(stamps) - len(wrong),
             first_difference=int(wrong.min()) if len(wrong) else None,
         )
 
 
-def digests(data: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return a number for each message, the same of equal ones in this process only, shape (n,).
+def digests(topic: str, data: NDArray[np.uint8]) -> Integers:
+    """Return a number for each message of a topic, the same of equal ones in this process only.
 
     Args:
+        topic: One of `COMPARED`.
         data: Messages of one size, shape (n, size).
     """
     rows = np.ascontiguousarray(data).view(f"V{data.shape[1]}")[:, 0].tolist()
-    return np.fromiter(map(hash, rows), np.int64, len(rows))
+    return np.fromiter((hash((topic, row)) for row in rows), np.int64, len(rows))
 
 
-def _digested(data: NDArray[np.uint8]) -> NDArray[Any]:
+def _digested(topic: str, data: NDArray[np.uint8]) -> NDArray[Any]:
     """Return the stamps in the headers of little-endian messages [ns], and their digests."""
-    if data.shape[1] < _STAMP.stop:
-        return np.zeros(0, _MESSAGE)
     parts = np.ascontiguousarray(data[:, _STAMP])
     found = np.zeros(len(data), _MESSAGE)
     found["stamps"] = parts.view("<i4")[:, 0].astype(np.int64) * NANOSECONDS
     found["stamps"] += parts.view("<u4")[:, 1]
-    found["digests"] = digests(data)
+    found["digests"], found["counts"] = digests(topic, data), topic == topics.STATES
     return found
 
 
 def _add_ticks(messages: RawMessages, ticks: Spool, checksums: Spool) -> None:
     """Add messages to ticks and their checksums; those that are none of a tick log are lost."""
-    known = []
-    for places, data in messages.groups:
-        try:
-            known.append((places, decode_ticks(data)))
-        except MessageError:
-            continue
-    found, there = np.zeros(len(messages.log_times), _TICK), np.zeros(len(messages.log_times), bool)
-    found["log_times"], found["publish_times"] = messages.log_times, messages.publish_times
-    for places, values in known:
-        there[places], found["counts"][places] = True, values.shape[1] - 3
-        for name, column in zip(_TICK_NUMBERS[2:5], values.T[:3], strict=True):
-            found[name][places] = column
-    ends = np.cumsum(found["counts"])
-    taken = np.zeros(int(ends[-1]) if len(ends) else 0, np.int64)
-    for places, values in known:
-        begins = (ends - found["counts"])[places, np.newaxis]
-        taken[begins + np.arange(values.shape[1] - 3)] = values[:, 3:]
-    ticks.add(found[there])
-    checksums.add(taken)
+    known = dict[int, Integers]()
+    for at, data in messages.groups:
+        with suppress(MessageError):
+            known |= zip(at.tolist(), decode_ticks(data), strict=True)
+    places = sorted(known)
+    rows = [known[place] for place in places]
+    found = np.zeros(len(rows), _TICK)
+    found["log_times"] = messages.log_times[places]
+    found["publish_times"] = messages.publish_times[places]
+    found["counts"] = [len(row) - len(_HEAD) for row in rows]
+    for number, name in enumerate(_HEAD):
+        found[name] = [row[number] for row in rows]
+    ticks.add(found)
+    for row in rows:
+        checksums.add(row[len(_HEAD) :])
 
 
-def _in_order_of_sending(ticks: Any, checksums: Stamps) -> tuple[Any, Stamps]:
-    """Return ticks by their publish times, and their checksums."""
-    order = np.argsort(ticks.publish_times, kind="stable")
-    begins = np.cumsum(ticks.counts) - ticks.counts
-    ticks = ticks[order]
-    shift = begins[order] - (np.cumsum(ticks.counts) - ticks.counts)
-    return ticks, checksums[np.repeat(shift, ticks.counts) + np.arange(len(checksums))]
-
-
-def _counts_of(numbers: NDArray[np.int64]) -> Agreement:
-    """Return what the numbers of ticks, which count from 1 after each restart, show of a log."""
-    steps = np.diff(numbers)
-    lost = np.where(steps > 0, steps - 1, np.maximum(numbers[1:] - 1, 0))
-    return Agreement(lost_ticks=int(lost.sum()), ran_before=bool((numbers[:1] > 1).any()))
-
-
-def _match(wanted: NDArray[np.int64], there: NDArray[np.int64]) -> NDArray[np.intp]:
+def _match(wanted: Integers, there: Integers) -> NDArray[np.intp]:
     """Return the place of each wanted checksum, -1 for none, and no place twice, shape (n,)."""
     if len(wanted) <= len(there) and (wanted == there[: len(wanted)]).all():
         return np.arange(len(wanted))
@@ -222,13 +199,9 @@ def _match(wanted: NDArray[np.int64], there: NDArray[np.int64]) -> NDArray[np.in
     return np.where(known[found] == keys, found, -1)
 
 
-def _occurrences(numbers: NDArray[np.int64]) -> NDArray[np.intp]:
+def _occurrences(numbers: Integers) -> NDArray[np.intp]:
     """Return how many numbers in front of each are equal to it, shape (n,)."""
     order = np.argsort(numbers, kind="stable")
     found = np.empty(len(numbers), np.intp)
     found[order] = np.arange(len(numbers)) - np.searchsorted(numbers[order], numbers[order])
     return found
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number:,} {what}{'s' if number != 1 else ''}"

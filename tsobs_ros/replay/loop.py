@@ -1,27 +1,165 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The observer's loop without its clock: samples and ticks in, estimates and innovations out."""
+"""The observer's loop without its clock: windows of samples and ticks in, estimates out.
+
+The ticks are those of the recorded observer, as its tick log has them, or one for each measurement
+in the order of recording, or at a fixed rate.
+"""
 
 import math
-import os
-from collections import Counter
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.checks import Array, Flags
-from tsobs_ros.estimation.estimator import Rows
-from tsobs_ros.estimation.records import GATED, NON_FINITE, REASONS, USED, RejectReason
+from tsobs_ros.checks import Array, Flags, Integers
+from tsobs_ros.estimation.records import USED
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.replay.source import Records
-from tsobs_ros.replay.windows import Window
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.replay.live import LiveRun
+from tsobs_ros.replay.source import Records, Source, passes
+from tsobs_ros.series import NANOSECONDS, Stamps
+
+WINDOW = 4096
+"""Number of ticks in a window: some 20 s at 200 Hz."""
 
 _FOREVER = 2**62
+_TICK = np.dtype(
+    [
+        ("stamps", np.int64),
+        # Times on the observer's clock, to recognise stamps from the future.
+        ("now", np.int64),
+        # Number of samples taken by the end of the tick.
+        ("known", np.int64),
+        # 1 if the observer forgets everything before it, else 0.
+        ("resets", np.int64),
+        # Whether there are estimates.
+        ("estimated", np.bool_),
+        ("log_times", np.int64),
+        ("publish_times", np.int64),
+    ]
+)
+"""A record of a tick of an observer; all times are in ns."""
+
+
+class Window(NamedTuple):
+    """A part of a recording.
+
+    Attributes:
+        samples: Measurements in the order of use, as those of a source.
+        ticks: Which samples are taken when, of all that are used; records of `_TICK`.
+    """
+
+    samples: Records
+    ticks: Records
+
+
+class Windows:
+    """The windows of a recording; at least one.
+
+    Args:
+        source: The recording.
+        rate: Estimate at this rate [Hz]; None: at every measurement.
+        as_live: Estimate, instead of both, when the recorded observer did.
+        size: Number of ticks in a window; None for one window with everything.
+
+    Attributes:
+        live: What the recorded observer sent, if the ticks are those of its tick log.
+        at_samples: Whether there are only estimates at measurements that are in use.
+    """
+
+    def __init__(self, source: Source, rate: float | None, as_live: bool, size: int | None) -> None:
+        self._source, self._rate, self._size = source, rate, size
+        self.live = source.live() if as_live else None
+        self.at_samples = self.live is None and rate is None
+
+    def __iter__(self) -> Iterator[Window]:
+        size, taken, samples = self._size or _FOREVER, 0, self._source.samples
+        if self.live is not None:
+            parts = self._of_tick_log(self.live, size)
+        elif self._rate is not None:
+            parts = self._at_rate(NANOSECONDS / self._rate, size)
+        else:
+            parts = self._at_samples(size)
+        if self._size is None:
+            parts = iter([np.concatenate(list(parts)).view(np.recarray)])
+        for ticks in parts:
+            end = int(ticks.known[-1]) if len(ticks) else taken
+            own = samples[taken:end] if self.live is None else samples[self.live.used[taken:end]]
+            ticks.known -= taken
+            taken = end
+            yield Window(_in_order(own, ticks.known), ticks)
+
+    def _passes(self) -> Iterator[tuple[int, Records, Stamps]]:
+        """Yield where each pass of time begins, its samples, and when they arrived."""
+        samples = self._source.samples
+        for begin, end in passes(samples.stamps):
+            own = samples[begin:end]
+            times = own.log_times if self._source.same_clock else own.stamps
+            yield begin, own, np.maximum.accumulate(np.append(0, times))[1:]
+
+    def _at_samples(self, size: int) -> Iterator[Records]:
+        """Yield a tick for each message; those in a row with one stamp share it."""
+        for first, samples, arrivals in self._passes():
+            ends = 1 + np.flatnonzero(np.append(np.diff(samples.stamps) != 0, True))
+            for begin in range(0, len(ends), size):
+                known = ends[begin : begin + size]
+                stamps, times = samples.stamps[known - 1], samples.log_times[known - 1]
+                ticks = _ticks(stamps, arrivals[known - 1], first + known, times, times)
+                ticks.resets[0] = first > 0 and not begin
+                yield ticks
+
+    def _at_rate(self, period: float, size: int) -> Iterator[Records]:
+        """Yield ticks at a fixed rate on the clock of the recording.
+
+        They begin with the first arrival, and again when time has restarted.
+        """
+        latest = 0
+        for first, samples, arrivals in self._passes():
+            delays = np.append(0, samples.log_times - arrivals)
+            count = math.ceil((int(arrivals[-1] - arrivals[0]) + 1) / period)
+            for begin in range(0, count, size):
+                places = np.arange(begin, min(begin + size, count))
+                stamps = arrivals[0] + np.round(places * period).astype(np.int64)
+                known = np.searchsorted(arrivals, stamps, side="right")
+                times = np.maximum.accumulate(np.append(latest, stamps + delays[known]))[1:]
+                ticks = _ticks(stamps, stamps, first + known, times, times)
+                ticks.resets[0] = first > 0 and not begin
+                yield ticks
+                latest = int(times[-1])
+            if known[-1] < len(samples):
+                # What no tick takes is used all the same.
+                latest = max(latest, int(samples.log_times[-1]))
+                ticks = _ticks(arrivals[-1:], arrivals[-1:], first + len(samples), latest, latest)
+                ticks.estimated = False
+                yield ticks
+
+    def _of_tick_log(self, live: LiveRun, size: int) -> Iterator[Records]:
+        """Yield the ticks of the recorded observer."""
+        taken = 0
+        for begin in range(0, max(len(live.ticks), 1), size):
+            own = live.ticks[begin : begin + size]
+            known = taken + np.cumsum(own.counts)
+            ticks = _ticks(own.stamps, own.stamps, known, own.log_times, own.publish_times)
+            ticks.resets, ticks.estimated = own.numbers == 1, own.estimated == 1
+            yield ticks
+            taken = int(known[-1]) if len(known) else taken
+
+
+def _ticks(*columns: Any) -> Records:
+    """Return ticks with estimates of their stamps, `now`, `known`, log and publish times."""
+    stamps, now, known, log_times, publish_times = np.broadcast_arrays(*columns)
+    made = (stamps, now, known, np.zeros(len(stamps)), np.ones(len(stamps)))
+    return np.rec.fromarrays([*made, log_times, publish_times], _TICK)
+
+
+def _in_order(samples: Records, known: Integers) -> Records:
+    """Return samples in the order of their stamps within each tick."""
+    if (np.diff(samples.stamps) >= 0).all():
+        return samples
+    of_tick = np.searchsorted(known, np.arange(len(samples)), side="right")
+    return samples[np.lexsort((samples.stamps, of_tick))]
 
 
 class JointResults(NamedTuple):
@@ -31,22 +169,22 @@ class JointResults(NamedTuple):
         rows: Estimates as of `Estimator.new_rows`, NaN where there is none, shape (m, width).
         there: Whether there is an estimate, shape (m,).
         newest: Stamp of the newest sample in use [ns], shape (m,).
-        codes: Outcomes of the samples by `history.REASONS`, shape (n,).
+        codes: Outcomes of the samples by `estimation.records.REASONS`, shape (n,).
         output_codes: The same of each output, shape (n, p).
         innovations: y − ŷ, NaN of outputs that were not used, shape (n, p).
     """
 
     rows: Array
     there: Flags
-    newest: NDArray[np.int64]
-    codes: NDArray[np.int64]
-    output_codes: NDArray[np.int64]
+    newest: Stamps
+    codes: Integers
+    output_codes: Integers
     innovations: Array
 
 
 def run_tracker(
     tracker: Tracker,
-    stamps: NDArray[np.int64],
+    stamps: Stamps,
     y: Array,
     u: Array,
     ticks: Sequence[NDArray[np.int64]],
@@ -68,9 +206,9 @@ def run_tracker(
     innovations, expected_std = np.full((2, *y.shape), np.nan)
     newest, there = np.zeros((2, len(rows)), np.int64)
     limit = _FOREVER if math.isinf(stale_after) else int(stale_after * NANOSECONDS)
-    stamps, y, u = np.ascontiguousarray(stamps), np.ascontiguousarray(y), np.ascontiguousarray(u)
     at, now, known, resets = map(np.ascontiguousarray, ticks)
-    results = codes, output_codes, innovations, expected_std
+    columns = *map(np.ascontiguousarray, (stamps, y, u)), codes, output_codes
+    columns = *columns, innovations, expected_std
     taken = 0
     for begin, end in pairwise([0, *np.flatnonzero(resets[1:]) + 1, len(rows)]):
         if begin == end:
@@ -79,7 +217,7 @@ def run_tracker(
             tracker.forget()
         own, of_ticks = slice(taken, int(known[end - 1])), slice(begin, end)
         tracker.advance(
-            stamps[own], y[own], u[own], *(one[own] for one in results),
+            *(one[own] for one in columns),
             at[of_ticks], now[of_ticks], known[of_ticks] - taken,
             newest[of_ticks], there[of_ticks], rows[of_ticks], limit,
         )  # fmt: skip
@@ -87,113 +225,3 @@ def run_tracker(
     innovations[output_codes != USED] = np.nan
     rows[there == 0] = np.nan
     return JointResults(rows, there != 0, newest, codes, output_codes, innovations)
-
-
-class Table(NamedTuple):
-    """Estimates of J joints at m ticks, and innovations of n messages.
-
-    Attributes:
-        rows: Of each joint, of `Estimator.row_type`, NaN where there is none, shape (m,).
-        done: Whether there is an estimate of any joint, shape (m,).
-        innovations: Of each joint y − ŷ of the outputs that were used, else NaN, shape (n, p).
-    """
-
-    rows: list[Rows]
-    done: Flags
-    innovations: list[Array]
-
-    def values(self, joint: int, *names: str) -> Array:
-        """Return some fields of a joint's estimates side by side, shape (m, k)."""
-        parts = [np.asarray(self.rows[joint][name]) for name in names]
-        return np.hstack([part if part.ndim > 1 else part[:, np.newaxis] for part in parts])
-
-
-class Loop:
-    """An observer that runs over windows, each joint on its own.
-
-    Args:
-        trackers: Of the joints.
-        stale_after: Age of a joint's newest measurement after which it is not estimated [s].
-        at_samples: Whether there are only estimates at measurements that are in use.
-
-    Attributes:
-        trackers: The same.
-        used: Number of measurements used, of all joints.
-        rejected: Number of measurements not used, by reason.
-        outputs: Of each joint, for each of its outputs, how often it was gated and how often it
-            was missing, shape (p, 2).
-    """
-
-    def __init__(
-        self, trackers: Sequence[Tracker], stale_after: float, *, at_samples: bool
-    ) -> None:
-        self.trackers = tuple(trackers)
-        self._stale_after, self._at_samples = stale_after, at_samples
-        self.used = 0
-        self.rejected: Counter[RejectReason] = Counter()
-        self.outputs = [np.zeros((one.estimator.shape.p, 2), np.int64) for one in trackers]
-        self._last = 0
-
-    @property
-    def rewinds(self) -> int:
-        """Number of late measurements put in their place."""
-        return sum(tracker.rewinds for tracker in self.trackers)
-
-    @property
-    def failures(self) -> int:
-        """Number of states or outputs that were not finite."""
-        return sum(tracker.failures for tracker in self.trackers)
-
-    def run(self, window: Window) -> Table:
-        """Make the ticks of a window."""
-        joints, samples = range(len(self.trackers)), window.samples
-        with ThreadPoolExecutor(min(len(joints), os.cpu_count() or 1)) as pool:
-            results = list(pool.map(lambda joint: self._run_joint(window, joint), joints))
-        if refused := int(samples.refused.sum()):
-            self.rejected[RejectReason.WRONG_JOINT] += refused
-        done = self._done(window.ticks, results)
-        innovations, rows = [], []
-        for joint, one in enumerate(results):
-            rows.append(self.trackers[joint].estimator.as_rows(one.rows))
-            one.rows[~(done & one.there)] = np.nan
-            spread = np.full((len(samples), one.innovations.shape[1]), np.nan)
-            spread[samples.complete[:, joint]] = one.innovations
-            innovations.append(spread)
-            self._count(joint, one)
-        return Table(rows, done, innovations)
-
-    def _run_joint(self, window: Window, joint: int) -> JointResults:
-        samples, ticks, tracker = window.samples, window.ticks, self.trackers[joint]
-        own, shape = samples.complete[:, joint], tracker.estimator.shape
-        known = np.append(0, np.cumsum(own))[ticks.known]
-        return run_tracker(
-            tracker,
-            samples.stamps[own],
-            samples.y[own, joint, : shape.p],
-            samples.u[own, joint, : shape.m],
-            (ticks.stamps, ticks.now, known, ticks.resets),
-            self._stale_after,
-        )
-
-    def _count(self, joint: int, one: JointResults) -> None:
-        self.used += int(np.isfinite(one.innovations).any(axis=1).sum())
-        counts = np.bincount(one.codes, minlength=len(REASONS)).tolist()
-        self.rejected.update(
-            {reason: n for reason, n in zip(REASONS, counts, strict=True) if reason and n}
-        )
-        each = [(one.output_codes == code).sum(axis=0) for code in (GATED, NON_FINITE)]
-        self.outputs[joint] += np.stack(each, axis=1)
-
-    def _done(self, ticks: Records, results: Sequence[JointResults]) -> Flags:
-        """Return the ticks at which a node would publish estimates; stamps rise to a restart."""
-        done: Flags = np.any([one.there for one in results], axis=0) & ticks.estimated
-        if self._at_samples:
-            done &= np.any([one.newest == ticks.stamps for one in results], axis=0)
-        for part in np.split(np.arange(len(ticks)), np.flatnonzero(ticks.resets)):
-            if len(part) and ticks.resets[part[0]]:
-                self._last = 0
-            stamps = np.where(done[part], ticks.stamps[part], 0)
-            before = np.maximum.accumulate(np.append(self._last, stamps))
-            done[part] &= stamps > before[:-1]
-            self._last = int(before[-1])
-        return done

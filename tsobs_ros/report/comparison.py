@@ -26,7 +26,6 @@ from tsobs_ros.methods import EKFS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
 from tsobs_ros.replay.places import places_of
 from tsobs_ros.replay.source import BagSource, Source
-from tsobs_ros.replay.windows import WINDOW
 from tsobs_ros.report.held_out import HeldOutErrors, HeldOutSensor
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics, innovation_std, measure, root_mean
 from tsobs_ros.report.quantities import QUANTITIES, outputs_of
@@ -220,7 +219,7 @@ def compare_observers(
 def _scores(
     source: Source, observers: Sequence[Observer], sensors: Sequence[HeldOutSensor] = ()
 ) -> "RunScores":
-    runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
+    runs = make_runs(source, observers, rate=None, as_live=True)
     scores = RunScores(source, runs, sensors)
     run_all(source, runs, None, after_window=scores.add)
     return scores
@@ -264,12 +263,12 @@ class RunScores:
             y, u = own.y[:, joint, : len(places.outputs)], own.u[:, joint, : len(places.inputs)]
             measured.add(rows_of(own, np.hstack([y, u])))
         for run, joint, kept in self._kept:
-            table, innovations = run.table, run.table.innovations[joint]
-            there = np.flatnonzero(np.isfinite(table.values(joint, "state")[:, 0]))
+            innovations = run.innovations[joint]
+            there = np.flatnonzero(np.isfinite(run.values(joint, "state")[:, 0]))
             used = np.flatnonzero(np.isfinite(innovations).any(axis=1))
             kept["innovation"].add(rows_of(run.window.samples[used], innovations[used]))
             for key in kept.keys() - {"innovation"}:
-                found = table.values(joint, *(HEALTH if key == "health" else (key,)))[there]
+                found = run.values(joint, *(HEALTH if key == "health" else (key,)))[there]
                 if found.shape[1]:
                     kept[key].add(rows_of(run.window.ticks[there], found))
 
