@@ -118,7 +118,6 @@ def test_a_leap_of_the_clock_is_a_gap_and_no_missed_tick(stage: Stage) -> None:
     assert observer.joints[0].tracker.restarts == 3
     assert stage.watcher.broken == []
     timing = values(stage.statuses()["observer: timing"])
-    assert int(timing["clock jumps ahead"]) >= 3
     assert int(timing["missed ticks"]) - missed < 10_000  # of 6 million
 
 

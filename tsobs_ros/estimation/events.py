@@ -63,7 +63,7 @@ class EventLog:
         ['TRACKING: measurements arrive on /joint_measurements']
         >>> silent = good._replace(stamp=2 * 10**9, age=0.15)
         >>> [event.text for event in log.update(silent)]
-        ['COASTING: no measurement on /joint_measurements for 0.15 s; estimates are predictions']
+        ['COASTING: nothing usable on /joint_measurements for 0.15 s; estimates are predictions']
     """
 
     def __init__(self, source: str, coast_after: float, stale_after: float) -> None:
@@ -108,7 +108,7 @@ class EventLog:
                 text = f"TRACKING again: measurements arrive on {self._source}, {gap}"
             events += state.update(stamp, Phase.TRACKING, (Level.OK, text))
         else:
-            missing = f"no measurement on {self._source} for {estimate.age:.2g} s"
+            missing = f"nothing usable on {self._source} for {estimate.age:.2g} s"
             text = f"COASTING: {missing}; estimates are predictions"
             since = newest + round(self.coast_after * NANOSECONDS)
             events += state.update(since, Phase.COASTING, (Level.WARN, text))
@@ -155,7 +155,7 @@ class EventLog:
         return [Event(self._waits_since, EventKind.STATE, Level.WARN, text)]
 
     def _go_stale(self, newest: int) -> list[Event]:
-        missing = f"no measurement on {self._source} for {self._stale_after:g} s"
+        missing = f"nothing usable on {self._source} for {self._stale_after:g} s"
         text = f"STALE: {missing}; the next one restarts the estimate"
         since = newest + round(self._stale_after * NANOSECONDS)
         return self._changes[EventKind.STATE].update(since, Phase.STALE, (Level.ERROR, text))

@@ -249,7 +249,8 @@ def test_what_is_published_is_what_rclpy_would_send(ros: Any) -> None:
         state=two, state_bound=0.1 * two, disturbance=two, disturbance_rate=two,
         disturbance_bound=0.5 * two,
     )  # fmt: skip
-    publisher.publish(STAMP, [estimate(1.0), estimate(2.0, bounded=False), arm, tank])
+    estimates = [estimate(1.0), estimate(2.0, bounded=False), arm, tank]
+    publisher.publish(STAMP, dict(enumerate(estimates)))
     publisher.publish_innovations(np.array([STAMP]), np.array([[NAN, NAN, 1.0, NAN, 2.0]]))
     published(9)
     sides = ["hip_link", "hip_motor", "knee_link", "knee_motor", "arm_link", "arm_motor"]

@@ -31,7 +31,7 @@ def feed(joints: Iterable[ObservedJoint], count: int, bias: float = 0.0, first: 
     for stamp in range(BEGIN + first * PERIOD, BEGIN + (first + count) * PERIOD, PERIOD):
         for joint in joints:
             offer(joint, stamp, bias)
-            joint.estimate(stamp, hold=False)
+            joint.estimate(stamp)
     return stamp
 
 
@@ -46,31 +46,27 @@ def reject(joint: ObservedJoint, count: int) -> None:
 
 
 def statuses(
-    joints: list[ObservedJoint],
-    now: int,
-    *,
-    steady: int = 0,
-    failed: bool = False,
+    joints: list[ObservedJoint], now: int, *, steady: int = 0
 ) -> tuple[dict[str, Status], dict[str, dict[str, Status]]]:
+    for joint in joints:
+        joint.count(steady)
     timing = TickMeter(200.0).status(steady)
-    of_all, parts = statuses_of(
-        joints, timing, now, steady=steady, resets=3, enabled=True, failed=failed
-    )
+    of_all, parts = statuses_of(joints, timing, now, resets=3, enabled=True)
     return (
         {each.name: each for each in of_all},
         {joint: {each.name: each for each in own} for joint, own in parts.items()},
     )
 
 
-@pytest.mark.parametrize("hold", [False, True])
-def test_a_joint_waits_tracks_coasts_and_is_stale(hold: bool) -> None:
-    joints = joints_of(coast_after=0.1, stale_after=1.0)
+@pytest.mark.parametrize("when_stale", ["silent", "hold"])
+def test_a_joint_waits_tracks_coasts_and_is_stale(when_stale: str) -> None:
+    joints = joints_of(coast_after=0.1, stale_after=1.0, when_stale=when_stale)
     (joint,) = joints
     waiting, _ = statuses(joints, BEGIN)
     assert waiting["state"][1:3] == (Level.WARN, "WAITING")
     assert waiting["premise domain"].message == "no estimate yet"
     assert not any("nan" in value for each in waiting.values() for value in each.values.values())
-    assert joint.estimate(BEGIN, hold=hold)[0] is None
+    assert joint.estimate(BEGIN) is None
     last = feed(joints, 40)
     for age, phase, level in (
         (100 * MS, "TRACKING", Level.OK),
@@ -81,9 +77,9 @@ def test_a_joint_waits_tracks_coasts_and_is_stale(hold: bool) -> None:
         state = statuses(joints, last + age)[0]["state"]
         assert (state.level, state.message) == (level, phase)
         assert state.values["measurement age [s]"] == f"{age * 1e-9:.4f}"
-    before, _ = joint.estimate(last + NANOSECONDS, hold=hold)
-    stale, _ = joint.estimate(last + NANOSECONDS + 1, hold=hold)
-    if not hold:
+    before = joint.estimate(last + NANOSECONDS)
+    stale = joint.estimate(last + NANOSECONDS + 1)
+    if when_stale == "silent":
         assert stale is None
     else:
         assert before is not None
@@ -107,31 +103,19 @@ def test_each_concern_of_one_joint_has_a_status() -> None:
         "hypothesis": (Level.OK, "arm and sensor behave as designed"),
         "parameters": (Level.OK, "learning waits until the estimate has settled"),
     }
-    failed, _ = statuses(joints, BEGIN + 60 * PERIOD, failed=True)
-    assert failed["state"][1:3] == (Level.ERROR, "TRACKING, after a numerical failure")
 
 
-def test_the_node_is_as_bad_as_its_worst_joint_and_counts_the_samples_of_all() -> None:
+def test_the_node_is_as_bad_as_its_worst_joint() -> None:
     joints = joints_of(joints=("hip", "knee"), joint_designs=(FIXED, ""))
     feed(joints, 20)
-    reject(joints[1], 1)
-    offer(joints[1], BEGIN + 19 * PERIOD)
     now = feed(joints[:1], 1200, first=20)
     found, parts = statuses(joints, now)
-    stale = "STALE: all that comes is rejected, most: wrong joint or shape"
-    assert (parts["hip"]["state"].message, parts["knee"]["state"].message) == ("TRACKING", stale)
-    assert found["state"][1:3] == (Level.ERROR, stale)
-    assert found["joints"][1:] == (
-        Level.ERROR, f"knee: state: {stale}", {"hip": "OK", "knee": "ERROR"}
-    )  # fmt: skip
-    received = [own["measurements"].values["received"] for own in (*parts.values(), found)]
-    assert received == ["1220", "22", "1242"]
-    assert parts["knee"]["measurements"][1:3] == (
-        Level.WARN, "9 % of the last minute rejected, most: wrong joint or shape"
-    )  # fmt: skip
-    assert found["measurements"][1:3] == (
-        Level.OK, "2 in the last minute rejected, most: wrong joint or shape"
-    )  # fmt: skip
+    assert set(found) == {"state", "timing"}
+    assert parts["hip"]["state"].message == "TRACKING"
+    assert parts["knee"]["state"].message == "STALE"
+    assert found["state"][1:3] == (Level.ERROR, "STALE")
+    assert found["state"].values["resets"] == "3"
+    assert parts["hip"]["measurements"].values["received"] == "1220"
     assert parts["hip"]["certificate"].values["design"] == FIXED
     assert "parameters" not in parts["hip"]
     assert set(parts["knee"]["parameters"].values) == {"stiffness", "gravity", "learning"}
@@ -148,9 +132,10 @@ def test_rejections_warn_for_a_minute_and_name_the_main_reason() -> None:
     reject(joint, 4)
     for _ in range(8):
         offer(joint, now)
+    most = "rejected in the last minute: 12 of 112, most: duplicate stamp"
     for after, level, message in (
-        (1, Level.WARN, "11 % of the last minute rejected, most: duplicate stamp"),
-        (60, Level.WARN, "11 % of the last minute rejected, most: duplicate stamp, none now"),
+        (1, Level.WARN, most),
+        (60, Level.WARN, most),
         (61, Level.OK, "none rejected in the last minute"),
     ):
         status = statuses(joints, now, steady=hours + after * NANOSECONDS)[0]["measurements"]
@@ -235,35 +220,28 @@ def test_a_torque_at_the_link_warns_at_once_and_until_it_has_been_small_for_a_wh
         (10, Level.OK, "0.3 N m (1 sigma 0.5) at the link"),
     ]
     # It is over, but since the last status it has been.
-    (status,) = watch.statuses()
-    assert (status.name, status.level) == ("torque disturbance", Level.WARN)
-    assert status.message.startswith("3 N m (1 sigma 0.5) at the link, beyond 2 N m")
-    assert watch.statuses()[0].level == Level.OK
-
-
-def tick(meter: TickMeter, *times_ms: float) -> None:
-    for now in times_ms:
-        meter.begin(round(now * 1e6))
-        meter.end()
+    assert [watch.statuses()[0].level for _ in range(2)] == [Level.WARN, Level.OK]
 
 
 @pytest.mark.parametrize(
-    ("rate", "times", "missed", "level", "message", "achieved"),
+    ("rate", "times", "missed", "level", "achieved"),
     [
-        (200.0, (0.0, 5.0, 10.1, 14.9, 20.0), 0, Level.OK, "on time", "200.0"),
+        (200.0, (0.0, 5.0, 10.1, 14.9, 20.0), 0, Level.OK, "200.0"),
         # A late tick that the next one makes good is not missed.
-        (1000.0, (0.0, 1.7, 2.0, 3.9, 4.0, 5.0), 0, Level.OK, "on time", "1000.0"),
-        (1000.0, (0.0, 1.0, 3.2, 4.0), 1, Level.WARN, "missed 1 tick in the last minute", "750.0"),
+        (1000.0, (0.0, 1.7, 2.0, 3.9, 4.0, 5.0), 0, Level.OK, "1000.0"),
+        (1000.0, (0.0, 1.0, 3.2, 4.0), 1, Level.WARN, "750.0"),
         # A clock that is ahead at once has jumped.
-        (100.0, (1000.0, 1010.0, 61010.0, 61020.0), 0, Level.OK, "on time", "100.0"),
+        (100.0, (1000.0, 1010.0, 61010.0, 61020.0), 0, Level.OK, "100.0"),
     ],
 )
 def test_periods_without_a_tick_are_missed(
-    rate: float, times: tuple[float, ...], missed: int, level: Level, message: str, achieved: str
+    rate: float, times: tuple[float, ...], missed: int, level: Level, achieved: str
 ) -> None:
     meter = TickMeter(rate)
-    tick(meter, *times)
+    for now in times:
+        meter.begin(round(now * 1e6))
+        meter.end()
     status = meter.status(0)
-    assert (status.level, status.message) == (level, message)
+    assert (status.level, status.message) == (level, f"ticks missed in the last minute: {missed}")
     assert status.values["missed ticks"] == str(missed)
     assert status.values["achieved rate [Hz]"] == achieved

@@ -34,7 +34,7 @@ services:
 
 import time
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -45,13 +45,12 @@ from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.design.published import record_text
-from tsobs_ros.estimation.events import Event
 from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.health import Level, Status
-from tsobs_ros.estimation.records import REASONS, Estimate
+from tsobs_ros.estimation.records import REASONS
 from tsobs_ros.methods import warning
 from tsobs_ros.nodes.managed import ManagedNode, Statuses
-from tsobs_ros.nodes.observer.joints import OF_INPUT, ObservedJoint, observed_joints
+from tsobs_ros.nodes.observer.joints import FAILURES, OF_INPUT, ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.messages import EstimatePublisher, MeasurementReader
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, statuses_of
@@ -67,8 +66,6 @@ _MAX_SHARE = 0.4
 _MAX_BACKLOG = 0.05
 # What one node can do [Hz]; a design may be for more.
 _FASTEST = 2000.0
-# Time for which an output is missing before that is logged [ns].
-_PATIENCE = 3_000_000_000
 
 
 class Observer(ManagedNode[ObserverParameters]):
@@ -88,14 +85,12 @@ class Observer(ManagedNode[ObserverParameters]):
         topic = self.resolve_topic_name("joint_measurements")
         self._joints = observed_joints(parameters, topic)
         self._resets = 0
-        self._reported_failures = 0
         self._enabled = True
         self._is_new = True
         self._last_now = 0
         self._last_output = 0
         self._newest = b""
         self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
-        self._missing: set[tuple[str, str]] = set()
         # That of the design, as its `rate` is that of the measurements; of several the fastest.
         own = max(joint.loaded.design.request.rate for joint in self._joints)
         self._rate = parameters.rate or min(own, _FASTEST)
@@ -225,56 +220,23 @@ class Observer(ManagedNode[ObserverParameters]):
         if now <= self._last_output:
             self._publisher.publish_tick(now, estimated=False)
             return False
-        hold, estimates = self.parameters.when_stale == "hold", list[Estimate | None]()
-        for joint in self._joints:
-            estimate, contact = joint.estimate(now, hold=hold)
-            estimates.append(estimate)
-            if contact is not None:
-                self.log(contact.level, f"{joint.name}: {contact.message}")
+        each = ((place, joint.estimate(now)) for place, joint in enumerate(self._joints))
+        estimates = {place: one for place, one in each if one is not None}
         # One that is held is of an earlier time.
-        fresh = [each if each is not None and each.stamp == now else None for each in estimates]
-        self._publisher.publish_tick(now, estimated=any(fresh))
-        published = self._publisher.publish(now, estimates)
-        if published:
+        fresh = {place: one for place, one in estimates.items() if one.stamp == now}
+        self._publisher.publish_tick(now, estimated=bool(fresh))
+        self._publisher.publish(now, estimates)
+        if estimates:
             self._last_output = now
             done = time.time_ns()
             for arrived in self._unanswered:
                 self._meter.answered(done - arrived)
             self._unanswered.clear()
-        self._report_health(now, fresh)
-        return published
-
-    def _report_health(self, now: int, fresh: Sequence[Estimate | None]) -> None:
-        """Publish what the estimates are worth, if that is due, and log what has changed."""
         due = self._publisher.publish_health(now, fresh)
-        for joint, estimate in zip(self._joints, fresh, strict=True):
-            events: Sequence[Event] = ()
-            if estimate is None:
-                events = joint.events.silence(now)
-            elif due:
-                events = joint.events.update(estimate)
-            for event in events:
-                self.log(event.level, f"{joint.name}: {joint.explained(event)}")
-
-    def _report_missing(self, now: int) -> None:
-        """Log the outputs that messages have lacked for some seconds, each time once."""
-        for joint in self._joints:
-            names = joint.loaded.design.request.output_names
-            for output, place, sensor in zip(
-                names, joint.signals.outputs, joint.faults.sensors, strict=True
-            ):
-                fault, key = sensor.fault, (joint.name, output)
-                if fault.kind is not FaultKind.MISSING or fault.since is None:
-                    self._missing.discard(key)
-                elif fault.since <= now - _PATIENCE and key not in self._missing:
-                    self._missing.add(key)
-                    text = (
-                        f"{joint.name}: {output} is missing for {_PATIENCE * 1e-9:g} s: expected "
-                        f"{place.described}; the newest message: "
-                        f"{self._reader.describe(self._newest, joint.name)}; "
-                        "estimation goes on without it"
-                    )
-                    self.log(Level.WARN, text)
+        for place, joint in enumerate(self._joints):
+            for level, text in joint.news(now, fresh.get(place), due):
+                self.log(level, f"{joint.name}: {text}")
+        return bool(estimates)
 
     def _restart(self, why: str) -> None:
         """Reset everything that is computed from data; the counts are those of a new node."""
@@ -318,27 +280,32 @@ class Observer(ManagedNode[ObserverParameters]):
     def _statuses(self) -> Statuses:
         if not self.active:
             return [Status("state", Level.WARN, "INACTIVE", {})], {}
-        failures = sum(joint.tracker.failures for joint in self._joints)
-        failed, self._reported_failures = failures > self._reported_failures, failures
-        if failed and self.may_log("failure"):
-            self.log(Level.ERROR, "numerical failure: an estimate was not finite; restarted")
-        now = int(self.get_clock().now().nanoseconds)
-        self._report_missing(now)
-        steady = time.monotonic_ns()
+        now, steady = int(self.get_clock().now().nanoseconds), time.monotonic_ns()
         for joint in self._joints:
+            joint.count(steady)
+            if joint.newly[FAILURES] and self.may_log(FAILURES):
+                text = "numerical failure: an estimate was not finite; restarted"
+                self.log(Level.ERROR, f"{joint.name}: {text}")
             if (news := joint.pace_news(steady)) is not None:
                 level, text = news
                 self.log(level, f"{joint.name}: {text}")
+            self._report_missing(joint)
         timing = self._meter.status(steady)
-        return statuses_of(
-            self._joints,
-            timing,
-            now,
-            steady=steady,
-            resets=self._resets,
-            enabled=self._enabled,
-            failed=failed,
-        )
+        return statuses_of(self._joints, timing, now, resets=self._resets, enabled=self._enabled)
+
+    def _report_missing(self, joint: ObservedJoint) -> None:
+        """Log the outputs that messages lack."""
+        names = joint.request.output_names
+        each = zip(names, joint.faults.sensors, joint.signals.outputs, strict=True)
+        for output, sensor, place in each:
+            is_missing = sensor.fault.kind is FaultKind.MISSING
+            if is_missing and self.may_log((joint.name, output)):
+                self.log(
+                    Level.WARN,
+                    f"{joint.name}: {output} is missing: expected {place.described}; the newest "
+                    f"message: {self._reader.describe(self._newest, joint.name)}; estimation goes "
+                    "on without it",
+                )
 
     def _log_designs(self) -> None:
         """Log each joint's design, and warn of methods that cannot work."""

@@ -4,7 +4,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation import health, records
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.events import Event, EventKind, EventLog
+from tsobs_ros.estimation.events import Event, EventLog
 from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.health import Debounce, Level, Phase, Status
 from tsobs_ros.estimation.records import REASONS, USED, Estimate, RejectReason
@@ -30,6 +30,8 @@ NAMES = tuple(reason.value if reason else "" for reason in REASONS)
 """Names of the reasons of rejection by their codes."""
 OF_INPUT = (records.IMPLAUSIBLE_TORQUE, records.UNKNOWN_INPUT)
 """Of such a sample the outputs are used all the same."""
+FAILURES = "numerical failures"
+"""Name of the count of them."""
 
 _ACCEPTED = (*records.CORRECTING, records.GATED)
 # For how many seconds measurements must come at another rate before that is worth a word.
@@ -40,17 +42,11 @@ _ENOUGH = 8
 _SIGNIFICANT = 3.0
 
 
-def main_of(counts: Counter[str]) -> str:
-    """Return the reason of rejection with the most counts, "" if there are none."""
-    most = max(NAMES[1:], key=counts.__getitem__)
-    return most if counts[most] > 0 else ""
-
-
 class TorqueWatch:
-    """Watches the torque disturbance of one joint: how large it is, and if it is a contact.
+    """Watches the torque disturbance of one joint for a contact.
 
-    The link's is compared with the level, or the motor's if the design has no other. Statuses come
-    once a second and a contact may be shorter, so the largest torque in between is kept.
+    The link's is compared with the level, or the motor's if the design has no other. A contact may
+    be shorter than the time between two statuses, and is then in the next one all the same.
 
     Args:
         sides: The sides whose torque is estimated, some of motor and link.
@@ -63,49 +59,39 @@ class TorqueWatch:
     def __init__(self, sides: Sequence[str], level: float, hold: float) -> None:
         self.level, self.hold = level, hold
         self._sides = tuple(sides)
-        # Values and 1σ bounds of each side [N m].
-        self._latest: list[tuple[float, float]] = []
-        self._largest: list[tuple[float, float]] = []
+        # Values and 1σ bounds of the sides [N m].
+        self._latest: tuple[list[float], list[float]] = [], []
         self._beyond = Debounce(False)
+        self._touched = False
 
     def update(self, estimate: Estimate) -> Status | None:
         """Take in an estimate; return what has changed, None if nothing has."""
-        values, bounds = estimate.torque_disturbance, estimate.torque_disturbance_bound
-        if not values.size:
+        torques = estimate.torque_disturbance.tolist()
+        if not torques:
             return None
-        known = bounds.tolist() or [math.inf] * len(values)
-        self._latest = list(zip(values.tolist(), known, strict=True))
-        pairs = zip(self._largest or self._latest, self._latest, strict=True)
-        self._largest = [max(pair, key=lambda torque: abs(torque[0])) for pair in pairs]
-        was, beyond = self._beyond.value, self._is_beyond(self._latest[-1])
-        if self._beyond.update(estimate.stamp, beyond, 0.0 if beyond else self.hold) == was:
-            return None
-        return self._judged(self._latest[-1], beyond=beyond)
+        bounds = estimate.torque_disturbance_bound.tolist() or [math.inf] * len(torques)
+        size, bound, was = abs(torques[-1]), bounds[-1], self._beyond.value
+        beyond = 0.0 < self.level <= size and size >= _SIGNIFICANT * bound
+        is_beyond = self._beyond.update(estimate.stamp, beyond, 0.0 if beyond else self.hold)
+        self._latest = torques, bounds
+        self._touched |= is_beyond
+        return None if is_beyond == was else self._status(is_beyond)
 
     def statuses(self) -> list[Status]:
-        """Return the torques, and the largest since the last time; nothing without sides."""
-        if not self._sides:
-            return []
-        if not self._latest:
-            return [Status("torque disturbance", Level.OK, "no estimate yet", {})]
+        """Return the torques, a warning if there was a contact since the last time."""
+        touched, self._touched = self._touched, self._beyond.value
+        return [self._status(touched)] if self._sides else []
+
+    def _status(self, beyond: bool) -> Status:
         values = {"warn level [N m]": f"{self.level:g}"} if self.level else {}
-        for side, latest, largest in zip(self._sides, self._latest, self._largest, strict=True):
-            values[f"{side} [N m]"] = f"{latest[0]:.4g}"
-            values[f"{side} bound [N m]"] = f"{latest[1]:.4g}"
-            values[f"{side}, largest since the last status [N m]"] = f"{largest[0]:.4g}"
-        torque, self._largest = self._largest[-1], self._latest
-        beyond = self._beyond.value or self._is_beyond(torque)
-        return [self._judged(torque, beyond=beyond)._replace(values=values)]
-
-    def _is_beyond(self, torque: tuple[float, float]) -> bool:
-        size, bound = abs(torque[0]), torque[1]
-        return 0.0 < self.level <= size and size >= _SIGNIFICANT * bound
-
-    def _judged(self, torque: tuple[float, float], *, beyond: bool) -> Status:
-        text = f"{torque[0]:.3g} N m (1 sigma {torque[1]:.2g}) at the {self._sides[-1]}"
+        text = "no estimate yet"
+        for side, torque, bound in zip(self._sides, *self._latest, strict=False):
+            values[f"{side} [N m]"] = f"{torque:.4g}"
+            values[f"{side} bound [N m]"] = f"{bound:.4g}"
+            text = f"{torque:.3g} N m (1 sigma {bound:.2g}) at the {side}"
         if beyond:
             text += f", beyond {self.level:g} N m: a contact, a payload?"
-        return Status("torque disturbance", Level.WARN if beyond else Level.OK, text, values={})
+        return Status("torque disturbance", Level.WARN if beyond else Level.OK, text, values)
 
 
 class ObservedJoint:
@@ -121,6 +107,7 @@ class ObservedJoint:
     Attributes:
         name: The joint's name.
         loaded: Its design.
+        request: What that was made for.
         signals: Places of its signals in messages.
         learnt: Names of the learnt parameters.
         tracker: Orders its measurements and estimates.
@@ -130,10 +117,9 @@ class ObservedJoint:
         events: Finds changes of what its estimates are worth.
         torques: Watches its torque disturbance.
         method: Name of the method that estimates.
-        recent: Counts over the last minute: `received`, the reasons of rejection and the
-            estimator's events, by name.
+        recent: Counts over the last minute: `received`, the reasons of rejection, `FAILURES` and
+            the estimator's events, by name.
         newly: The same since the counts before, a second or so.
-        in_vain: Samples that were refused since one was accepted, by reason.
         measured_rate: Samples a second in use, by the median of their stamps' distances [Hz]; NaN
             if there are few.
     """
@@ -149,11 +135,10 @@ class ObservedJoint:
         self.name = name
         self.loaded = loaded
         self.method = parameters.method
-        request, settings = loaded.design.request, parameters.settings
-        self.signals = signals(request, name, alone=len(parameters.joints) == 1)
+        self.request, settings = loaded.design.request, parameters.settings
+        self.signals = signals(self.request, name, alone=len(parameters.joints) == 1)
         self.learnt = settings.learnt(loaded.design)
         self.tracker: Tracker = make_tracker(loaded.design, settings, estimator)
-        self._sides = request.torque_sides if isinstance(request, ArmRequest) else ()
         self._parameters = parameters
         self.events = EventLog(source, parameters.coast_after, parameters.stale_after)
         self.reset()
@@ -165,18 +150,15 @@ class ObservedJoint:
         self.received = 0
         self.recent = health.LastMinute()
         self.newly = Counter[str]()
-        self.in_vain = Counter[str]()
         self.measured_rate = math.nan
         self._stamps: list[int] = []
         self._pace = Debounce(0)
-        self._newest = 0
         self.latest: Estimate | None = None
-        limits = self._parameters.fault
-        stds = np.sqrt(np.diag(self.loaded.design.request.measurement_covariance)).tolist()
+        request, limits = self.request, self._parameters.fault
+        stds = np.sqrt(np.diag(request.measurement_covariance)).tolist()
         self.faults = FaultMonitor(stds, limits)
-        self.torques = TorqueWatch(
-            self._sides, self._parameters.torque_warn_of[self.name], limits.hold
-        )
+        sides = request.torque_sides if isinstance(request, ArmRequest) else ()
+        self.torques = TorqueWatch(sides, self._parameters.torque_warn_of[self.name], limits.hold)
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
@@ -190,7 +172,8 @@ class ObservedJoint:
 
     def age(self, now: int) -> float | None:
         """Return the age of the newest measurement in use [s], None before the first."""
-        return max(0, now - self._newest) / NANOSECONDS if self._newest else None
+        newest = self.tracker.newest
+        return None if newest is None else max(0, now - newest) / NANOSECONDS
 
     def phase(self, now: int) -> Phase:
         """Return how fresh its measurements are."""
@@ -213,20 +196,12 @@ class ObservedJoint:
         """
         given = codes == USED
         innovations = np.full(y.shape, math.nan)
-        for code, count in Counter(codes[~given].tolist()).items():
-            if code != NOT_NAMED:
-                self.tracker.reject(RejectReason(NAMES[code]), count)
+        counts = Counter(codes[~given].tolist())
+        self.received += len(codes) - counts.pop(NOT_NAMED, 0)
+        for code, count in counts.items():
+            self.tracker.reject(RejectReason(NAMES[code]), count)
         codes[given], innovations[given] = self._use(stamps[given], y[given], u[given], now)
-        self.received += len(codes) - int(np.count_nonzero(codes == NOT_NAMED))
-        outcomes = codes.tolist()
-        accepted = [k for k, code in enumerate(outcomes) if code in _ACCEPTED]
-        if accepted:
-            self._newest = max(self._newest, int(stamps[accepted[-1]]))
-            self.in_vain.clear()
-            self._stamps += stamps[accepted].tolist()
-        refused = outcomes[accepted[-1] + 1 :] if accepted else outcomes
-        if refused:
-            self.in_vain.update(NAMES[code] for code in refused if code != NOT_NAMED)
+        self._stamps += stamps[np.isin(codes, _ACCEPTED)].tolist()
         return innovations
 
     def _use(self, stamps: Stamps, y: Array, u: Array, now: int) -> tuple[Stamps, Array]:
@@ -243,8 +218,8 @@ class ObservedJoint:
         Args:
             steady: Time that neither stands still nor goes back [ns].
         """
-        totals = {"received": self.received, **self.rejected, **self.tracker.events}
-        self.newly = self.recent.update(steady, totals)
+        own = {"received": self.received, FAILURES: self.tracker.failures}
+        self.newly = self.recent.update(steady, {**own, **self.rejected, **self.tracker.events})
 
     def pace_news(self, steady: int) -> tuple[Level, str] | None:
         """Measure the rate of samples since the last call; return a change that has lasted.
@@ -257,7 +232,7 @@ class ObservedJoint:
             return None
         self.measured_rate = NANOSECONDS / max(1.0, float(np.median(np.diff(stamps))))
         before = self._pace.value
-        off, text = health.judge_rate(self.measured_rate, self.loaded.design.request.rate)
+        off, text = health.judge_rate(self.measured_rate, self.request.rate)
         if self._pace.update(steady, off, _LASTING) == before:
             return None
         return Level.WARN if off else Level.OK, text
@@ -267,34 +242,41 @@ class ObservedJoint:
         """Number of samples not used, by reason."""
         return Counter({reason.value: n for reason, n in self.tracker.rejected.items()})
 
-    def explained(self, event: Event) -> str:
-        """Return an event's text, with the reason if nothing but refused samples came before it."""
-        main = main_of(self.in_vain)
-        if not main or event.kind is not EventKind.STATE or event.level is Level.OK:
-            return event.text
-        text = event.text.replace("no measurement", "no usable measurement")
-        return (
-            f"{text}; {self.in_vain.total()} came and all were rejected, most: {main}; "
-            f"{RejectReason(main).remedy}"
-        )
-
-    def estimate(self, now: int, *, hold: bool) -> tuple[Estimate | None, Status | None]:
-        """Return the estimate to publish, and a change of the torque that it shows, if any.
+    def estimate(self, now: int) -> Estimate | None:
+        """Return the estimate to publish; of a stale joint the latest without bounds, or none.
 
         Args:
             now: Time on the node's clock [ns].
-            hold: Whether a stale joint keeps its latest estimate, without bounds.
         """
         if self.phase(now) in (Phase.WAITING, Phase.STALE):
             # To predict through a long silence would take long, and tell nothing.
-            return self._held() if hold else None, None
+            return self._held() if self._parameters.when_stale == "hold" else None
         estimate = self.tracker.estimate(now)
         if estimate is None:
-            return None, None
+            return None
         self.latest = estimate
         if estimate.disturbance.size:
             self.faults.estimated(now, estimate.disturbance, estimate.disturbance_bound)
-        return estimate, self.torques.update(estimate)
+        return estimate
+
+    def news(self, now: int, estimate: Estimate | None, due: bool) -> Iterator[tuple[Level, str]]:
+        """Yield what is to be logged of an estimate, or of there being none.
+
+        Args:
+            now: Time on the node's clock [ns].
+            estimate: That for `now`.
+            due: Whether its health is published.
+        """
+        events: Sequence[Event] = ()
+        if estimate is None:
+            events = self.events.silence(now)
+        else:
+            if (contact := self.torques.update(estimate)) is not None:
+                yield contact.level, contact.message
+            if due:
+                events = self.events.update(estimate)
+        for event in events:
+            yield event.level, event.text
 
     def _held(self) -> Estimate | None:
         nothing = np.zeros(0)

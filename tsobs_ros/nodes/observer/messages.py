@@ -204,41 +204,29 @@ class EstimatePublisher:
         self._count = len(joints)
         self._slow_since = dict.fromkeys((topics.PARAMETERS, topics.HEALTH), -topics.SLOW_PERIOD)
 
-    def publish(self, stamp: int, estimates: Sequence[Estimate | None]) -> bool:
-        """Publish the joints' estimates; what they lack is left out.
+    def publish(self, stamp: int, estimates: Mapping[int, Estimate]) -> None:
+        """Publish estimates of joints by their index; what they lack is left out.
 
         Args:
             stamp: Of the messages [ns].
-            estimates: One entry a joint; None if it has no estimate.
-
-        Returns:
-            Whether there was an estimate.
+            estimates: Of the joints that have one.
         """
-        known = {joint: each for joint, each in enumerate(estimates) if each is not None}
-        valid = {joint: each for joint, each in known.items() if each.parameters_valid}
+        valid = {joint: each for joint, each in estimates.items() if each.parameters_valid}
         is_due = bool(valid) and self._is_due(topics.PARAMETERS, stamp)
         for topic, output in self._outputs.items():
             if topic in topics.PARAMETER_TOPICS:
                 if is_due:
                     output.publish(stamp, _rows(topic, valid))
             elif topic != topics.HEALTH and output.publisher.get_subscription_count():
-                output.publish(stamp, _rows(topic, known))
-        return bool(known)
+                output.publish(stamp, _rows(topic, estimates))
 
-    def publish_health(self, stamp: int, estimates: Sequence[Estimate | None]) -> bool:
-        """Publish what the joints' estimates are worth, if that is due; return whether it is.
-
-        Args:
-            stamp: Of the estimates [ns].
-            estimates: One entry a joint; None if it has none.
-        """
-        known = {joint: each for joint, each in enumerate(estimates) if each is not None}
-        if not known or not self._is_due(topics.HEALTH, stamp):
-            return False
-        self._outputs[topics.HEALTH].publish(
-            stamp, {joint: each.health for joint, each in known.items()}
-        )
-        return True
+    def publish_health(self, stamp: int, estimates: Mapping[int, Estimate]) -> bool:
+        """Publish what estimates at a stamp are worth, if that is due; return whether it is."""
+        is_due = bool(estimates) and self._is_due(topics.HEALTH, stamp)
+        if is_due:
+            rows = {joint: each.health for joint, each in estimates.items()}
+            self._outputs[topics.HEALTH].publish(stamp, rows)
+        return is_due
 
     def publish_innovations(self, stamps: Stamps, innovations: Array) -> None:
         """Publish y − ŷ of messages, stamped as they are.
