@@ -95,18 +95,18 @@ def _run(design: Design, case: _Case, seed: int, duration: float) -> _Run:
     period, used = observer.period, np.zeros((1, 1), np.int64)
     for index in range(round(duration * scenario.rate)):
         if case.sensor is not None and index == round(_ONSET * scenario.rate):
-            plant.exchange_sensor(case.sensor)
+            plant.exchange(replace(scenario, sensor=case.sensor))
         sample = plant.step()
-        state, correction = observer.correct(state, sample.measurement)
+        state, correction = observer.correct(state, sample.measurements)
         known = observer.readout(state)
         std = np.sqrt(correction.innovation_covariance[0])
-        stamp = 1_000_000_000 + round(sample.time * 1e9)
+        stamp = 1_000_000_000 + round(float(sample.times) * 1e9)
         started = time.thread_time_ns()
-        monitor.measured([stamp], [sample.measurement], used, [correction.innovation], [std])
+        monitor.measured([stamp], [sample.measurements], used, [correction.innovation], [std])
         monitor.estimated(stamp, known.disturbance, known.disturbance_bound)
         kinds.append(monitor.sensors[0].fault.kind)
         costs.append(time.thread_time_ns() - started)
-        state = observer.predict(state, sample.torque, period)
+        state = observer.predict(state, sample.torques, period)
     return _Run(kinds, costs)
 
 

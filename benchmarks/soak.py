@@ -186,7 +186,7 @@ def _sensor(rate: float, share: float) -> None:
     period, stamp = round(1e9 / rate), time.time_ns()
     while True:
         sample = plant.step()
-        y, u = sample.measurement.tolist(), sample.torque.tolist()
+        y, u = sample.measurements.tolist(), sample.torques.tolist()
         publisher.publish(good(stamp, y, (), u))
         if rng.random() < share:
             publisher.publish(spoilt[rng.integers(len(spoilt))](stamp, y, u))

@@ -98,7 +98,7 @@ def test_a_ts_system_is_simulated_and_estimated_by_its_design() -> None:
         ({"mismatch": {"mass": 0.1}}, "mismatch: expected some of link_inertia"),
         ({"torque": [1.0, 2.0]}, r"torque: expected shape \(201,\) or \(201, 1\).*got \(2,\)"),
         ({"torque_disturbance": {"elbow": "ramp"}}, "torque_disturbance: expected some of motor"),
-        ({"payload": {"mass": 1.0, "inertia": 0.1}}, "payload: expected some of mass, distance"),
+        ({"payload": {"mass": 1.0, "inertia": 0.1}}, "payload: expected some of link_inertia"),
         ({"time": [0.0, np.nan]}, r"time\[1\]: expected finite seconds"),
         ({"time": [], "angle": []}, r"time: expected shape \(n,\) with n > 0, got \(0,\)"),
         ({"angle": [0, 0, 0]}, r"angle: expected shape .* there are 2 times, got \(3,\)"),

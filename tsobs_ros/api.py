@@ -170,8 +170,8 @@ def simulate(
         friction: Of the true arm, such as {"motor_viscous": 0.1}; see `simulation.integrator`.
         torque_disturbance: Torques on "motor" and "link" besides the drive's [N m], each as
             `disturbance`.
-        payload: What the link carries from `start` on for `duration` [s]: `mass` [kg] at a
-            `distance` [m], or `link_inertia` [kg m²] and `gravity_torque` [N m].
+        payload: What the link carries from `start` on for `duration` [s], 0 for ever: `mass` [kg]
+            at a `distance` [m], `link_inertia` [kg m²] and `gravity_torque` [N m].
 
     Raises:
         ModelError: A number is out of range, a kind, output or parameter is unknown, a T–S system
@@ -204,7 +204,7 @@ def simulate(
         changes["torque_disturbance"] = TorqueDisturbance(
             **{side: _components(terms) for side, terms in sides.items()}
         )
-        changes["payload"] = _payload(payload or {})
+        changes["payload"] = _changed("payload", Payload(), payload or {})
         if initial_state is not None:
             physical = as_matrix("initial_state", initial_state, (4,))
             changes["initial_state"] = tuple(scenario.arm.from_physical(physical).tolist())
@@ -220,7 +220,7 @@ def simulate(
         if initial_state is not None:
             changes["initial_state"] = initial_state
     scenario = replace(scenario, **changes)
-    count, m, given = scenario.sample_count, scenario.signals.input_count, None
+    count, m, given = scenario.sample_count, scenario.input_count, None
     if torque is not None and excited is None:
         values: Any = torque
         if callable(torque):
@@ -476,14 +476,6 @@ def _outputs(
         )
         for output, std in zip(outputs, stds, strict=True)
     )
-
-
-def _payload(numbers: Mapping[str, float]) -> Payload:
-    if "mass" in numbers or "distance" in numbers:
-        check_names("payload", numbers, ["mass", "distance", "start", "duration"])
-        return Payload.point(**{"mass": 0.0, "distance": 0.0, **numbers})
-    payload: Payload = _changed("payload", Payload(), numbers)
-    return payload
 
 
 def _components(disturbance: Disturbance) -> tuple[Signal, ...]:

@@ -185,6 +185,29 @@ def settings_group(make: Callable[..., T], **members: Any) -> T:
     return field(default_factory=lambda: make(**given), metadata={_KEY: members})
 
 
+def check_numbers(record: Any, name: str) -> None:
+    """Refuse a record whose fields are settings, and of them a number that is not accepted.
+
+    Args:
+        record: An instance of a dataclass; fields that are no settings are not checked.
+        name: What it is, for the error.
+
+    Raises:
+        ModelError: The first number that is not finite or out of range.
+    """
+    for item in fields(record):
+        rule = item.metadata.get(_KEY)
+        if isinstance(rule, Setting) and not isinstance(rule.default, bool | str):
+            value = getattr(record, item.name)
+            low = -math.inf if rule.minimum is None else rule.minimum
+            high = math.inf if rule.maximum is None else rule.maximum
+            if not (math.isfinite(value) and low <= value <= high):
+                limits = f" of {' and '.join(rule.limits)}" if rule.limits else ""
+                raise ModelError(
+                    f"{name} {item.name}: expected a finite number{limits}, got {value!r}"
+                )
+
+
 class Schema:
     """The settings of a dataclass and of its groups.
 

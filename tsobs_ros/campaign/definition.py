@@ -18,7 +18,7 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode, encode, naming
-from tsobs_ros.simulation.integrator import Friction
+from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch
 from tsobs_ros.yaml_files import read_text, yaml_mapping, yaml_text
 
@@ -33,16 +33,6 @@ class CampaignError(TsobsError, RuntimeError):
 
 SignalEntry: TypeAlias = dict[str, Any]
 """A component of a disturbance: its kind and its numbers."""
-
-
-@dataclass(kw_only=True, frozen=True)
-class PayloadEntry:
-    """A mass [kg] on the link, at a distance from its axis [m], for a time; 0 s is for ever."""
-
-    mass: float = 0.0
-    distance: float = 0.0
-    start: float = 0.0
-    duration: float = 0.0
 
 
 @dataclass(kw_only=True)
@@ -72,7 +62,7 @@ class ScenarioEntries(OutputEntries):
     link_torque: list[SignalEntry] = field(default_factory=list)
     torque_error: list[SignalEntry] = field(default_factory=list)
     friction: Friction = field(default_factory=Friction)
-    payload: PayloadEntry = field(default_factory=PayloadEntry)
+    payload: Payload = field(default_factory=Payload)
     mismatch: Mismatch = field(default_factory=Mismatch)
 
 

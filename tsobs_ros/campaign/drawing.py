@@ -17,7 +17,7 @@ from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.schema import decode, within
-from tsobs_ros.simulation.integrator import Friction, Payload
+from tsobs_ros.simulation.integrator import Friction
 from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput, TorqueDisturbance
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
@@ -146,7 +146,6 @@ def _scenario(
         raise ModelError(f"initial_state: expected four numbers, got {given.initial_state}")
     mismatch, damping = (asdict(one) for one in _true_arm(request.arm, theta))
     noise, factor = request.process_noise, given.process_noise * given.process_noise
-    payload = given.payload
     torques = {
         side: (
             *_designed(getattr(request.torque_disturbance, side), given, random),
@@ -173,9 +172,7 @@ def _scenario(
         torque_error=_signals("torque_error", given.torque_error),
         outputs=_outputs(request, given, base.outputs, random),
         torque_disturbance=TorqueDisturbance(**torques),
-        payload=Payload.point(
-            payload.mass, payload.distance, payload.start, payload.duration or math.inf
-        ),
+        payload=given.payload,
     )
 
 

@@ -35,7 +35,7 @@ def violated(scenario: Scenario, request: ArmRequest) -> tuple[str, ...]:
     noise, designed = scenario.process_noise, request.process_noise
     uncertain = request.uncertainty
     found = {
-        "payload": payload.link_inertia or payload.gravity_torque,
+        "payload": any(payload.total),
         "torque error": scenario.torque_error,
         "process noise": _is_more(noise.link, designed.link)
         or _is_more(noise.motor, designed.motor),
@@ -52,7 +52,7 @@ def violated(scenario: Scenario, request: ArmRequest) -> tuple[str, ...]:
             for name, theta in _thetas(scenario.mismatch, request.arm).items()
         ),
     }
-    for asked, output in zip(request.sensors, scenario.signals.outputs, strict=True):
+    for asked, output in zip(request.sensors, scenario.measured, strict=True):
         sensor = output.sensor
         for name, holds in (
             ("disturbance", not _foresees(asked.disturbance, output.disturbance)),

@@ -21,33 +21,38 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.torque_path import DIRECT, TorquePath
-from tsobs_ros.simulation.integrator import ArmMotion, Friction, Motion, Payload, TorqueDelay
+from tsobs_ros.settings import check_numbers, setting
+from tsobs_ros.simulation.delays import TorqueDelay
+from tsobs_ros.simulation.integrator import ArmMotion, Friction, Motion, Payload
 from tsobs_ros.simulation.sensor import Disturbance, Output, Sensor
 from tsobs_ros.simulation.signals import Signal, Sine, StuckSensor
-from tsobs_ros.simulation.streams import Seeds, Source, checked_seeds
+from tsobs_ros.simulation.streams import Source
 
 _BLOCK = 2**16
 """Samples of all runs that are moved at a time, so that the memory stays bounded."""
 
 
+def _change(what: str) -> float:
+    return setting(0.0, f"Relative change of the {what}; 0.2 is 20 % more", minimum=-1.0)
+
+
 @dataclass(frozen=True)
 class Mismatch:
-    """Relative changes that turn the nominal arm into the true one: +0.2 means 20 % more."""
+    """Relative changes that turn the nominal arm into the true one.
 
-    link_inertia: float = 0.0
-    motor_inertia: float = 0.0
-    stiffness: float = 0.0
-    gravity_torque: float = 0.0
-    link_damping: float = 0.0
-    motor_damping: float = 0.0
+    Raises:
+        ModelError: A number is not finite or below -1.
+    """
+
+    link_inertia: float = _change("link's inertia")
+    motor_inertia: float = _change("motor's inertia")
+    stiffness: float = _change("stiffness")
+    gravity_torque: float = _change("torque that holds the link horizontal")
+    link_damping: float = _change("link's damping")
+    motor_damping: float = _change("motor's damping")
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            change = getattr(self, item.name)
-            if not (math.isfinite(change) and change > -1.0):
-                raise ModelError(
-                    f"mismatch {item.name}: expected a finite number above -1, got {change!r}"
-                )
+        check_numbers(self, "mismatch")
 
     def apply(self, nominal: ElasticJointArm) -> ElasticJointArm:
         """Return the true arm."""
@@ -81,45 +86,16 @@ class SimulatedOutput:
         non_negative("delay", self.delay)
 
 
-@dataclass(frozen=True)
-class TorqueDisturbance:
+class TorqueDisturbance(NamedTuple):
     """Torques on an arm beside the drive's [N m]; each is held from a sample to the next.
 
     Attributes:
         motor: Components of the torque on the motor, added up.
         link: Components of the torque on the link, such as that of a contact, added up.
-
-    Raises:
-        ModelError: A component is a stuck sensor.
     """
 
     motor: tuple[Signal, ...] = ()
     link: tuple[Signal, ...] = ()
-
-    def __post_init__(self) -> None:
-        for side in SIDES:
-            if any(isinstance(each, StuckSensor) for each in getattr(self, side)):
-                raise ModelError(f"torque_disturbance {side}: expected torques, got a stuck sensor")
-
-
-class PlantSignals(NamedTuple):
-    """What moves a plant, and what is measured of it.
-
-    Attributes:
-        outputs: The outputs, p of them.
-        inputs: The signal of each input and scheduled signal in the absence of a command.
-        input_count: Number of inputs, which can be commanded; they are the first of `inputs`.
-        torques: Signals of the disturbance of each torque.
-        reporting_error: What the first reported input has beyond the applied one.
-        torque: How the first input reaches the plant.
-    """
-
-    outputs: tuple[SimulatedOutput, ...]
-    inputs: tuple[Signal, ...]
-    input_count: int
-    torques: tuple[tuple[Signal, ...], ...] = ()
-    reporting_error: tuple[Signal, ...] = ()
-    torque: TorquePath = DIRECT
 
 
 class PlantScenario(ABC):
@@ -128,15 +104,28 @@ class PlantScenario(ABC):
     Attributes:
         rate: Samples per second [Hz].
         duration: How long a campaign simulates [s].
+        input_count: Number of inputs, which can be commanded; they are the first of `moved_by`.
+        torque_disturbance: Signals of the disturbance of each torque.
+        torque_error: What the first reported input has beyond the applied one.
+        torque: How the first input reaches the plant.
     """
 
     rate: float
     duration: float
+    input_count: int = 1
+    torque_disturbance: tuple[tuple[Signal, ...], ...] = ()
+    torque_error: tuple[Signal, ...] = ()
+    torque: TorquePath = DIRECT
 
     @property
     @abstractmethod
-    def signals(self) -> PlantSignals:
-        """What moves it, and what is measured."""
+    def measured(self) -> tuple[SimulatedOutput, ...]:
+        """The outputs, p of them."""
+
+    @property
+    @abstractmethod
+    def moved_by(self) -> tuple[Signal, ...]:
+        """The signal of each input and scheduled signal in the absence of a command."""
 
     @abstractmethod
     def motion(self, seeds: Sequence[int]) -> Motion:
@@ -206,6 +195,10 @@ class Scenario(PlantScenario):
         non_negative("backlash", self.backlash)
         for name in ("initial_state", "initial_spread"):
             as_matrix(name, getattr(self, name), (4,))
+        self.mismatch.apply(self.arm)
+        for side, torque in zip(SIDES, self.torque_disturbance, strict=True):
+            if any(isinstance(each, StuckSensor) for each in torque):
+                raise ModelError(f"torque_disturbance {side}: expected torques, got a stuck sensor")
         self.arm.measured(
             [output.measures for output in self.outputs], [output.delay for output in self.outputs]
         )
@@ -221,12 +214,13 @@ class Scenario(PlantScenario):
         return self.mismatch.apply(self.arm)
 
     @property
-    def signals(self) -> PlantSignals:
+    def measured(self) -> tuple[SimulatedOutput, ...]:
         alone = SimulatedOutput(sensor=self.sensor, disturbance=self.disturbance)
-        torques = (self.torque_disturbance.motor, self.torque_disturbance.link)
-        outputs = self.outputs or (alone,)
-        inputs = (self.excitation,)
-        return PlantSignals(outputs, inputs, 1, torques, self.torque_error, self.torque)
+        return self.outputs or (alone,)
+
+    @property
+    def moved_by(self) -> tuple[Signal, ...]:
+        return (self.excitation,)
 
     def motion(self, seeds: Sequence[int]) -> Motion:
         return ArmMotion(self, seeds)
@@ -236,7 +230,7 @@ class Scenario(PlantScenario):
 
 
 class Trajectories(NamedTuple):
-    """A batch of runs; without the first axis a single one.
+    """A batch of runs; without the first axis a single one, without the second a single sample.
 
     Shapes are those of an arm; a T–S system has n states, m inputs and then s scheduled signals,
     no torques, and `physical` is `states`.
@@ -268,20 +262,6 @@ class Trajectories(NamedTuple):
     torque_disturbances: Array
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """One sample, `index` k, of `Trajectories`, which say what the others are."""
-
-    index: int
-    time: float
-    state: Array
-    disturbance: Array
-    measurement: Array
-    torque: Array
-    physical: Array
-    torque_disturbance: Array
-
-
 class Plant:
     """A plant with its excitation, its sensors and everything random about them.
 
@@ -291,59 +271,66 @@ class Plant:
             batch is the same as the single plant with its seed.
 
     Attributes:
-        scenario: As given.
+        scenario: As given, or as exchanged.
         index: Index of the sample that the next step returns.
 
     Raises:
         ModelError: A seed is not an integer of at least zero.
     """
 
-    def __init__(self, scenario: PlantScenario, seeds: Seeds = 0) -> None:
+    def __init__(self, scenario: PlantScenario, seeds: int | Sequence[int] = 0) -> None:
         self._is_batch = not isinstance(seeds, int | np.integer)
-        self._seeds = runs = checked_seeds(seeds)
+        self._seeds = runs = np.atleast_1d(np.asarray(seeds, np.object_)).tolist()
+        if not runs or min(runs) < 0:
+            raise ModelError(f"seeds: expected integers of at least 0, at least one, got {seeds!r}")
         self.scenario, self.index = scenario, 0
-        self._motion, self._signals = scenario.motion(runs), scenario.signals
-        self._inputs, rate = list(self._signals.inputs), scenario.rate
+        self._motion, rate = scenario.motion(runs), scenario.rate
         self._outputs = [
             Output(runs, number, rate, each.sensor, each.disturbance)
-            for number, each in enumerate(self._signals.outputs)
+            for number, each in enumerate(scenario.measured)
         ]
-        self._torques = [
-            Disturbance(runs, Source.TORQUE, side, rate, signals)
-            for side, signals in enumerate(self._signals.torques)
-        ]
+        torques = (*scenario.torque_disturbance, scenario.torque_error)
+        *self._torques, self._error = (
+            Disturbance(runs, Source.TORQUE, number, rate, signals)
+            for number, signals in enumerate(torques)
+        )
         self._held = np.zeros((len(runs), len(self._outputs)))
-        path, errors = self._signals.torque, self._signals.reporting_error
-        self._is_direct = path == DIRECT
-        self._path = TorqueDelay(path, rate)
+        self._is_direct = scenario.torque == DIRECT
+        self._path = TorqueDelay(scenario.torque, rate)
         # The error of a report takes the same path in estimators.
-        self._error_paths = [TorqueDelay(replace(path, offset=0.0), rate) for _ in errors]
+        self._error_path = TorqueDelay(replace(scenario.torque, offset=0.0), rate)
 
     @property
     def time(self) -> float:
         """Time of the sample that the next step returns, since the start [s]."""
         return self.index / self.scenario.rate
 
-    def exchange_disturbance(self, signals: Sequence[Signal], output: int = 0) -> None:
-        """Put other signals in the place of an output's present ones, from the next sample on.
+    def exchange(self, scenario: PlantScenario) -> list[str]:
+        """Go on with the signals and sensors of another scenario of the same plant.
 
-        The time of the new signals, their `start` included, counts from the next sample.
+        The time of a disturbance that differs, its start included, counts from the next sample; the
+        time of inputs goes on.
+
+        Returns:
+            What is disturbed otherwise from the next sample on, in words.
         """
-        self._outputs[output].disturb(signals, self.index)
+        self.scenario, found = scenario, []
+        for output, each in zip(self._outputs, scenario.measured, strict=True):
+            if output.exchange(each.sensor, each.disturbance, self.index):
+                found.append((f"disturbance of {each.measures}", each.disturbance))
+        for side, torque, signals in zip(
+            SIDES, self._torques, scenario.torque_disturbance, strict=False
+        ):
+            if torque.exchange(signals, self.index):
+                found.append((f"torque disturbance of the {side}", signals))
+        if self._error.exchange(scenario.torque_error, self.index):
+            found.append(("error of the effort", scenario.torque_error))
+        return [
+            f"{name} is now {'+'.join(each.kind for each in signals) or 'none'}"
+            for name, signals in found
+        ]
 
-    def exchange_torque_disturbance(self, signals: Sequence[Signal], side: int) -> None:
-        """Do so for the torque disturbance of the motor (0) or of the link (1)."""
-        self._torques[side].exchange(signals, self.index)
-
-    def exchange_excitation(self, excitation: Signal, place: int = 0) -> None:
-        """Move an input otherwise from the next sample on; its time goes on counting."""
-        self._inputs[place] = excitation
-
-    def exchange_sensor(self, sensor: Sensor, output: int = 0) -> None:
-        """Measure with other noise, outliers or dropouts from the next sample on."""
-        self._outputs[output].exchange(sensor)
-
-    def step(self, torque: ArrayLike | None = None) -> Sample:
+    def step(self, torque: ArrayLike | None = None) -> Trajectories:
         """Measure at the present sample, move on to the next one and return the former.
 
         Args:
@@ -353,11 +340,11 @@ class Plant:
         Raises:
             ModelError: The torque is not finite or does not fit the plant.
         """
-        index, given = self.index, None if torque is None else np.asarray(torque, np.float64)
+        given = None if torque is None else np.asarray(torque, np.float64)
         if given is not None and given.ndim:
             given = given[..., np.newaxis, :]
         times, *arrays = self.run(1, given)
-        return Sample(index, float(times[0]), *(each[..., 0, :] for each in arrays))
+        return Trajectories(times[0], *(each[..., 0, :] for each in arrays))
 
     def run(self, samples: int, torque: ArrayLike | None = None) -> Trajectories:
         """Step many times and return all samples; other threads of Python can run meanwhile.
@@ -375,7 +362,7 @@ class Plant:
         given = None if torque is None else self._checked_torque(torque, samples)
         times = np.arange(self.index, self.index + samples) / self.scenario.rate
         n, p, t = self._motion.states.shape[1], len(self._outputs), len(self._torques)
-        widths = (n, p, p, len(self._inputs), t)
+        widths = (n, p, p, len(self.scenario.moved_by), t)
         kept = [np.empty((len(self._seeds), samples, width)) for width in widths]
         block = 1 if self._motion.fed_back else max(1, _BLOCK // len(self._seeds))
         for done in range(0, samples, block):
@@ -390,7 +377,7 @@ class Plant:
 
     def _checked_torque(self, torque: ArrayLike, samples: int) -> Array:
         """Return commands of all runs, shape (runs, samples, m)."""
-        given, runs, m = np.asarray(torque, np.float64), len(self._seeds), self._signals.input_count
+        given, runs, m = np.asarray(torque, np.float64), len(self._seeds), self.scenario.input_count
         shapes = [(samples, m)] + [(runs, samples, m)] * self._is_batch
         if given.shape not in ((), *shapes):
             expected = " or ".join(map(str, shapes))
@@ -406,8 +393,9 @@ class Plant:
         """Move on over samples; return states, disturbances, measurements, inputs and torques."""
         motion, start = self._motion, self.index
         shape = (len(self._seeds), len(times))
-        inputs = np.empty((*shape, len(self._inputs)))
-        for place, excitation in enumerate(self._inputs):
+        signals = self.scenario.moved_by
+        inputs = np.empty((*shape, len(signals)))
+        for place, excitation in enumerate(signals):
             if given is not None and place < given.shape[2]:
                 inputs[..., place] = given[..., place]
             else:
@@ -432,8 +420,8 @@ class Plant:
                 measured[number] = each.measure(start, np.ascontiguousarray(truths[..., number]))
         pairs = [measured[number] for number in range(len(self._outputs))]
         disturbances, measurements = (np.stack(each, axis=-1) for each in zip(*pairs, strict=True))
-        for signal, path in zip(self._signals.reporting_error, self._error_paths, strict=True):
-            error = signal.values(times)
+        if self._torques:
+            error = self._error.values(start, len(times))
             inputs[..., 0] += error
-            torques[..., 0] -= error if self._is_direct else path.through(error[np.newaxis])
+            torques[..., 0] -= error if self._is_direct else self._error_path.through(error)
         return states, disturbances, measurements, inputs, torques

@@ -4,14 +4,16 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
-from tsobs_ros.checks import Array, Flags, check_each, non_negative
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.core import native
-from tsobs_ros.errors import ModelError
-from tsobs_ros.simulation.signals import GaussMarkov, Signal, StuckSensor, markov_step, recurs
+from tsobs_ros.core.functions import evaluate
+from tsobs_ros.settings import check_numbers, live_setting
+from tsobs_ros.simulation.delays import Past
+from tsobs_ros.simulation.signals import GaussMarkov, Signal, StuckSensor, recurs
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 
@@ -20,50 +22,48 @@ class Sensor:
     """Numbers of a sensor; the default noise is Example 3's 5 % of the largest angle.
 
     Units are those of an angle; a sensor of another output has that output's unit in place of rad.
+    Dropouts and bursts begin after one interval. A disturbance is not late with the latency.
 
-    Attributes:
-        noise_std: σ of the noise of a sample [rad].
-        outlier_probability: Probability that a sample is an outlier.
-        outlier_size: What an outlier adds, with either sign [rad].
-        dropout_interval: Time from the beginning of a dropout to that of the next, the first one
-            after one interval [s]; 0 for none.
-        dropout_duration: Length of a dropout [s].
-        outlier_is_uniform: Whether an outlier adds anything up to its size, and not just its size.
-        noise_time_constant: τ of the noise's correlation e^(−t/τ) [s]; 0 for white noise.
-        noise_degrees: Degrees of freedom of Student's t, which σ multiplies; 0 for normal noise.
-        burst_interval: Time from the beginning of louder noise to that of the next, the first one
-            after one interval [s]; 0 for none.
-        burst_duration: Length of a burst [s].
-        burst_factor: What multiplies the noise in a burst.
-        latency: Age of the value that is measured [s], rounded to whole samples; a disturbance is
-            that of the sample.
-        resolution: Step of the measured value [rad]; 0 for none.
-        loss_probability: Probability that a sample is lost, each by itself.
+    Raises:
+        ModelError: A number is out of range.
     """
 
-    noise_std: float = 0.028
-    outlier_probability: float = 0.0
-    outlier_size: float = 1.0
-    dropout_interval: float = 0.0
-    dropout_duration: float = 0.5
-    outlier_is_uniform: bool = False
-    noise_time_constant: float = 0.0
-    noise_degrees: int = 0
-    burst_interval: float = 0.0
-    burst_duration: float = 1.5
-    burst_factor: float = 4.0
-    latency: float = 0.0
-    resolution: float = 0.0
-    loss_probability: float = 0.0
+    noise_std: float = live_setting(0.028, "1σ of a sample's noise", unit="rad", minimum=0.0)
+    outlier_probability: float = live_setting(
+        0.0, "Probability that a sample is an outlier", minimum=0.0, maximum=1.0
+    )
+    outlier_size: float = live_setting(1.0, "What an outlier adds, with either sign", unit="rad")
+    dropout_interval: float = live_setting(
+        0.0, "Time between the beginnings of dropouts; 0: none", unit="s", minimum=0.0
+    )
+    dropout_duration: float = live_setting(0.5, "Length of a dropout", unit="s", minimum=0.0)
+    outlier_is_uniform: bool = live_setting(False, "Outliers of any size up to this one")
+    noise_time_constant: float = live_setting(
+        0.0, "Time constant of the noise's correlation; 0: white", unit="s", minimum=0.0
+    )
+    noise_degrees: int = live_setting(
+        0,
+        "Degrees of freedom of Student's t, which noise_std multiplies; 0: normal",
+        minimum=0,
+        maximum=1000,
+    )
+    burst_interval: float = live_setting(
+        0.0, "Time between the beginnings of louder noise; 0: none", unit="s", minimum=0.0
+    )
+    burst_duration: float = live_setting(1.5, "Length of a burst", unit="s", minimum=0.0)
+    burst_factor: float = live_setting(4.0, "What multiplies the noise in a burst", minimum=0.0)
+    latency: float = live_setting(
+        0.0, "Age of the measured value, in whole samples", unit="s", minimum=0.0, maximum=1.0
+    )
+    resolution: float = live_setting(
+        0.0, "Step of the measured value; 0: none", unit="rad", minimum=0.0
+    )
+    loss_probability: float = live_setting(
+        0.0, "Probability that a sample is lost", minimum=0.0, maximum=1.0
+    )
 
     def __post_init__(self) -> None:
-        names = [item.name for item in fields(self)]
-        check_each(non_negative, self, *(name for name in names if "outlier" not in name))
-        for name in ("outlier_probability", "loss_probability"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ModelError(f"{name}: expected 0 to 1, got {getattr(self, name)!r}")
-        if not math.isfinite(self.outlier_size):
-            raise ModelError(f"outlier_size: expected a finite number, got {self.outlier_size!r}")
+        check_numbers(self, "sensor")
 
 
 class Disturbance:
@@ -75,6 +75,9 @@ class Disturbance:
         channel: Number of the output or torque.
         rate: Samples per second [Hz].
         signals: What it is the sum of.
+
+    Attributes:
+        signals: The present ones.
     """
 
     def __init__(
@@ -87,11 +90,17 @@ class Disturbance:
     ) -> None:
         self._seeds, self._source, self._rate = seeds, source, rate
         self._key, self._generation = (channel,) if channel else (), 0
-        self.exchange(signals, 0)
+        self._put_in(signals, 0)
 
-    def exchange(self, signals: Sequence[Signal], index: int) -> None:
-        """Put other signals in the place of the present ones, whose time counts from `index` on."""
-        self._signals, self._begin = tuple(signals), index
+    def exchange(self, signals: Sequence[Signal], index: int) -> bool:
+        """Have other signals, whose time counts from a sample on; return whether they differ."""
+        differ = self.signals != tuple(signals)
+        if differ:
+            self._put_in(signals, index)
+        return differ
+
+    def _put_in(self, signals: Sequence[Signal], index: int) -> None:
+        self.signals, self._begin = tuple(signals), index
         # The stream and the present values of every drift.
         self._drifts = []
         for place, each in enumerate(signals):
@@ -104,7 +113,7 @@ class Disturbance:
     def values(self, start: int, samples: int) -> Array:
         """Move on over samples and return their values, shape (runs, samples)."""
         times, total = self._times(start, samples), np.zeros(samples)
-        for each in self._signals:
+        for each in self.signals:
             total += each.values(times)
         values = np.zeros((len(self._seeds), samples)) + total
         for drift, stream, now in self._drifts:
@@ -112,7 +121,7 @@ class Disturbance:
             before = self._times(start - 1, samples)
             first = samples - int(np.count_nonzero((before >= 0.0) & (before >= drift.start)))
             numbers = stream.take(samples)[:, first:].copy()
-            decay, strength = markov_step(1.0 / self._rate, drift.time_constant)
+            decay, strength = _markov_step(1.0 / self._rate, drift.time_constant)
             native.gauss_markov(decay, strength * drift.std, now, numbers)
             values[:, first:] += numbers
         return values
@@ -120,7 +129,7 @@ class Disturbance:
     def stuck(self, start: int, samples: int) -> Flags:
         """Return at which samples a signal holds the measured value, shape (samples,)."""
         times = self._times(start, samples)
-        holds = [each.holds(times) for each in self._signals if isinstance(each, StuckSensor)]
+        holds = [each.holds(times) for each in self.signals if isinstance(each, StuckSensor)]
         return np.asarray(np.any([np.zeros(samples, np.bool_), *holds], axis=0))
 
     def _times(self, start: int, samples: int) -> Array:
@@ -148,35 +157,31 @@ class Output:
         signals: Sequence[Signal],
     ) -> None:
         self._disturbance = Disturbance(seeds, Source.DISTURBANCE, number, rate, signals)
-        self._seeds, self._rate, self._sensor, self._latency = seeds, rate, Sensor(), 0
+        self._seeds, self._rate, self._sensor, self._past = seeds, rate, Sensor(), Past(0)
         self._key = (number,) if number else ()
         self._normal = RandomStream(seeds, Source.MEASUREMENT, self._key)
         self._uniform = RandomStream(seeds, Source.OUTLIER, self._key, uniform=True)
         # Of Student's t, with as many numbers a sample as its degrees of freedom.
         self._tail: RandomStream | None = None
-        # True values of the last samples, as many as the latency has; None if not known.
-        self._past: Array | None = None
         self._last, self._frozen = np.zeros((2, len(seeds)))
         self._was_stuck = False
-        self.exchange(sensor)
+        self.exchange(sensor, signals, 0)
 
-    def exchange(self, sensor: Sensor) -> None:
-        """Measure by another sensor.
+    def exchange(self, sensor: Sensor, signals: Sequence[Signal], index: int) -> bool:
+        """Have another sensor and disturbance; see `Disturbance.exchange`.
 
-        Of another latency, older values than the next one are not known; the next one is taken.
+        With another latency, older values than the next one are not known; the next one is taken.
         """
         degrees, latency = sensor.noise_degrees, round(sensor.latency * self._rate)
         if degrees != self._sensor.noise_degrees:
             key = (degrees, *self._key)
             self._tail = RandomStream(self._seeds, Source.TAIL, key) if degrees else None
-        if latency != self._latency:
-            self._past = None
-        self._sensor, self._latency = sensor, latency
-
-    def disturb(self, signals: Sequence[Signal], index: int) -> None:
-        """Exchange the disturbance; see `Disturbance.exchange`."""
-        self._was_stuck = False
-        self._disturbance.exchange(signals, index)
+        if latency != self._past.length:
+            self._past = Past(latency)
+        self._sensor = sensor
+        is_other = self._disturbance.exchange(signals, index)
+        self._was_stuck &= not is_other
+        return is_other
 
     @np.errstate(all="ignore")
     def measure(self, start: int, truth: Array) -> tuple[Array, Array]:
@@ -191,7 +196,8 @@ class Output:
         added = self._disturbance.values(start, samples)
         is_loud = _is_within(times, sensor.burst_interval, sensor.burst_duration)
         loudness = sensor.noise_std * np.where(is_loud, sensor.burst_factor, 1.0)
-        values = self._late(truth) + added + loudness * self._noise(start, samples)
+        late = self._past.joined(truth)[:, :samples]
+        values = late + added + loudness * self._noise(start, samples)
         stuck = self._disturbance.stuck(start, samples)
         if stuck.any():
             values = self._freeze(values, stuck)
@@ -208,14 +214,6 @@ class Output:
             lost = lost | (luck >= 1.0 - sensor.loss_probability)
         return added, np.where(lost, np.nan, values)
 
-    def _late(self, truth: Array) -> Array:
-        """Return the true values that are measured, as old as the latency."""
-        if self._past is None:
-            self._past = np.repeat(truth[:, :1], self._latency, axis=1)
-        known = np.concatenate([self._past, truth], axis=1)
-        self._past = known[:, truth.shape[1] :]
-        return known[:, : truth.shape[1]]
-
     def _noise(self, start: int, samples: int) -> Array:
         """Return the noise in units of its 1σ."""
         sensor, last, noise = self._sensor, self._last, self._normal.take(samples)
@@ -225,7 +223,7 @@ class Output:
                 total += others * others
             noise /= np.sqrt(total / sensor.noise_degrees)
         if sensor.noise_time_constant > 0.0:
-            decay, strength = markov_step(1.0 / self._rate, sensor.noise_time_constant)
+            decay, strength = _markov_step(1.0 / self._rate, sensor.noise_time_constant)
             first = 0
             if start == 0:  # the first one is stationary already
                 first, last[:] = 1, noise[:, 0]
@@ -260,3 +258,12 @@ def _outliers(luck: Array, sensor: Sensor) -> Array:
     else:
         sizes = np.where(luck < 0.5 * probability, -size, size)
     return np.where(luck < probability, sizes, 0.0)
+
+
+def _markov_step(period: float, time_constant: float) -> tuple[float, float]:
+    """Return what multiplies a Gauss–Markov process of unit variance, and a normal number, added.
+
+    This is the exact discretisation over a period [s].
+    """
+    decay = evaluate("exponential", -period / time_constant).item()
+    return decay, math.sqrt(1.0 - decay * decay)

@@ -7,43 +7,22 @@ its time counts from the moment it is put in, which is the plant's start unless 
 while the plant runs. The unit of a disturbance's values is that of what it is added to: rad of an
 angle, N m of a torque.
 
-`EXCITATIONS` and `KINDS` are the tables of all signals. From them, `numbers_of` and `signal_of`
-come the simulator's parameters, the entries of campaigns and the arguments of the API.
+`EXCITATIONS` and `KINDS` are the tables of all signals. Their numbers are settings: the simulator's
+parameters, and by `signal_of` the entries of campaigns and the arguments of the API.
 """
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
-from tsobs_ros.checks import Array, Flags, finite, non_negative, positive, shown
+from tsobs_ros.checks import Array, Flags, shown
 from tsobs_ros.core.functions import evaluate
 from tsobs_ros.errors import ModelError
 from tsobs_ros.schema import decode
-
-
-class Number(NamedTuple):
-    """One number of a kind of signal.
-
-    Attributes:
-        default: Its value if left out.
-        description: What it is.
-        unit: SI unit; "" for none, or for that of the signal's values.
-        minimum: Least value; None if every finite number is accepted.
-        above: Whether the least value itself is refused.
-    """
-
-    default: float
-    description: str
-    unit: str = ""
-    minimum: float | None = None
-    above: bool = False
-
-
-def _number(default: float, *description: Any, **rules: Any) -> Any:
-    return field(default=default, metadata={"number": Number(default, *description, **rules)})
+from tsobs_ros.settings import check_numbers, live_setting
 
 
 @dataclass(frozen=True)
@@ -60,9 +39,7 @@ class Signal:
         cls.kind = kind
 
     def __post_init__(self) -> None:
-        for name, number in numbers_of(type(self)).items():
-            check = finite if number.minimum is None else positive if number.above else non_negative
-            check(f"{self.kind} {name}", getattr(self, name))
+        check_numbers(self, self.kind)
 
     def values(self, times: Array) -> Array:
         """Return the values at times [s], shape (samples,)."""
@@ -71,17 +48,7 @@ class Signal:
             return self._at(times)
 
     def _at(self, times: Array) -> Array:
-        """Return the values at times [s], shape (samples,); 0 of a signal without."""
         return np.zeros(len(times))
-
-
-def numbers_of(kind: type[Signal]) -> dict[str, Number]:
-    """Return the numbers of a kind of signal by name, in the order of its arguments.
-
-    >>> numbers_of(Ramp)["rate"].unit
-    '1/s'
-    """
-    return {each.name: each.metadata["number"] for each in fields(kind) if each.metadata}
 
 
 def signal_of(kinds: Mapping[str, type[Signal]], entry: object) -> Any:
@@ -114,7 +81,7 @@ class NoTorque(Signal, kind="none"):
 class Constant(Signal, kind="constant"):
     """u = a."""
 
-    amplitude: float = _number(1.0, "Value", "N m")
+    amplitude: float = live_setting(1.0, "Value", unit="N m")
 
     def _at(self, times: Array) -> Array:
         return np.full(len(times), self.amplitude, np.float64)
@@ -124,8 +91,8 @@ class Constant(Signal, kind="constant"):
 class Sine(Signal, kind="sine"):
     """u = a sin ωt; the defaults are the method's u = sin t."""
 
-    amplitude: float = _number(1.0, "Amplitude", "N m")
-    frequency: float = _number(1.0, "Frequency", "rad/s", 0.0, above=True)
+    amplitude: float = live_setting(1.0, "Amplitude", unit="N m")
+    frequency: float = live_setting(1.0, "Frequency", unit="rad/s", minimum=0.0)
 
     def _at(self, times: Array) -> Array:
         return self.amplitude * evaluate("sine", self.frequency * times)
@@ -139,10 +106,10 @@ class Multisine(Signal, kind="multisine"):
     noise of the same power (M. R. Schroeder, IEEE Trans. Information Theory 16, 1970).
     """
 
-    amplitude: float = _number(1.0, "Root of the tones' summed squared amplitudes", "N m")
-    lowest: float = _number(0.5, "Lowest tone", "rad/s", 0.0, above=True)
-    highest: float = _number(6.0, "Highest tone", "rad/s", 0.0, above=True)
-    tones: int = _number(8, "Number of tones", "", 0, above=True)
+    amplitude: float = live_setting(1.0, "Root of the tones' summed squared amplitudes", unit="N m")
+    lowest: float = live_setting(0.5, "Lowest tone", unit="rad/s", minimum=0.0)
+    highest: float = live_setting(6.0, "Highest tone", unit="rad/s", minimum=0.0)
+    tones: int = live_setting(8, "Number of tones", minimum=1, maximum=1000)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -161,42 +128,15 @@ class Multisine(Signal, kind="multisine"):
         return self.amplitude / math.sqrt(self.tones) * total
 
 
-@dataclass(frozen=True)
-class Square(Signal, kind="square"):
-    """Alternately +a and −a, half a period 2π/ω each, + first."""
-
-    amplitude: float = _number(1.0, "Amplitude", "N m")
-    frequency: float = _number(1.0, "Frequency", "rad/s", 0.0, above=True)
-
-    def _at(self, times: Array) -> Array:
-        is_first = (self.frequency * times / math.tau) % 1.0 < 0.5
-        return self.amplitude * np.where(is_first, 1.0, -1.0)
-
-
-@dataclass(frozen=True)
-class Chirp(Signal, kind="chirp"):
-    """A tone whose frequency rises linearly from the lowest to the highest, again and again."""
-
-    amplitude: float = _number(1.0, "Amplitude", "N m")
-    lowest: float = _number(0.5, "Frequency at the beginning of a sweep", "rad/s", 0.0, above=True)
-    highest: float = _number(6.0, "Frequency at its end", "rad/s", 0.0, above=True)
-    sweep: float = _number(20.0, "Length of a sweep", "s", 0.0, above=True)
-
-    def _at(self, times: Array) -> Array:
-        within = times % self.sweep
-        half_rate = 0.5 * ((self.highest - self.lowest) / self.sweep)
-        return self.amplitude * evaluate("sine", (self.lowest + half_rate * within) * within)
-
-
 def _start() -> Any:
-    return _number(0.0, "Start, counted from when it was put in", "s")
+    return live_setting(0.0, "Start, counted from when it was put in", unit="s")
 
 
 @dataclass(frozen=True)
 class BiasStep(Signal, kind="bias_step"):
     """d = a from the start on."""
 
-    amplitude: float = _number(0.1, "Bias")
+    amplitude: float = live_setting(0.1, "Bias")
     start: float = _start()
 
     def _at(self, times: Array) -> Array:
@@ -207,10 +147,10 @@ class BiasStep(Signal, kind="bias_step"):
 class Sinusoid(Signal, kind="sinusoid"):
     """d = a sin(ω(t − start) + φ) from the start on; as Example 2's first fault."""
 
-    amplitude: float = _number(0.2, "Amplitude")
-    frequency: float = _number(3.0, "Frequency", "rad/s")
+    amplitude: float = live_setting(0.2, "Amplitude")
+    frequency: float = live_setting(3.0, "Frequency", unit="rad/s")
     start: float = _start()
-    phase: float = _number(0.0, "Phase at the start", "rad")
+    phase: float = live_setting(0.0, "Phase at the start", unit="rad")
 
     def _at(self, times: Array) -> Array:
         since = times - self.start
@@ -222,7 +162,7 @@ class Sinusoid(Signal, kind="sinusoid"):
 class Ramp(Signal, kind="ramp"):
     """d = r (t − start) from the start on."""
 
-    rate: float = _number(0.004, "Growth", "1/s")
+    rate: float = live_setting(0.004, "Growth per second")
     start: float = _start()
 
     def _at(self, times: Array) -> Array:
@@ -236,7 +176,7 @@ class TwoTone(Signal, kind="two_tone"):
     The amplitude 0.4 is that of Example 2's third fault.
     """
 
-    amplitude: float = _number(0.4, "Amplitude of a (sin 2t + cos 3t)")
+    amplitude: float = live_setting(0.4, "Amplitude of a (sin 2t + cos 3t)")
     start: float = _start()
 
     def _at(self, times: Array) -> Array:
@@ -252,8 +192,8 @@ class GaussMarkov(Signal, kind="gauss_markov"):
     random part.
     """
 
-    std: float = _number(0.1, "1σ once it has become stationary", "", 0.0)
-    time_constant: float = _number(20.0, "Time constant τ", "s", 0.0, above=True)
+    std: float = live_setting(0.1, "1σ once it has become stationary", minimum=0.0)
+    time_constant: float = live_setting(20.0, "Time constant τ", unit="s", minimum=1e-6)
     start: float = _start()
 
 
@@ -262,26 +202,23 @@ class StuckSensor(Signal, kind="stuck"):
     """The measured value freezes at the start and stays for a while; it adds nothing."""
 
     start: float = _start()
-    duration: float = _number(1.0, "How long; infinite for ever", "s", 0.0)
-
-    def __post_init__(self) -> None:
-        if self.duration != math.inf:
-            super().__post_init__()
-        finite("stuck start", self.start)
+    duration: float = live_setting(1.0, "How long; 0: for ever", unit="s", minimum=0.0)
 
     def holds(self, times: Array) -> Flags:
         """Return whether the measured value is held at times [s], shape (samples,)."""
-        return (self.start <= times) & (times < self.start + self.duration)
+        return (self.start <= times) & (times < self.start + (self.duration or math.inf))
 
 
 @dataclass(frozen=True)
 class Pulses(Signal, kind="pulses"):
     """d = a for a while from the start on, again and again, or once."""
 
-    amplitude: float = _number(0.5, "Height of a pulse")
+    amplitude: float = live_setting(0.5, "Height of a pulse")
     start: float = _start()
-    duration: float = _number(1.5, "Length of a pulse", "s", 0.0)
-    interval: float = _number(8.0, "Time between the beginnings of pulses; 0 for one", "s", 0.0)
+    duration: float = live_setting(1.5, "Length of a pulse", unit="s", minimum=0.0)
+    interval: float = live_setting(
+        8.0, "Time between the beginnings of pulses; 0 for one", unit="s", minimum=0.0
+    )
 
     def _at(self, times: Array) -> Array:
         is_on = recurs(times - self.start, self.duration, self.interval)
@@ -289,7 +226,7 @@ class Pulses(Signal, kind="pulses"):
 
 
 EXCITATIONS: Mapping[str, type[Signal]] = {
-    each.kind: each for each in (NoTorque, Constant, Sine, Multisine, Square, Chirp)
+    each.kind: each for each in (NoTorque, Constant, Sine, Multisine)
 }
 """Every kind of signal of an input under its name."""
 
@@ -321,12 +258,3 @@ def recurs(times: Array, duration: float, interval: float) -> Flags:
     # The margin keeps a sample that lies on a border on its side, whatever % rounds to.
     since = times + 1e-9
     return (since >= 0.0) & ((since % interval if interval > 0.0 else since) < duration)
-
-
-def markov_step(period: float, time_constant: float) -> tuple[float, float]:
-    """Return what multiplies a Gauss–Markov process of unit variance, and a normal number, added.
-
-    This is the exact discretisation over a period [s].
-    """
-    decay = evaluate("exponential", -period / time_constant).item()
-    return decay, math.sqrt(1.0 - decay * decay)

@@ -8,15 +8,11 @@ switching one source on, off or to another size leaves the numbers of all others
 """
 
 import enum
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.errors import ModelError
-
-Seeds = int | Sequence[int]
-"""One seed for a single plant, or a sequence of seeds for a batch of runs."""
 
 
 class Source(enum.IntEnum):
@@ -54,16 +50,3 @@ class RandomStream:
         for draw, row in zip(self._draws, block, strict=True):
             draw(out=row)
         return block
-
-
-def checked_seeds(seeds: Seeds) -> list[int]:
-    """Return the seeds as a list.
-
-    Raises:
-        ModelError: A seed is not an integer of at least zero, or there is none.
-    """
-    # NumPy's integers are not instances of int, but a seed may well come out of an array.
-    listed = [int(seeds)] if isinstance(seeds, int | np.integer) else [int(seed) for seed in seeds]
-    if not listed or min(listed) < 0:
-        raise ModelError(f"seeds: expected integers of at least 0, at least one, got {seeds!r}")
-    return listed

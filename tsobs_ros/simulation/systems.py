@@ -18,7 +18,7 @@ from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.simulation.integrator import Motion, substeps
-from tsobs_ros.simulation.plant import PlantScenario, PlantSignals, SimulatedOutput
+from tsobs_ros.simulation.plant import PlantScenario, SimulatedOutput
 from tsobs_ros.simulation.signals import NoTorque, Signal
 from tsobs_ros.simulation.streams import RandomStream, Source
 
@@ -82,6 +82,7 @@ class SystemScenario(PlantScenario):
         shape = model.rates.shape
         change = np.zeros(shape) if self.change is None else self.change
         object.__setattr__(self, "true_rates", model.rates + as_matrix("change", change, shape))
+        object.__setattr__(self, "input_count", model.input_count)
         names = [output.measures for output in self.outputs]
         check_names("fed_back", filter(None, self.fed_back), names)
         for name in filter(None, self.fed_back):
@@ -93,8 +94,12 @@ class SystemScenario(PlantScenario):
                 )
 
     @property
-    def signals(self) -> PlantSignals:
-        return PlantSignals(self.outputs, self.inputs, self.model.input_count)
+    def measured(self) -> tuple[SimulatedOutput, ...]:
+        return self.outputs
+
+    @property
+    def moved_by(self) -> tuple[Signal, ...]:
+        return self.inputs
 
     def motion(self, seeds: Sequence[int]) -> Motion:
         return SystemMotion(self, seeds)

@@ -64,10 +64,9 @@ def test_joints_of_design_files_are_in_the_same_messages(
             "elbow/link_torque: {kind: bias_step, amplitude: 3.0, start: 0.1}",
             "elbow/torque: {kind: constant, amplitude: 0.25}",
             "pendulum/gyroscope: {kind: bias_step, amplitude: 0.5, start: 0.1}",
+            "shoulder/link_angle: {dropout_interval: 0.2, dropout_duration: 0.1}",
+            "motor_angle: {dropout_interval: 0.2, dropout_duration: 0.1}",
         ],
-        "affected": ["shoulder/link_angle", "elbow/motor_angle"],
-        "dropouts.interval": 0.2,
-        "dropouts.duration": 0.1,
         "joint_mismatch": ["shoulder/stiffness: 0.2", "pendulum/gravity: -0.1"],
         "seed": 7,
         # The wall clock may stand still for a second on a busy machine, and the stamps then jump.
@@ -76,7 +75,7 @@ def test_joints_of_design_files_are_in_the_same_messages(
     listener.start(**given)
     listener.wait_for(listener.measurements, 30)
     parameters = PlantSimulatorParameters(
-        **{k: tuple(v) if isinstance(v, list) else v for k, v in given.items() if "." not in k}
+        **{name: tuple(v) if isinstance(v, list) else v for name, v in given.items()}
     )
     assert parameters.scenarios()["shoulder"].true_arm.stiffness == 12.0
     elbow = parameters.scenarios()["elbow"]
@@ -138,7 +137,7 @@ def test_a_joint_is_commanded_and_disturbed_by_itself_while_running(
     assert entry(message, "pendulum/drive") == 9.0
     assert node.rejected_commands == 4
     (refused,) = node.set_parameters([Parameter("signals", value=["elbow/wrist: bias_step"])])
-    assert "parameter 'signals[0]': expected one of shoulder/link_angle" in refused.reason
+    assert "parameter 'signals[0]': expected one of shoulder/" in refused.reason
     line = "elbow/link_angle: {kind: bias_step, amplitude: 0.3}"
     (accepted,) = node.set_parameters([Parameter("signals", value=[line])])
     assert accepted.successful
@@ -156,10 +155,9 @@ def test_a_joint_is_commanded_and_disturbed_by_itself_while_running(
         ("joint_designs", ["", "a.yaml", ""], "a.yaml"),
         ("signals", ["elbow/torque: ramp"], r"signals\[0\]': elbow/torque: kind"),
         ("signals", ["elbow/link_torque: {kind: ramp, slope: 1.0}"], r"elbow/link_torque: .*slope"),
-        ("affected", ["elbow/link"], r"affected\[0\]': expected one of"),
+        ("signals", ["elbow/link_angle: {dropout: 1.0}"], r"elbow/link_angle: .*dropout"),
         ("joint_mismatch", ["pendulum/g: 0.1"], r"joint_mismatch\[0\]"),
         ("initial_state", [0.1], r"initial_state: expected 4 \+ 4 \+ 2 numbers"),
-        ("payload.joints", ["pendulum"], "payload.joints: expected arms"),
     ],
 )
 def test_what_names_no_joint_or_signal_is_refused(

@@ -15,10 +15,10 @@ from staging import start, to_stamp
 
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
-from tsobs_ros.simulation.integrator import Friction
+from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import Constant, Pulses
+from tsobs_ros.simulation.signals import Constant, Pulses, Ramp
 
 PERIOD = 20_000_000
 SECOND = 1_000_000_000
@@ -178,19 +178,18 @@ def test_faults_are_injected_by_parameters_while_running(listener: Any) -> None:
 
 
 GIVEN = """
-noise_std: 0.05
-latency: 0.015
-resolution: 0.006
+noise_factor: 2.0
 friction: {link_viscous: 0.1, link_coulomb: 0.05, motor_viscous: 0.3, motor_coulomb: 0.15}
-excitation: {kind: constant, amplitude: 4.5}
+payload: {mass: 2.0, distance: 0.5, start: 1.0}
+excitation: {kind: constant, constant: {amplitude: 4.5}}
 disturbance:
   kind: pulses
   pulses: {amplitude: 0.4, start: 3.0, duration: 0.7, interval: 6.0}
-noise: {time_constant: 0.04, degrees_of_freedom: 3, burst_interval: 7.0, burst_duration: 1.2,
-        burst_factor: 5.0}
-outliers: {probability: 0.02, size: 3.0, uniform: true}
-dropouts: {interval: 9.0, duration: 0.3}
-effort_error: {amplitude: 50.0, start: 2.0, duration: 0.01, interval: 4.0}
+sensor: {latency: 0.015, noise_degrees: 3, outlier_probability: 0.02, outlier_is_uniform: true}
+signals:
+  - "link_angle: {kind: ramp, rate: 0.1}"
+  - "link_angle: {dropout_interval: 9.0}"
+  - "effort_error: {kind: pulses, amplitude: 50.0, start: 2.0, duration: 0.01, interval: 4.0}"
 """
 
 
@@ -203,14 +202,12 @@ def test_parameters_describe_arms_sensors_and_torques_that_no_design_foresees(
     node = start(ros, "plant_simulator", options={"cli_args": arguments})
     (scenario,) = node.parameters.scenarios().values()
     sensor = Sensor(
-        noise_std=0.05, outlier_probability=0.02, outlier_size=3.0, dropout_interval=9.0,
-        dropout_duration=0.3, outlier_is_uniform=True, noise_time_constant=0.04, noise_degrees=3,
-        burst_interval=7.0, burst_duration=1.2, burst_factor=5.0, latency=0.015, resolution=0.006,
-    )  # fmt: skip
-    assert scenario.signals.outputs == (
-        SimulatedOutput("link_angle", sensor, (Pulses(0.4, 3.0, 0.7, 6.0),)),
+        0.056, 0.02, dropout_interval=9.0, outlier_is_uniform=True, noise_degrees=3, latency=0.015
     )
+    disturbance = (Pulses(0.4, 3.0, 0.7, 6.0), Ramp(0.1))
+    assert scenario.measured == (SimulatedOutput("link_angle", sensor, disturbance),)
     assert scenario.friction == Friction(0.1, 0.05, 0.3, 0.15)
+    assert scenario.payload == Payload(mass=2.0, distance=0.5, start=1.0)
     assert scenario.excitation == Constant(4.5)
     assert scenario.torque_error == (Pulses(50.0, 2.0, 0.01, 4.0),)
 

@@ -21,7 +21,7 @@ services:
 
 import math
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from typing import Any
 
 from rclpy.clock import JumpThreshold
@@ -29,14 +29,12 @@ from rclpy.duration import Duration
 
 from tsobs_ros.bag.timeline import Ticks, Timeline
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.model.arm import SIDES
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.plant_simulator.topics import SamplePublisher, TorqueCommands
 from tsobs_ros.nodes.runtime import Ticker
 from tsobs_ros.series import NANOSECONDS
-from tsobs_ros.simulation.plant import Plant, PlantScenario
-from tsobs_ros.simulation.signals import Signal
+from tsobs_ros.simulation.plant import Plant
 
 # A process that was stopped for longer does not flood its subscribers when it goes on.
 _LONGEST_LAG = NANOSECONDS
@@ -72,9 +70,9 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
     def configure(self) -> None:
         """Make the arm at t = 0 with its topics and services."""
-        self._settings = parameters = self.parameters
+        parameters = self.parameters
         self._publish_sample = SamplePublisher(self, parameters)
-        self._commands = TorqueCommands(self, parameters)
+        self._commands = TorqueCommands(self)
         self.offer_triggers({"reset": self._reset})
         self._schedule = Ticks(parameters.sample_rate)
         self._schedule.start(_DRIVEN_START if parameters.publish_clock else 0)
@@ -122,7 +120,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
     @property
     def _is_over(self) -> bool:
-        duration = self._settings.duration
+        duration = self.parameters.duration
         return duration > 0.0 and self._index >= self._plants[0].scenario.sample_count
 
     @property
@@ -163,8 +161,8 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._tick()
 
     def _is_subscribed(self, waited: int) -> bool:
-        wanted, there = self._settings.wait_for_subscribers, self._publish_sample.subscribers
-        timeout = self._settings.wait_timeout
+        wanted, there = self.parameters.wait_for_subscribers, self._publish_sample.subscribers
+        timeout = self.parameters.wait_timeout
         is_over = timeout > 0.0 and waited >= timeout * NANOSECONDS
         if there < wanted and is_over:
             self.log(
@@ -197,13 +195,13 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         if self._is_over:
             self._ticker.stop()
         wait = self._schedule.due - self._now_ns()
-        pace = 1.0 if self._driven is None else self._settings.real_time_factor
+        pace = 1.0 if self._driven is None else self.parameters.real_time_factor
         return math.ceil(wait / pace)
 
     def _limit_lag(self, now: int) -> int:
         """Give up catching up after too long a stop; return the time to publish up to."""
         lag = now - self._schedule.due
-        pace = 1.0 if self._driven is None else self._settings.real_time_factor
+        pace = 1.0 if self._driven is None else self.parameters.real_time_factor
         if lag <= _LONGEST_LAG * max(1.0, pace):
             return now
         if self.may_log("lag"):
@@ -216,16 +214,15 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         return self._latest
 
     def _new_plant(self) -> None:
-        self._plants = plants_of(self._settings)
+        self._plants = plants_of(self.parameters)
         self._commands.forget()
 
     def retune(self, parameters: PlantSimulatorParameters, names: Collection[str]) -> None:
         """Take changed parameters over from the next sample on."""
-        old, new = self._settings.scenarios(), parameters.scenarios()
-        self._settings = parameters
-        self._commands.parameters = parameters
-        for joint, plant in zip(new, self._plants, strict=True):
-            for what in exchange(plant, old[joint], new[joint]):
+        for plant, (joint, scenario) in zip(
+            self._plants, parameters.scenarios().items(), strict=True
+        ):
+            for what in plant.exchange(scenario):
                 self.log(Level.OK, f"{joint}: {what}, counted from t = {plant.time:g} s")
 
     def _reset(self) -> tuple[bool, str]:
@@ -235,7 +232,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         if was_over and self.active:
             self._schedule.start(self._now_ns())
             self._ticker.start()
-        message = f"restarted with seed {self._settings.seed}"
+        message = f"restarted with seed {self.parameters.seed}"
         self.log(Level.OK, message)
         return True, message
 
@@ -246,36 +243,6 @@ def plants_of(parameters: PlantSimulatorParameters) -> list[Plant]:
         Plant(scenario, parameters.seed + place * SEED_STEP)
         for place, scenario in enumerate(parameters.scenarios().values())
     ]
-
-
-def exchange(plant: Plant, old: PlantScenario, new: PlantScenario) -> Iterator[str]:
-    """Let a plant go on by another scenario.
-
-    Args:
-        plant: The plant.
-        old: Its scenario so far.
-        new: One with other signals and sensors.
-
-    Yields:
-        What is disturbed otherwise from the next sample on.
-    """
-    former, signals = old.signals, new.signals
-    for place, after in enumerate(signals.outputs):
-        if after.disturbance != former.outputs[place].disturbance:
-            plant.exchange_disturbance(after.disturbance, place)
-            yield f"disturbance of {after.measures} is now {_kinds_of(after.disturbance)}"
-        plant.exchange_sensor(after.sensor, place)
-    for side, torque in enumerate(signals.torques):
-        if torque != former.torques[side]:
-            plant.exchange_torque_disturbance(torque, side)
-            yield f"torque disturbance of the {SIDES[side]} is now {_kinds_of(torque)}"
-    for place, excitation in enumerate(signals.inputs):
-        plant.exchange_excitation(excitation, place)
-
-
-def _kinds_of(components: tuple[Signal, ...]) -> str:
-    """Return the kinds of components as a parameter has them."""
-    return "+".join(each.kind for each in components) or "none"
 
 
 Parameters, create = PlantSimulatorParameters, PlantSimulatorNode

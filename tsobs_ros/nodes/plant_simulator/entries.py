@@ -74,31 +74,28 @@ def by_joint(
     Args:
         parameter: Its name.
         lines: ROS parameters hold lists of texts only, so an entry is a line of YAML:
-            "elbow/motor_angle: {kind: ramp}", without "elbow/" if there is one joint.
+            "elbow/motor_angle: {kind: ramp}"; without "elbow/" it is for all joints that have one.
         readers: What an entry may name of each joint.
 
     Raises:
         ParameterError: An entry is malformed, or names none of them.
     """
     found: dict[str, dict[str, list[Any]]] = {joint: {} for joint in readers}
-    known = {f"{joint}/{name}": (joint, name) for joint, own in readers.items() for name in own}
-    if len(found) == 1:
-        known |= {name: (joint, name) for joint, name in known.values()}
     for place, line in enumerate(lines):
         where = f"parameter '{parameter}[{place}]'"
         try:
-            data = load_yaml(line)
-        except ValueError as error:
-            raise ParameterError(f"{where}: not valid YAML: {error}") from error
-        if not isinstance(data, dict) or len(data) != 1:
-            raise ParameterError(f"{where}: expected one 'name: value', got {shown(line)}")
-        ((target, value),) = data.items()
-        if target not in known:
-            expected = ", ".join(known)
-            raise ParameterError(f"{where}: expected one of {expected}, got {str(target)!r}")
-        joint, name = known[target]
+            data: Any = load_yaml(line)
+            ((target, value),) = data.items()
+        except (AttributeError, ValueError) as error:
+            raise ParameterError(f"{where}: expected 'name: value', got {shown(line)}") from error
+        joint, _, name = str(target).rpartition("/")
+        joints = [each for each in found if name in readers[each] and joint in ("", each)]
+        if not joints:
+            known = ", ".join(f"{each}/{one}" for each in found for one in readers[each])
+            raise ParameterError(f"{where}: expected one of {known}, got {str(target)!r}")
         try:
-            found[joint].setdefault(name, []).append(readers[joint][name](value))
+            for each in joints:
+                found[each].setdefault(name, []).append(readers[each][name](value))
         except (ModelError, ValueError) as error:
             raise ParameterError(f"{where}: {target}: {error}") from error
     return found

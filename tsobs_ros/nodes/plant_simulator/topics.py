@@ -22,7 +22,7 @@ from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.wire import QUIET, DrainedSubscription, JointStatePublisher, set_stamp
-from tsobs_ros.simulation.plant import Sample
+from tsobs_ros.simulation.plant import Trajectories
 
 _ACKNOWLEDGE_TIMEOUT = 1.0
 
@@ -33,16 +33,13 @@ class TorqueCommands:
     A command has a number for each arm, and for each input of a T–S system, in the joints' order.
 
     Attributes:
-        parameters: Of commands from the next one on; may be exchanged.
         subscription: That of the topic.
         rejected: Number of commands that were not so many finite numbers.
     """
 
-    def __init__(self, node: ManagedNode[Any], parameters: PlantSimulatorParameters) -> None:
-        self.parameters = parameters
+    def __init__(self, node: ManagedNode[PlantSimulatorParameters]) -> None:
         self.rejected = 0
-        self._is_arm = [isinstance(each, ArmRequest) for each in parameters.requests.values()]
-        self._counts = [each.signals.input_count for each in parameters.scenarios().values()]
+        self._counts = [each.input_count for each in node.parameters.scenarios().values()]
         self._node = node
         self.subscription = DrainedSubscription(
             node, Float64MultiArray, "joint_torque_command", QoSProfile(depth=10)
@@ -56,7 +53,7 @@ class TorqueCommands:
 
     def take(self, sample: int) -> None:
         """Take what has arrived, to hold from a sample on."""
-        given = self.parameters
+        given = self._node.parameters
         for message, _ in self.subscription.drain():
             if len(message.data) != sum(self._counts) or not all(map(math.isfinite, message.data)):
                 self.rejected += 1
@@ -69,8 +66,8 @@ class TorqueCommands:
                 continue
             numbers = iter(message.data)
             self._torques = []
-            for is_arm, count in zip(self._is_arm, self._counts, strict=True):
-                limit = given.torque_limit if is_arm else math.inf
+            for request, count in zip(given.requests.values(), self._counts, strict=True):
+                limit = given.torque_limit if isinstance(request, ArmRequest) else math.inf
                 own = islice(numbers, count)
                 self._torques.append([min(max(each, -limit), limit) for each in own])
             self._end = math.inf
@@ -99,19 +96,19 @@ class SamplePublisher:
             qos_profile_sensor_data,
             events=None,
         )
-        # The motor's torque first, as in the truth of a sample.
-        torques = [
-            [
-                Place(name, "effort")
-                for name in reversed(sides(joint))
-                if isinstance(each, ArmRequest)
-            ]
-            for joint, each in requests.items()
-        ]
         truths: dict[str, tuple[str, Sequence[Sequence[Place]]]] = {
             TRUE_STATES: ("physical", [each.states for each in joints]),
-            TRUE_DISTURBANCE: ("disturbance", [positions(each.disturbances) for each in joints]),
-            TRUE_TORQUE: ("torque_disturbance", torques),
+            TRUE_DISTURBANCE: ("disturbances", [positions(each.disturbances) for each in joints]),
+            TRUE_TORQUE: (
+                "torque_disturbances",
+                [
+                    # The motor's first, as in the truth of a sample.
+                    [Place(name, "effort") for name in reversed(sides(joint))]
+                    if isinstance(each, ArmRequest)
+                    else []
+                    for joint, each in requests.items()
+                ],
+            ),
         }
         self._truths = [
             (attrgetter(of), JointStatePublisher(node, topic, parts))
@@ -130,7 +127,7 @@ class SamplePublisher:
         """Number of matched subscriptions of the measurements."""
         return int(self._measurements.publisher.get_subscription_count())
 
-    def __call__(self, stamp: int, samples: Sequence[Sample]) -> None:
+    def __call__(self, stamp: int, samples: Sequence[Trajectories]) -> None:
         """Publish the time, the truth and, unless they were lost, the measurements.
 
         Args:
@@ -143,9 +140,9 @@ class SamplePublisher:
         for truth, publisher in self._truths:
             publisher.publish(stamp, {k: truth(each).tolist() for k, each in enumerate(samples)})
         measured = {
-            place: [*each.torque.tolist(), *each.measurement.tolist()]
+            place: [*each.torques.tolist(), *each.measurements.tolist()]
             for place, each in enumerate(samples)
-            if not np.isnan(each.measurement).all()
+            if not np.isnan(each.measurements).all()
         }
         self._measurements.publish(stamp, measured)
 
