@@ -155,9 +155,7 @@ def _in_place(estimator: Estimator, y: Array, u: Array) -> Step:
         estimator.new_rows(1),
         estimator.new_work(),
     )
-    model, states, corrections, rows, work = (
-        native.Memory(each.view(np.float64)) for each in records
-    )
+    model, states, corrections, rows, work = (each.view(np.float64) for each in records)
     samples, inputs, period = list(y), list(u), estimator.period
 
     def step(sample: int) -> None:
@@ -242,10 +240,10 @@ def _worst(design: Design, turns: int) -> dict[str, float]:
     y, u = runs.measurements[0], runs.torques[0]
     start = _awake(estimator, y[:-1], u[:-1])
     states, work = start.copy().records, estimator.new_work()
-    model = native.Memory(estimator.model.view(np.float64))
-    memory, scratch = native.Memory(states.view(np.float64)), native.Memory(work.view(np.float64))
-    corrections = native.Memory(estimator.new_corrections().view(np.float64))
-    rows = native.Memory(estimator.new_rows(1))
+    model = estimator.model.view(np.float64)
+    memory, scratch = states.view(np.float64), work.view(np.float64)
+    corrections = estimator.new_corrections().view(np.float64)
+    rows = estimator.new_rows(1)
     samples, inputs, period = [y[-1], y[-1] + 1.0], u[-1].copy(), estimator.period
     numbers, before = states.view(np.float64), start.records.view(np.float64)
     times = []

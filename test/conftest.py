@@ -119,21 +119,17 @@ def predicted() -> Callable[..., Any]:
     """Moves augmented states, with a covariance if given, by the core's steps of a flow."""
     import numpy as np
 
-    from tsobs_ros.core import native
-    from tsobs_ros.model.prediction import FlowSizes, flow_record, scratch_size
+    from tsobs_ros.estimation.baselines import extended_kalman
 
     def move(flow: Any, x: Any, u: Any, duration: float, covariance: Any = None) -> Any:
-        record, none = flow_record(flow), np.empty(0)
-        sizes = FlowSizes(*(int(record[name][0]) for name in FlowSizes._fields))
-        states = np.array(x, np.float64, order="C", ndmin=2)
-        inputs = np.array(np.broadcast_to(u, (len(states), np.shape(u)[-1])))
-        spread = none if covariance is None else np.array(covariance)[np.newaxis]
-        scratch = np.empty(scratch_size(sizes))
-        native.advance_all(
-            record.view(np.float64), states, none, spread, none, none, inputs, duration, scratch
-        )
-        moved = states.reshape(np.shape(x))
-        return moved if covariance is None else (moved, spread[0])
+        n, p = flow.state_count, len(flow.output_matrix)
+        spread = np.zeros((n, n)) if covariance is None else covariance
+        estimator = extended_kalman(flow, np.eye(p), np.eye(n))
+        batch = np.shape(x)[:-1]
+        spreads = np.broadcast_to(spread, (*batch, n, n))
+        before = estimator.initial(batch).changed(x=x, covariance=spreads)
+        after = estimator.predict(before, u, duration)
+        return after.x if covariance is None else (after.x, after.covariance)
 
     return move
 

@@ -3,7 +3,7 @@
 """Designs for C and C++ programs: all that a tracker is made of, as one file that needs no Python.
 
 The file is a head, the model record and the memory record of a new tracker, as little-endian words
-of 8 bytes. core/tsobs.h lists the head's fields and has the functions that open it.
+of 8 bytes. core/tsobs.h has the functions that open it.
 """
 
 import sys
@@ -13,10 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros import __version__
 from tsobs_ros.core import native
-from tsobs_ros.core.records import record_type
-from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.methods import ObserverSettings, make_tracker
@@ -45,13 +42,8 @@ def exported(
     tracker = make_tracker(design, settings)
     memory = tracker.memory.copy()
     memory["max_steps"] = max_steps
-    parts = [tracker.estimator.model.view(np.int64), memory.view(np.int64)]
-    head = np.zeros(1, record_type("exported_head"))
-    head["model_length"], head["memory_length"] = map(len, parts)
-    text = f"{DesignFile.of(design).identity}, {settings.method}, tsobs_ros {__version__}"
-    about = head["about"][0].view(np.uint8)
-    about[: len(text)] = np.frombuffer(text.encode("ascii"), np.uint8)
-    words = np.concatenate([head.view(np.int64), *parts])
+    model = tracker.estimator.model.view(np.int64)
+    words = np.concatenate([[0, 0, len(model), 0], model, memory.view(np.int64)])
     native.exported_seal(words)
     return words
 
@@ -77,8 +69,8 @@ def export_c(
         OSError: The file cannot be written.
     """
     words = exported(design, settings, max_steps=max_steps)
-    _, *memories, _ = native.exported_open(words)
+    room = native.exported_open(words)
     if sys.byteorder == "big":
         words = words.byteswap()
     Path(output).write_bytes(words.tobytes())
-    return words.nbytes, 8 * sum(memories)
+    return words.nbytes, 8 * room

@@ -4,7 +4,7 @@
  * Step a design over a log and print the estimates, whose bits are those of Python.
  *
  *     cc -std=c99 -O3 -ffp-contract=off -fno-math-errno -I "$CORE" examples/c/step_log.c \
- *       $(find "$CORE" -name '*.c' ! -name 'python_*' ! -name module.c) -lm -o step_log
+ *       $(find "$CORE" -name '*.c' ! -name module.c) -lm -o step_log
  *     ./step_log my_arm.tsobs log.csv > estimates.csv
  *
  * CORE is tsobs_ros/core, and `tsobs export-c my_arm.design.yaml --output my_arm.tsobs` writes the

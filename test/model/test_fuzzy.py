@@ -10,9 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tsobs_ros.core import native
+from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.fuzzy import SHAPES, Membership, RuleBase, membership
+from tsobs_ros.model.disturbance import clean
+from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
+from tsobs_ros.model.ts_flow import TSFlow
+from tsobs_ros.model.ts_model import TSModel
 
 EXAMPLES = [
     membership("always"),
@@ -26,6 +29,12 @@ EXAMPLES = [
     membership("square", {"half_width": 1.3}),
     membership("square_rest", {"half_width": 1.3}),
 ]
+
+
+def grades(of: Membership, z: Array) -> Array:
+    """Return the grade at each of some z, by its weight beside a rule that always fires."""
+    weights = RuleBase(((of,), (membership("always"),))).weights(z[:, np.newaxis])
+    return np.asarray(weights[:, 0] / weights[:, 1])
 
 
 BELLS = st.builds(
@@ -42,8 +51,9 @@ def test_weights_are_a_convex_combination(rules: Any, seed: int) -> None:
     assert weights.shape == (2, 3, len(rules))
     assert (weights >= 0.0).all()
     np.testing.assert_allclose(weights.sum(axis=-1), 1.0, rtol=1e-14)
-    products = np.array([[each[0](z[..., 0]) * each[1](z[..., 1]) for each in rules]])[0]
-    np.testing.assert_allclose(weights, np.moveaxis(products / products.sum(axis=0), 0, -1))
+    first, second = z.reshape(-1, 2).T
+    products = np.array([grades(a, first) * grades(b, second) for a, b in rules])
+    np.testing.assert_allclose(weights.reshape(-1, len(rules)).T, products / products.sum(axis=0))
 
 
 @pytest.mark.parametrize(
@@ -61,7 +71,7 @@ def test_rules_without_weights_are_refused(rules: Any, z: Any, message: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("shape", "parameters", "z", "grades"),
+    ("shape", "parameters", "z", "expected"),
     [
         ("always", {}, [-5.0, 0.0], [1.0, 1.0]),
         ("linear", {"zero": 1.0, "one": 3.0}, [0.0, 1.0, 1.5, 3.0, 9.0], [0, 0, 0.25, 1, 1]),
@@ -76,34 +86,39 @@ def test_rules_without_weights_are_refused(rules: Any, z: Any, message: str) -> 
     ],
 )
 def test_grades(
-    shape: str, parameters: dict[str, float], z: list[float], grades: list[float]
+    shape: str, parameters: dict[str, float], z: list[float], expected: list[float]
 ) -> None:
-    np.testing.assert_allclose(membership(shape, parameters)(np.array(z)), grades, atol=1e-15)
+    np.testing.assert_allclose(
+        grades(membership(shape, parameters), np.array(z)), expected, atol=1e-15
+    )
 
 
 @pytest.mark.parametrize("width", [0.4, math.pi / 2, 3.0])
 def test_the_sine_sector_is_the_sine(width: float) -> None:
     z = np.linspace(-width, width, 41)
-    upper = membership("sine_upper", {"half_width": width})(z)
-    lower = membership("sine_lower", {"half_width": width})(z)
+    upper = grades(membership("sine_upper", {"half_width": width}), z)
+    lower = grades(membership("sine_lower", {"half_width": width}), z)
     bottom = math.sin(width) / width
     np.testing.assert_allclose((upper + lower * bottom) * z, np.sin(z), atol=1e-15)
     np.testing.assert_allclose(upper + lower, 1.0, rtol=1e-15)
     # It is level outside, although beyond 2π the sine's share rises above the lower sector again.
     outside = np.array([-np.inf, -7.8, 3.1, 7.8, 1e300])
-    assert not membership("sine_upper", {"half_width": width})(outside).any()
+    assert not grades(membership("sine_upper", {"half_width": width}), outside).any()
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda each: each.shape)
-def test_the_cores_slopes_are_the_derivative_of_the_grade(example: Membership) -> None:
+def test_the_covariance_follows_the_derivative_of_the_weights(
+    example: Membership, predicted: Any
+) -> None:
     """Compare with central differences at points away from the corners."""
-    z = np.array([-2.5, -1.31, -0.77, -0.21, -1e-3, 0.0, 4e-4, 0.12, 0.45, 0.83, 1.13, 1.61, 3.1])
-    step, (grades, slopes) = 1e-6, np.empty((2, len(z)))
-    code = SHAPES[example.shape].code
-    native.grades_and_slopes(code, np.array(example.coded), z, grades, slopes)
-    assert (grades == example(z)).all()
-    expected = (example(z + step) - example(z - step)) / (2.0 * step)
-    np.testing.assert_allclose(slopes, expected, atol=1e-9)
+    rules = RuleBase(((example,), (membership("always"),)))
+    plant = TSModel(np.array([[[-1.0]], [[2.0]]]), np.zeros((2, 1, 1)), np.eye(1), rules, np.eye(1))
+    flow, step = TSFlow(plant, clean(), np.zeros(1), 0.01), 1e-6
+    z = np.array([-2.5, -1.31, -0.77, -0.21, -1e-3, 4e-4, 0.12, 0.45, 0.83, 1.13, 1.61])
+    for x in z[:, np.newaxis]:
+        ahead, behind = (predicted(flow, x + sign * step, [0.0], 0.01) for sign in (1.0, -1.0))
+        _, spread = predicted(flow, x, [0.0], 0.01, np.eye(1))
+        assert spread[0, 0] == pytest.approx(float((ahead - behind)[0] / (2.0 * step)) ** 2)
 
 
 @pytest.mark.parametrize(

@@ -37,51 +37,26 @@ int sizes_are_sound(const int64_t *numbers)
            && (s.hypotheses == 1 || (s.hypotheses == STANDING + FORKS && s.width > s.n));
 }
 
-int model_view(double *memory, size_t length, model *view)
+const char *model_view(double *memory, size_t length, model *view)
 {
     estimator_sizes *s = &view->s;
     flow_sizes sizes;
-    state initial;
     if (length < ESTIMATOR_SIZES || !sizes_are_sound((const int64_t *)(void *)memory)) {
-        return -1;
+        return "expected a model's record";
     }
-    *s = sizes_of((const int64_t *)(void *)memory);
+    *s = sizes_of(memory);
     if (model_numbers_size(s) != length) {
-        return -1;
+        return "expected a model's record of another length";
     }
     MODEL_FIELDS(LAYOUT_BIND, s)
-    if (!flow_is_valid(view->flow, (size_t)s->flow_size)) {
-        return -1;
-    }
     sizes = flow_sizes_of(view->flow);
+    if (sizes.n != s->n || sizes.m != s->m || sizes.k != s->k
+        || flow_size(&sizes) != (size_t)s->flow_size
+        || flow_scratch_size(&sizes) > (size_t)s->scratch) {
+        return "expected a model's record with a flow of its sizes";
+    }
     view->design_flow = flow_view(view->flow);
-    state_bind(&initial, s, view->initial);
-    return sizes.n == s->n && sizes.m == s->m && sizes.k == s->k && sizes.p <= s->p
-                   && flow_scratch_size(&sizes) <= (size_t)s->scratch
-                   /* What a step moves with x are the outputs' parts, the torque and a push. */
-                   && (s->width == s->n || s->p + 2 <= flow_tangents(&sizes))
-                   && *view->period >= SHORTEST && isfinite(*view->period)
-                   && (*view->supervised == 0 || s->hypotheses > 1)
-                   && (*view->design_flow.kind != KIND_ARM || s->plant >= 4)
-                   && !((*view->torque_limit > 0.0 || s->past > 0) && s->m < 1)
-                   && state_is_sound(view, &initial)
-               ? 0
-               : -1;
-}
-
-int state_is_sound(const model *m, const state *at)
-{
-    if (*at->best < 0 || *at->best >= m->s.hypotheses) {
-        return 0;
-    }
-    for (long i = 0; i < m->s.hypotheses; i++) {
-        const hypothesis h = hypothesis_of(m, at, i);
-        if (*h.kind < 0 || *h.kind >= STANDING || *h.output < 0 || *h.output >= m->s.p
-            || *h.fork < 0 || *h.fork > MOVED || (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
-            return 0;
-        }
-    }
-    return hypothesis_of(m, at, *at->best).live[0] != 0;
+    return NULL;
 }
 
 void copy_state(const model *m, const double *from, double *to)

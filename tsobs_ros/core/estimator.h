@@ -325,15 +325,12 @@ typedef struct {
     MODEL_FIELDS(LAYOUT_POINTER, unused)
 } model;
 
-/* Bind a view to a model record of so many numbers, which is only read. Return 0, or -1 if its
- * sizes do not belong to a record of this length, or a number in it leads beyond its memory. */
-int model_view(double *memory, size_t length, model *view);
+/* Bind a view to a model record of so many numbers, which is only read. Return NULL, or what is wrong
+ * with its sizes. */
+const char *model_view(double *memory, size_t length, model *view);
 
 /* Copy the numbers of a state onto another state's; those of no hypothesis are not touched. */
 void copy_state(const model *m, const double *from, double *to);
-
-/* Return whether the counts of a state that serve as places are within its fields. */
-int state_is_sound(const model *m, const state *at);
 
 /* Return what is remembered of an output, and a hypothesis. */
 static inline sensor sensor_of(const model *m, const state *at, long output)

@@ -15,8 +15,6 @@
 #include "matrices.h"
 #include "trigonometry.h"
 
-#define MOST 4096 /* of any size, so that no product of sizes overflows */
-
 flow_sizes flow_sizes_of(const double *memory)
 {
     const int64_t *c = (const int64_t *)(const void *)memory;
@@ -31,50 +29,6 @@ flow flow_view(const double *memory)
     flow view;
     flow_bind(&view, &s, (double *)memory);
     return view;
-}
-
-/* Return whether the sizes in the first counts of a record are possible and belong together. */
-static int sizes_are_valid(const int64_t *counts)
-{
-    const int64_t kind = counts[0], n = counts[1], m = counts[2], inputs = counts[3];
-    const int64_t plant = counts[6], rules = counts[7], premises = counts[8];
-    for (int place = 1; place < 9; place++) {
-        if (counts[place] < 0 || counts[place] > MOST) {
-            return 0;
-        }
-    }
-    if (inputs > m || plant > n) {
-        return 0;
-    }
-    switch (kind) {
-    case KIND_ARM:
-        return n >= 4 && inputs >= 1;
-    case KIND_SYSTEM:
-        return rules >= 1 && premises >= 1;
-    case KIND_INTEGRATED:
-        return n >= 2 && rules >= 1 && premises <= counts[4];
-    default:
-        return 0;
-    }
-}
-
-int flow_is_valid(const double *memory, size_t length)
-{
-    flow_sizes s;
-    flow f;
-    if (length < 12 || !sizes_are_valid((const int64_t *)(const void *)memory)) {
-        return 0;
-    }
-    s = flow_sizes_of(memory);
-    if (flow_size(&s) > length) {
-        return 0;
-    }
-    f = flow_view(memory);
-    if (*f.kind == KIND_INTEGRATED && !(*f.max_step >= SHORTEST)) {
-        return 0;
-    }
-    return *f.period >= SHORTEST && isfinite(*f.period) && *f.reach >= 0.0 && *f.terms >= 0
-           && *f.terms <= SERIES_TERMS;
 }
 
 /* --- the linear flow --- */

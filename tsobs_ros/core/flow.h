@@ -156,9 +156,6 @@ LAYOUT_DECLARE(flow_scratch, FLOW_SCRATCH_FIELDS, flow_sizes)
 /* Read the sizes from the first numbers of a record. */
 flow_sizes flow_sizes_of(const double *memory);
 
-/* Return whether so many numbers can be a model's record: sizes that belong together and fit. */
-int flow_is_valid(const double *memory, size_t length);
-
 /* Return the view of a record, by the sizes in it. Its numbers are not written. */
 flow flow_view(const double *memory);
 

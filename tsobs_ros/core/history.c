@@ -65,35 +65,24 @@ static int64_t count_before(const tracker *t, int64_t stamp)
 const char *tracker_bind(tracker *view, const tracker_memory *given)
 {
     rewind_sizes sizes;
-    if (model_view(given->model, given->model_length, &view->m) < 0) {
-        return "model: expected a model record";
+    const char *wrong = model_view(given->model, given->model_length, &view->m);
+    if (wrong != NULL) {
+        return wrong;
     }
-    if (given->memory_length != history_size(NULL)) {
-        return "memory: expected the record of a history";
-    }
-    history_bind(&view->h, NULL, given->memory);
     view->memory = given->memory;
     view->ring = given->ring;
     view->state_size = state_size(&view->m.s);
     view->slots = (int64_t)(given->ring_length / view->state_size);
-    if (given->ring_length % view->state_size != 0 || view->slots < SPARE + 3) {
-        return "ring: expected states of the model";
-    }
-    if (*view->h.max_steps < 1 || *view->h.max_steps > view->slots - SPARE - 2) {
-        return "memory: expected max_steps that the ring has states for";
-    }
-    if (*view->h.first < 0 || *view->h.first >= view->slots - SPARE || *view->h.length < 0 ||
-        *view->h.length > *view->h.max_steps + 1 || (*view->h.has_base & ~(int64_t)1) != 0 ||
-        *view->h.length < *view->h.has_base) {
-        return "memory: expected places in the ring";
-    }
-    if (*view->h.span < 0 || *view->h.future < 0 || *view->h.restart_after < 0) {
-        return "memory: expected times of at least 0";
-    }
     sizes.s = &view->m.s;
     sizes.slots = view->slots;
-    if (given->scratch_length < rewind_scratch_size(&sizes)) {
-        return "scratch: expected more room";
+    if (given->memory_length != history_size(NULL)
+        || given->ring_length % view->state_size != 0
+        || given->scratch_length < rewind_scratch_size(&sizes)) {
+        return "expected memories of a tracker of this model";
+    }
+    history_bind(&view->h, NULL, given->memory);
+    if (*view->h.max_steps < 1 || *view->h.max_steps > view->slots - SPARE - 2) {
+        return "max_steps: expected as many as the ring has states for";
     }
     rewind_scratch_bind(&view->later, &sizes, given->scratch);
     correction_bind(&view->effect, &view->m.s, view->later.effect);

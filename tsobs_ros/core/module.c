@@ -2,156 +2,108 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * The extension module `tsobs_ros.core.native`: the C library for Python, arrays by buffer.
+ *
+ * native.pyi says what the functions do. Each reads its arguments by a format, and checks their
+ * lengths before the library sees them.
  */
+#define PY_SSIZE_T_CLEAN
+#ifndef Py_LIMITED_API
+#define Py_LIMITED_API 0x030B0000
+#endif
+#include <Python.h>
+#include <math.h>
 #include <string.h>
 
-#include "estimator.h"
-#include "python.h"
-
-/* --- Memory: an array whose address is looked up once, as that takes longer than a step --- */
-
-typedef struct {
-    PyObject_HEAD
-    Py_buffer buffer;
-} memory_object;
-
-static PyTypeObject *memory_type;
-
-static PyObject *memory_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
-{
-    PyObject *array, *self;
-    (void)keywords;
-    if (!PyArg_ParseTuple(args, "O:Memory", &array)) {
-        return NULL;
-    }
-    self = PyType_GenericAlloc(type, 0);
-    if (self != NULL && PyObject_GetBuffer(array, &((memory_object *)self)->buffer,
-                                           PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE) < 0) {
-        Py_CLEAR(self);
-    }
-    return self;
-}
-
-static void memory_free(PyObject *self)
-{
-    PyTypeObject *type = Py_TYPE(self);
-    PyBuffer_Release(&((memory_object *)self)->buffer);
-    ((freefunc)PyType_GetSlot(type, Py_tp_free))(self);
-    Py_DECREF(type);
-}
-
-static PyType_Slot memory_slots[] = {
-    {Py_tp_new, (void *)memory_new},
-    {Py_tp_dealloc, (void *)memory_free},
-    {Py_tp_doc, (void *)"An array's address, looked up once; the array must stay as it is."},
-    {0, NULL},
-};
-static PyType_Spec memory_spec = {
-    "tsobs_ros.core.native.Memory", sizeof(memory_object), 0, Py_TPFLAGS_DEFAULT, memory_slots,
-};
+#include "faults.h"
+#include "matrices.h"
+#include "simulate.h"
+#include "trigonometry.h"
+#include "tsobs.h"
 
 /* --- arguments --- */
 
-PyObject *refuse(const signature *of, const char *why)
+#define MAX_ARGUMENTS 24
+#define MAX_SIZE 4096       /* so that no product of sizes overflows */
+#define MAX_DURATION 1e12   /* whose periods can be counted [s] */
+
+/* One argument: an array of numbers, one number, or a text. */
+typedef struct {
+    Py_buffer buffer;
+    int held;       /* whether that is to be released */
+    void *bytes;    /* where an array is, */
+    double *numbers;
+    int64_t *counts;
+    int64_t length; /* and how many numbers of 8 bytes it has; of bytes, bytes */
+    double number;
+    int64_t integer;
+    const char *text;
+} argument;
+
+/* A function: its name, one letter for each argument, and its body. The letters: 'd' an array that is
+ * read, 'D' one that is written, both contiguous and of 8-byte numbers, 'b' bytes, 'f' a float, 'i' an
+ * int, 's' a text. The body returns a new reference, or NULL with an exception. */
+typedef struct signature {
+    const char *name, *format;
+    PyObject *(*body)(const struct signature *of, const argument *t);
+} signature;
+
+/* Raise a ValueError that begins with the function's name; return NULL. */
+static PyObject *refuse(const signature *of, const char *why)
 {
-    return PyErr_Format(PyExc_ValueError, "%s: %s", of->function, why);
+    return PyErr_Format(PyExc_ValueError, "%s: %s", of->name, why);
 }
 
-/* Raise a ValueError about an argument at a place: what was expected, and two numbers. */
-static int refuse_argument(
-    const signature *of, int place, const char *format, long long expected, long long got)
+/* Read an argument; return whether it is of its kind. */
+static int take(const signature *of, int place, PyObject *given, argument *t)
 {
-    const char *name = of->names;
-    PyObject *what = NULL, *why = PyUnicode_FromFormat(format, expected, got);
-    Py_ssize_t length = 0;
-    for (; place > 0; place -= *name++ == ' ') {
+    const char kind = of->format[place];
+    const int unit = kind == 'b' ? 1 : 8;
+    t->held = 0;
+    switch (kind) {
+    case 'f':
+        t->number = PyFloat_AsDouble(given);
+        return PyErr_Occurred() == NULL;
+    case 'i':
+        t->integer = PyLong_AsLongLong(given);
+        return PyErr_Occurred() == NULL;
+    case 's':
+        t->text = PyUnicode_AsUTF8AndSize(given, NULL);
+        return t->text != NULL;
     }
-    while (name[length] != ' ' && name[length] != '\0') {
-        length++;
+    if (PyObject_GetBuffer(
+            given, &t->buffer, PyBUF_C_CONTIGUOUS | (kind == 'D' ? PyBUF_WRITABLE : 0)) < 0) {
+        return 0;
     }
-    what = PyUnicode_FromStringAndSize(name, length);
-    if (what != NULL && why != NULL) {
-        PyErr_Format(PyExc_ValueError, "%s: %U: %U", of->function, what, why);
-    }
-    Py_XDECREF(what);
-    Py_XDECREF(why);
-    return 0;
-}
-
-int have(const signature *of, const argument *t, int first, const int64_t *least)
-{
-    for (; *least >= 0; first++, least++) {
-        if (t[first].length < *least) {
-            return refuse_argument(of, first, "expected at least %lld numbers, got %lld", *least,
-                                   t[first].length);
-        }
+    t->held = 1;
+    t->bytes = t->buffer.buf;
+    t->numbers = t->buffer.buf;
+    t->counts = t->buffer.buf;
+    t->length = t->buffer.len / unit;
+    if (t->buffer.len % unit != 0 || (uintptr_t)t->bytes % (uintptr_t)unit != 0) {
+        PyErr_Format(PyExc_ValueError, "%s: argument %d: expected aligned 8-byte numbers", of->name,
+                     place + 1);
+        return 0;
     }
     return 1;
 }
 
-int is_size(const signature *of, const argument *t, int place, int64_t least)
-{
-    return (least <= t[place].is.integer && t[place].is.integer <= MAX_SIZE) ||
-           refuse_argument(of, place, "expected a size from %lld on, got %lld", least,
-                           t[place].is.integer);
-}
-
-/* Read an array; return whether it is one. */
-static int take_array(const signature *of, int place, PyObject *given, argument *taken)
-{
-    const char kind = of->format[place];
-    const Py_buffer *buffer = &taken->buffer;
-    const Py_ssize_t unit = kind == 'b' ? 1 : 8;
-    if (Py_TYPE(given) == memory_type) {
-        buffer = &((memory_object *)given)->buffer;
-    } else {
-        const int flags = PyBUF_C_CONTIGUOUS | (kind == 'D' ? PyBUF_WRITABLE : 0);
-        if (PyObject_GetBuffer(given, &taken->buffer, flags) < 0) {
-            return 0;
-        }
-        taken->held = 1;
-    }
-    taken->is.bytes = buffer->buf;
-    taken->length = buffer->len / unit;
-    return (buffer->len % unit == 0 && (uintptr_t)buffer->buf % (size_t)unit == 0) ||
-           refuse_argument(of, place, "expected aligned %lld-byte numbers", unit, 0);
-}
-
-/* Read an argument; return whether it is of its kind. */
-static int take(const signature *of, int place, PyObject *given, argument *taken)
-{
-    switch (of->format[place]) {
-    case 'f':
-        taken->is.number = PyFloat_AsDouble(given);
-        return taken->is.number != -1.0 || PyErr_Occurred() == NULL;
-    case 'i':
-        taken->is.integer = PyLong_AsLongLong(given);
-        return taken->is.integer != -1 || PyErr_Occurred() == NULL;
-    case 's':
-        taken->is.text = PyUnicode_AsUTF8AndSize(given, NULL);
-        return taken->is.text != NULL;
-    default:
-        return take_array(of, place, given, taken);
-    }
-}
-
-PyObject *call_bound(
-    const signature *of, bound_body body, PyObject *const *given, Py_ssize_t count)
+static PyObject *call(const signature *of, PyObject *const *given, Py_ssize_t count)
 {
     argument taken[MAX_ARGUMENTS];
     const Py_ssize_t expected = (Py_ssize_t)strlen(of->format);
     PyObject *result = NULL;
     int place = 0;
     if (count != expected) {
-        return PyErr_Format(PyExc_TypeError, "%s: expected %zd arguments, got %zd", of->function,
+        return PyErr_Format(PyExc_TypeError, "%s: expected %zd arguments, got %zd", of->name,
                             expected, count);
     }
-    for (int is_right = 1; is_right && place < count; place++) {
-        taken[place].held = 0;
-        is_right = take(of, place, given[place], &taken[place]);
+    while (place < count && take(of, place, given[place], &taken[place])) {
+        place++;
     }
-    if (PyErr_Occurred() == NULL) {
-        result = body(of, taken);
+    if (place == count) {
+        result = of->body(of, taken);
+    } else if (taken[place].held) {
+        place++;
     }
     while (place-- > 0) {
         if (taken[place].held) {
@@ -161,19 +113,602 @@ PyObject *call_bound(
     return result;
 }
 
+/* Begin the definition of a function, whose body between braces follows: it has its signature `of`
+ * and its arguments `t`. */
+#define BIND(name, format)                                                                 \
+    static PyObject *name##_body(const signature *of, const argument *t);                  \
+    static PyObject *name##_bound(PyObject *self, PyObject *const *given, Py_ssize_t count) \
+    {                                                                                      \
+        static const signature of = {#name, format, name##_body};                          \
+        (void)self;                                                                        \
+        return call(&of, given, count);                                                    \
+    }                                                                                      \
+    static PyObject *name##_body(const signature *of, const argument *t)
+
+/* Return whether arguments from a place on have so many numbers each at least; else raise a
+ * ValueError. For use in a body of BIND. */
+#define HAVE(first, ...) have(of, t, first, (const int64_t[]){__VA_ARGS__, -1})
+static int have(const signature *of, const argument *t, int first, const int64_t *least)
+{
+    for (; *least >= 0; first++, least++) {
+        if (t[first].length < *least) {
+            PyErr_Format(PyExc_ValueError,
+                         "%s: argument %d: expected at least %lld numbers, got %lld", of->name,
+                         first + 1, (long long)*least, (long long)t[first].length);
+            return 0;
+        }
+    }
+    return 1;
+}
+
+/* Return whether numbers are sizes of at least `least`; else raise a ValueError. */
+static int are_sizes(const signature *of, const int64_t *numbers, int64_t count, int64_t least)
+{
+    for (int64_t i = 0; i < count; i++) {
+        if (numbers[i] < least || numbers[i] > MAX_SIZE) {
+            return refuse(of, "expected sizes within their limits") != NULL;
+        }
+    }
+    return 1;
+}
+
+/* Return whether an argument is a duration; else raise a ValueError. */
+static int is_duration(const signature *of, const argument *t)
+{
+    return (0.0 <= t->number && t->number <= MAX_DURATION) ||
+           refuse(of, "duration: expected a finite number of at least 0") != NULL;
+}
+
+/* --- layouts of records, and constants --- */
+
+/* Append a new row to a list, or end it: it is NULL if that failed before, or fails. */
+static void append(PyObject **list, PyObject *row)
+{
+    if (*list != NULL && (row == NULL || PyList_Append(*list, row) < 0)) {
+        Py_CLEAR(*list);
+    }
+    Py_XDECREF(row);
+}
+
+static PyObject *fields_as_list(const layout_field *fields, size_t count)
+{
+    PyObject *list = PyList_New(0);
+    for (const layout_field *f = fields; f < fields + count; f++) {
+        append(&list, Py_BuildValue("(ssll)", f->name, f->kind, f->rows, f->columns));
+    }
+    return list;
+}
+
+#define RECORD(name, FIELDS, count, s)                             \
+    if (strcmp(t[0].text, name) == 0 && t[1].length == (count)) {  \
+        const layout_field rows[] = {FIELDS(LAYOUT_ROW, (s))};     \
+        return fields_as_list(rows, sizeof rows / sizeof rows[0]); \
+    }
+
+BIND(layout, "sd")
+{
+    const int64_t *numbers = t[1].counts;
+    long n[8] = {0};
+    if (t[1].length == ESTIMATOR_SIZES && sizes_are_sound(numbers)) {
+        const estimator_sizes s = sizes_of(numbers);
+        RECORD("sensor", SENSOR_FIELDS, ESTIMATOR_SIZES, &s)
+        RECORD("hypothesis", HYPOTHESIS_FIELDS, ESTIMATOR_SIZES, &s)
+        RECORD("state", STATE_FIELDS, ESTIMATOR_SIZES, &s)
+        RECORD("correction", CORRECTION_FIELDS, ESTIMATOR_SIZES, &s)
+        RECORD("estimate", ESTIMATE_FIELDS, ESTIMATOR_SIZES, &s)
+        RECORD("work", WORK_FIELDS, ESTIMATOR_SIZES, &s)
+        RECORD("model", MODEL_FIELDS, ESTIMATOR_SIZES, &s)
+    } else if (t[1].length <= 8 && are_sizes(of, numbers, t[1].length, 0)) {
+        for (int64_t i = 0; i < t[1].length; i++) {
+            n[i] = (long)numbers[i];
+        }
+        const flow_sizes model = {n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7]};
+        const system_sizes plant = {n[0], n[1], n[2], n[3], n[4], n[5]};
+        RECORD("watch", WATCH_FIELDS, 0, NULL)
+        RECORD("history", HISTORY_FIELDS, 0, NULL)
+        RECORD("simulated_arm", SIMULATED_ARM_FIELDS, 0, NULL)
+        RECORD("simulated_system", SIMULATED_SYSTEM_FIELDS, 6, &plant)
+        RECORD("flow", FLOW_FIELDS, 8, &model)
+        RECORD("flow_scratch", FLOW_SCRATCH_FIELDS, 8, &model)
+    }
+    return PyErr_Occurred() ? NULL : refuse(of, "expected a record and its sizes");
+}
+
+#define APPEND_CONSTANT(name, value, what) append(&list, Py_BuildValue("(sds)", #name, value, what));
+
+BIND(bank_constants, "")
+{
+    PyObject *list = PyList_New(0);
+    (void)of, (void)t;
+    BANK_CONSTANTS(APPEND_CONSTANT)
+    return list;
+}
+
+/* --- functions, flows and simulated plants --- */
+
+BIND(elementary, "sD")
+{
+    static const struct {
+        const char *name;
+        double (*value)(double);
+    } known[] = {
+        {"sine", sine}, {"cosine", cosine}, {"exponential", exponential}, {"logarithm", logarithm},
+    };
+    for (size_t place = 0; place < sizeof known / sizeof known[0]; place++) {
+        if (strcmp(known[place].name, t[0].text) == 0) {
+            for (int64_t i = 0; i < t[1].length; i++) {
+                t[1].numbers[i] = known[place].value(t[1].numbers[i]);
+            }
+            Py_RETURN_NONE;
+        }
+    }
+    return refuse(of, "function: expected sine, cosine, exponential or logarithm");
+}
+
+BIND(weights_of_each, "dddDii")
+{
+    const int64_t r = t[4].integer, q = t[5].integer;
+    if (!are_sizes(of, &r, 1, 1) || !are_sizes(of, &q, 1, 1)) {
+        return NULL;
+    }
+    const int64_t samples = t[2].length / q;
+    if (!HAVE(0, r * q, 4 * r * q) || !HAVE(3, samples * r)) {
+        return NULL;
+    }
+    for (int64_t k = 0; k < samples; k++) {
+        rule_weights(
+            t[0].counts, t[1].numbers, t[2].numbers + k * q, t[3].numbers + k * r, NULL, (long)r,
+            (long)q);
+    }
+    Py_RETURN_NONE;
+}
+
+BIND(flow_over, "diffDDDDii")
+{
+    const int64_t sizes[3] = {t[1].integer, t[8].integer, t[9].integer};
+    const int64_t terms = sizes[0], n = sizes[1], m = sizes[2];
+    if (!are_sizes(of, sizes, 3, 0) || !is_duration(of, &t[3]) ||
+        !HAVE(0, terms * n * (2 * n + m)) ||
+        !HAVE(4, n * n, n * m, n * n, (int64_t)flow_over_scratch_size((long)n, (long)m))) {
+        return NULL;
+    }
+    flow_over(
+        t[0].numbers, (long)terms, t[2].number, t[3].number, t[4].numbers, t[5].numbers,
+        t[6].numbers, t[7].numbers, (long)n, (long)m);
+    Py_RETURN_NONE;
+}
+
+BIND(simulate_arms, "ddddDDD")
+{
+    const int64_t runs = t[4].length / 4, samples = t[1].length, all = runs * samples;
+    const int64_t size = (int64_t)simulated_arm_size(NULL);
+    simulated_arm arms[2];
+    if (!HAVE(0, 2 * size) || !HAVE(2, all) || !HAVE(5, 4 * all, 2 * all)) {
+        return NULL;
+    }
+    simulated_arm_bind(&arms[0], NULL, t[0].numbers);
+    simulated_arm_bind(&arms[1], NULL, t[0].numbers + size);
+    for (int64_t k = 0; k < samples; k++) {
+        if (t[1].counts[k] != 0 && t[1].counts[k] != 1) {
+            return refuse(of, "carried: expected 0 or 1");
+        }
+    }
+    if (t[3].length > 0 && !HAVE(3, 2 * all * *arms[0].substeps)) {
+        return NULL;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    simulate_arms(
+        arms, t[1].counts, t[2].numbers, t[3].length > 0 ? t[3].numbers : NULL, t[4].numbers,
+        t[5].numbers, t[6].numbers, (long)runs, (long)samples);
+    Py_END_ALLOW_THREADS
+    Py_RETURN_NONE;
+}
+
+BIND(simulate_systems, "dDddDDD")
+{
+    const int64_t *sizes = t[0].counts;
+    simulated_system system;
+    if (!HAVE(0, 6) || !are_sizes(of, sizes, 1, 1) || !are_sizes(of, sizes, 6, 0)) {
+        return NULL;
+    }
+    const system_sizes s = {(long)sizes[0], (long)sizes[1], (long)sizes[2],
+                            (long)sizes[3], (long)sizes[4], (long)sizes[5]};
+    if (!HAVE(1, (int64_t)simulated_system_size(&s))) {
+        return NULL;
+    }
+    simulated_system_bind(&system, &s, t[1].numbers);
+    const int64_t runs = t[4].length / s.n;
+    const int64_t samples = runs > 0 ? t[5].length / (s.n * runs) : 0, all = runs * samples;
+    if (!HAVE(2, all * (s.m + s.scheduled)) || !HAVE(6, all * s.p) ||
+        (t[3].length > 0 && !HAVE(3, s.n * all * *system.substeps))) {
+        return NULL;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    simulate_systems(
+        &system, &s, t[2].numbers, t[3].length > 0 ? t[3].numbers : NULL, t[4].numbers,
+        t[5].numbers, t[6].numbers, (long)runs, (long)samples);
+    Py_END_ALLOW_THREADS
+    Py_RETURN_NONE;
+}
+
+BIND(gauss_markov, "ffDD")
+{
+    if (!HAVE(2, 1)) {
+        return NULL;
+    }
+    gauss_markov(
+        t[0].number, t[1].number, t[2].numbers, t[3].numbers, (long)t[2].length,
+        (long)(t[3].length / t[2].length));
+    Py_RETURN_NONE;
+}
+
+/* --- estimators: steps of some states one after the other --- */
+
+/* Bind the model, the first argument; return the number of states, the second one, or -1 with an
+ * exception. */
+static int64_t begin_batch(const signature *of, const argument *t, model *m)
+{
+    const char *wrong = model_view(t[0].numbers, (size_t)t[0].length, m);
+    if (wrong == NULL && (size_t)t[1].length % state_size(&m->s) != 0) {
+        wrong = "expected states of the model";
+    }
+    return wrong == NULL ? t[1].length / (int64_t)state_size(&m->s)
+                         : -1 + (refuse(of, wrong) != NULL);
+}
+
+/* Return the state at a place. */
+static state state_at(const model *m, const argument *t, int64_t place)
+{
+    state at;
+    state_bind(&at, &m->s, t[1].numbers + place * (int64_t)state_size(&m->s));
+    return at;
+}
+
+BIND(estimator_correct, "dDdD")
+{
+    model m;
+    const int64_t count = begin_batch(of, t, &m);
+    if (count < 0) {
+        return NULL;
+    }
+    const int64_t size = (int64_t)correction_size(&m.s);
+    if (!HAVE(2, count * m.s.p, count * size)) {
+        return NULL;
+    }
+    for (int64_t i = 0; i < count; i++) {
+        state at = state_at(&m, t, i);
+        correction effect;
+        correction_bind(&effect, &m.s, t[3].numbers + i * size);
+        correct(&m, &at, t[2].numbers + i * m.s.p, &effect);
+    }
+    Py_RETURN_NONE;
+}
+
+BIND(estimator_predict, "dDdfiD")
+{
+    model m;
+    work scratch;
+    const int64_t count = begin_batch(of, t, &m);
+    if (count < 0 || !HAVE(2, count * m.s.m) || !HAVE(5, (int64_t)work_size(&m.s)) ||
+        !is_duration(of, &t[3])) {
+        return NULL;
+    }
+    work_bind(&scratch, &m.s, t[5].numbers);
+    for (int64_t i = 0; i < count; i++) {
+        state at = state_at(&m, t, i);
+        hold_inputs(&m, &at, t[2].numbers + i * m.s.m);
+        predict(&m, &at, t[3].number, t[4].integer != 0, &scratch);
+    }
+    Py_RETURN_NONE;
+}
+
+BIND(estimator_read, "ddDD")
+{
+    model m;
+    work scratch;
+    const int64_t count = begin_batch(of, t, &m);
+    if (count < 0 ||
+        !HAVE(2, count * (int64_t)estimate_size(&m.s), (int64_t)work_size(&m.s))) {
+        return NULL;
+    }
+    double *row = t[2].numbers;
+    work_bind(&scratch, &m.s, t[3].numbers);
+    for (int64_t i = 0; i < count; i++) {
+        const state at = state_at(&m, t, i);
+        estimate said;
+        row = estimate_bind(&said, &m.s, row);
+        read_out(&m, &at, &said, &scratch);
+    }
+    Py_RETURN_NONE;
+}
+
+BIND(estimator_observe, "dDddfiDDD")
+{
+    model m;
+    correction effect;
+    work scratch;
+    const int64_t count = begin_batch(of, t, &m), samples = t[5].integer;
+    if (count < 0 || !is_duration(of, &t[4])) {
+        return NULL;
+    }
+    if (samples < 0 || samples > 1000000000) {
+        return refuse(of, "samples: expected a number of at least 0");
+    }
+    const int64_t p = m.s.p, inputs = m.s.m, all = count * samples;
+    if (!HAVE(2, all * p, all * inputs) ||
+        !HAVE(6, (int64_t)correction_size(&m.s), (int64_t)work_size(&m.s),
+              all * (int64_t)estimate_size(&m.s))) {
+        return NULL;
+    }
+    correction_bind(&effect, &m.s, t[6].numbers);
+    work_bind(&scratch, &m.s, t[7].numbers);
+    Py_BEGIN_ALLOW_THREADS
+    const double *y = t[2].numbers, *u = t[3].numbers;
+    double *row = t[8].numbers;
+    for (int64_t i = 0; i < count; i++) {
+        state at = state_at(&m, t, i);
+        for (int64_t sample = 0; sample < samples; sample++, y += p, u += inputs) {
+            estimate said;
+            if (sample > 0) {
+                predict(&m, &at, t[4].number, 0, &scratch);
+            }
+            take_torque(&m, &at, u);
+            if (has_finite(y, (long)p)) {
+                correct(&m, &at, y, &effect);
+            }
+            row = estimate_bind(&said, &m.s, row);
+            read_out(&m, &at, &said, &scratch);
+        }
+    }
+    Py_END_ALLOW_THREADS
+    Py_RETURN_NONE;
+}
+
+BIND(estimator_innovations, "ddddfffiDDDD")
+{
+    model m;
+    const char *wrong = model_view(t[0].numbers, (size_t)t[0].length, &m);
+    if (wrong != NULL || m.s.k != 0) {
+        return refuse(of, wrong != NULL ? wrong : "expected a model without parameters");
+    }
+    const int64_t count = t[1].length, outputs = count * m.s.p;
+    const sample_log log = {count, t[1].numbers, t[2].numbers, t[3].numbers};
+    const filter_options options = {t[4].number, t[5].number, t[6].number};
+    if ((options.link_friction > 0.0 || options.motor_friction > 0.0) &&
+        *m.design_flow.kind != KIND_ARM) {
+        return refuse(of, "friction: expected 0 of a model that is no arm");
+    }
+    for (int64_t i = 0; i < count; i++) {
+        if (!(log.durations[i] <= MAX_DURATION)) {
+            return refuse(of, "durations: expected finite numbers");
+        }
+    }
+    if (!HAVE(2, outputs, count * m.s.m) ||
+        !HAVE(8, outputs, outputs, count * m.s.n, (int64_t)innovations_scratch_size(&m))) {
+        return NULL;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    write_innovations(
+        &m, &log, &options, t[7].integer, t[8].numbers, t[9].numbers, t[10].numbers,
+        t[11].numbers);
+    Py_END_ALLOW_THREADS
+    Py_RETURN_NONE;
+}
+
+/* --- trackers: their memories are the first four arguments, model, memory, ring and scratch --- */
+
+/* Bind a tracker; return whether the arguments are its memories. */
+static int take_tracker(const signature *of, const argument *t, tracker *bound)
+{
+    const tracker_memory given = {
+        t[0].numbers, t[1].numbers, t[2].numbers, t[3].numbers,
+        (size_t)t[0].length, (size_t)t[1].length, (size_t)t[2].length, (size_t)t[3].length,
+    };
+    const char *wrong = tracker_bind(bound, &given);
+    return wrong == NULL || refuse(of, wrong) != NULL;
+}
+
+/* Take stamps, y and u, the arguments behind the memories, and what becomes of them, four from a
+ * place on; return whether they belong together. */
+static int take_measurements(
+    const signature *of, const argument *t, int to, const tracker *by, measurements *given,
+    outcomes *written)
+{
+    const int64_t count = t[4].length, outputs = count * by->m.s.p;
+    *given = (measurements){count, t[4].counts, t[5].numbers, t[6].numbers};
+    *written = (outcomes){t[to].counts, t[to + 1].counts, t[to + 2].numbers, t[to + 3].numbers};
+    return HAVE(5, outputs, count * by->m.s.m) && HAVE(to, count, outputs, outputs, outputs);
+}
+
+BIND(history_scratch_size, "di")
+{
+    model m;
+    const rewind_sizes sizes = {&m.s, t[1].integer};
+    const char *wrong = model_view(t[0].numbers, (size_t)t[0].length, &m);
+    if (wrong != NULL || t[1].integer < 0) {
+        return refuse(of, wrong != NULL ? wrong : "slots: expected a number of at least 0");
+    }
+    return PyLong_FromSize_t(rewind_scratch_size(&sizes));
+}
+
+BIND(history_offer, "dDDD" "dddi" "DDDD")
+{
+    tracker by;
+    measurements given;
+    outcomes written;
+    if (!take_tracker(of, t, &by) || !take_measurements(of, t, 8, &by, &given, &written)) {
+        return NULL;
+    }
+    offer(&by, &given, t[7].integer, &written);
+    Py_RETURN_NONE;
+}
+
+BIND(history_estimate, "dDDD" "iD")
+{
+    tracker by;
+    if (!take_tracker(of, t, &by) || !HAVE(5, (int64_t)estimate_size(&by.m.s))) {
+        return NULL;
+    }
+    return PyBool_FromLong(estimate_at(&by, t[4].integer, t[5].numbers));
+}
+
+BIND(history_advance, "dDDD" "ddd" "DDDD" "ddd" "DDD" "i")
+{
+    tracker by;
+    measurements given;
+    outcomes written;
+    const int64_t count = t[11].length, *known = t[13].counts;
+    if (!take_tracker(of, t, &by) || !take_measurements(of, t, 7, &by, &given, &written) ||
+        !HAVE(12, count, count, count, count, count * (int64_t)estimate_size(&by.m.s))) {
+        return NULL;
+    }
+    for (int64_t tick = 0; tick < count; tick++) {
+        if (known[tick] < (tick > 0 ? known[tick - 1] : 0) || known[tick] > given.count) {
+            return refuse(of, "known: expected numbers of samples that ascend");
+        }
+    }
+    const history_ticks ticks = {
+        count, t[11].counts, t[12].counts, known, t[14].counts, t[15].counts, t[16].numbers,
+    };
+    Py_BEGIN_ALLOW_THREADS
+    advance(&by, &given, &written, &ticks, t[17].integer);
+    Py_END_ALLOW_THREADS
+    Py_RETURN_NONE;
+}
+
+/* --- the fault monitor's sums --- */
+
+/* Return the number of watches, the first argument. */
+static int64_t count_watches(const argument *t)
+{
+    return t[0].length / (int64_t)watch_size(NULL);
+}
+
+BIND(faults_add_samples, "Dddddd")
+{
+    const int64_t sensors = count_watches(t), numbers = sensors * t[1].length;
+    if (!HAVE(2, numbers, numbers, numbers, numbers)) {
+        return NULL;
+    }
+    const sensor_samples samples = {
+        sensors, t[1].length, t[1].counts, t[3].counts, t[2].numbers, t[4].numbers, t[5].numbers,
+    };
+    add_samples(t[0].numbers, &samples);
+    Py_RETURN_NONE;
+}
+
+BIND(faults_add_estimates, "Didd")
+{
+    const int64_t sensors = count_watches(t);
+    if (!HAVE(2, sensors, sensors)) {
+        return NULL;
+    }
+    return PyBool_FromLong(
+        add_estimates(t[0].numbers, sensors, t[1].integer, t[2].numbers, t[3].numbers));
+}
+
+/* --- exported designs --- */
+
+BIND(exported_seal, "D")
+{
+    if (!HAVE(0, (int64_t)sizeof(exported_head) / 8)) {
+        return NULL;
+    }
+    exported_seal(t[0].bytes, (size_t)t[0].length * 8);
+    Py_RETURN_NONE;
+}
+
+BIND(exported_open, "d")
+{
+    exported design;
+    const char *wrong = exported_open(&design, t[0].bytes, (size_t)t[0].length * 8);
+    if (wrong != NULL) {
+        return refuse(of, wrong);
+    }
+    return PyLong_FromSize_t(design.room);
+}
+
+/* --- messages in the records of an MCAP chunk --- */
+
+enum { RECORD_HEAD = 9, MESSAGE_HEAD = 31, MESSAGE_KIND = 5, MESSAGE_FIELDS = 5 };
+
+/* Return a little-endian number. */
+static uint64_t number_at(const uint8_t *at, int size)
+{
+    uint64_t value = 0;
+    while (size-- > 0) {
+        value = value << 8 | at[size];
+    }
+    return value;
+}
+
+/* Write channel, log time, publish time, first byte and size of the data of each message to rows of
+ * `room` numbers. Return how many there are; -1 if a record, which is a byte for its kind, 8 for the
+ * length of what follows, and that, is not whole. No array operation finds where one begins. */
+static int64_t split_messages(const uint8_t *data, size_t size, int64_t *found, size_t room)
+{
+    size_t at = 0, count = 0, length;
+    for (; at < size; at += length) {
+        const uint8_t *record = data + at;
+        if (size - at < RECORD_HEAD || record[0] == 0 ||
+            number_at(record + 1, 8) > size - at - RECORD_HEAD) {
+            return -1;
+        }
+        length = RECORD_HEAD + (size_t)number_at(record + 1, 8);
+        if (record[0] != MESSAGE_KIND) {
+            continue;
+        }
+        if (length < MESSAGE_HEAD || count == room) {
+            return -1;
+        }
+        found[count] = (int64_t)number_at(record + 9, 2);
+        found[room + count] = (int64_t)number_at(record + 15, 8);
+        found[2 * room + count] = (int64_t)number_at(record + 23, 8);
+        found[3 * room + count] = (int64_t)(at + MESSAGE_HEAD);
+        found[4 * room + count] = (int64_t)(length - MESSAGE_HEAD);
+        count++;
+    }
+    return (int64_t)count;
+}
+
+BIND(messages_split, "bD")
+{
+    int64_t count;
+    (void)of;
+    Py_BEGIN_ALLOW_THREADS
+    count = split_messages(
+        t[0].bytes, (size_t)t[0].length, t[1].counts, (size_t)(t[1].length / MESSAGE_FIELDS));
+    Py_END_ALLOW_THREADS
+    return PyLong_FromLongLong(count);
+}
+
 /* --- the module --- */
 
-/* Numbers of the core that Python needs, too. */
-static const struct {
-    const char *name;
-    long value;
-} constants[] = {
-    {"KIND_ARM", KIND_ARM},
-    {"KIND_SYSTEM", KIND_SYSTEM},
-    {"KIND_INTEGRATED", KIND_INTEGRATED},
-    {"GAIN_RICCATI", GAIN_RICCATI},
-    {"GAIN_CERTIFIED", GAIN_CERTIFIED},
-    {"HYPOTHESES", STANDING + FORKS},
+#define METHOD(name) {#name, (PyCFunction)(void (*)(void))name##_bound, METH_FASTCALL, NULL}
+static PyMethodDef methods[] = {
+    METHOD(layout),
+    METHOD(bank_constants),
+    METHOD(elementary),
+    METHOD(weights_of_each),
+    METHOD(flow_over),
+    METHOD(simulate_arms),
+    METHOD(simulate_systems),
+    METHOD(gauss_markov),
+    METHOD(estimator_correct),
+    METHOD(estimator_predict),
+    METHOD(estimator_read),
+    METHOD(estimator_observe),
+    METHOD(estimator_innovations),
+    METHOD(history_scratch_size),
+    METHOD(history_offer),
+    METHOD(history_estimate),
+    METHOD(history_advance),
+    METHOD(faults_add_samples),
+    METHOD(faults_add_estimates),
+    METHOD(exported_seal),
+    METHOD(exported_open),
+    METHOD(messages_split),
+    {NULL, NULL, 0, NULL},
 };
 
 /* Digest of the sources that setup.py built. */
@@ -181,31 +716,22 @@ static const struct {
 #define SOURCES ""
 #endif
 
-static int module_exec(PyObject *module)
+static int add_constants(PyObject *module)
 {
-    PyMethodDef *const tables[] = {
-        estimator_methods, faults_methods, history_methods, model_methods,
-    };
-    memory_type = (PyTypeObject *)PyType_FromSpec(&memory_spec);
-    int failed = memory_type == NULL ||
-                 PyModule_AddObjectRef(module, "Memory", (PyObject *)memory_type) < 0 ||
-                 PyModule_AddStringConstant(module, "SOURCES", SOURCES) < 0;
-    for (size_t i = 0; !failed && i < sizeof constants / sizeof constants[0]; i++) {
-        failed = PyModule_AddIntConstant(module, constants[i].name, constants[i].value) < 0;
-    }
-    for (size_t i = 0; !failed && i < sizeof tables / sizeof tables[0]; i++) {
-        failed = PyModule_AddFunctions(module, tables[i]) < 0;
-    }
+    const int failed = PyModule_AddStringConstant(module, "SOURCES", SOURCES) < 0 ||
+                       PyModule_AddIntMacro(module, KIND_ARM) < 0 ||
+                       PyModule_AddIntMacro(module, KIND_SYSTEM) < 0 ||
+                       PyModule_AddIntMacro(module, KIND_INTEGRATED) < 0 ||
+                       PyModule_AddIntMacro(module, GAIN_RICCATI) < 0 ||
+                       PyModule_AddIntMacro(module, GAIN_CERTIFIED) < 0 ||
+                       PyModule_AddIntConstant(module, "HYPOTHESES", STANDING + FORKS) < 0;
     return failed ? -1 : 0;
 }
 
-static PyModuleDef_Slot module_slots[] = {
-    {Py_mod_exec, (void *)module_exec},
-    {0, NULL},
-};
+static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)add_constants}, {0, NULL}};
 static struct PyModuleDef definition = {
-    PyModuleDef_HEAD_INIT, "native", "The compiled core of tsobs_ros; see tsobs.h.", 0, NULL,
-    module_slots, NULL, NULL, NULL,
+    PyModuleDef_HEAD_INIT, "native", "The compiled core of tsobs_ros; see tsobs.h.", 0, methods,
+    slots, NULL, NULL, NULL,
 };
 
 PyMODINIT_FUNC PyInit_native(void)

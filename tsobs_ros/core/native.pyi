@@ -2,12 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Types of the extension module.
 
-module.c and the python_*.c files have the functions, and `BIND` the names of their arguments.
+module.c has the functions.
 """
 
 from typing import Any
-
-from numpy.typing import NDArray
 
 KIND_ARM: int
 KIND_SYSTEM: int
@@ -17,13 +15,8 @@ GAIN_CERTIFIED: int
 HYPOTHESES: int
 SOURCES: str
 
-class Memory:
-    """An array's address, looked up once; the array must stay as it is."""
-
-    def __init__(self, array: Any) -> None: ...
-
-Numbers = NDArray[Any] | Memory
-"""Contiguous 8-byte numbers: floats, or integers for counts, codes and stamps."""
+Numbers = Any
+"""Contiguous 8-byte numbers: an array of floats, or of integers for counts, codes and stamps."""
 
 def layout(record: str, sizes: Numbers, /) -> list[tuple[str, str, int, int]]:
     """Return name, kind, rows and columns of the fields of a record, as layout.h has them."""
@@ -31,22 +24,13 @@ def layout(record: str, sizes: Numbers, /) -> list[tuple[str, str, int, int]]:
 def elementary(function: str, values: Numbers, /) -> None:
     """Write a function of numbers over them; see `functions.evaluate`."""
 
-def grades_and_slopes(
-    shape: int, parameters: Numbers, z: Numbers, grades: Numbers, slopes: Numbers, /
+def weights_of_each(
+    shapes: Numbers, parameters: Numbers, z: Numbers, weights: Numbers, r: int, q: int, /
 ) -> None:
-    """Write the grade of one membership function at every z, and its derivative."""
-
-def weights_and_slopes_of_each(*arguments: Any) -> None:
-    """Write the rules' weights at z (samples, q), and their slopes (samples, r, q)."""
+    """Write the weights (samples, r) of r rules at z (samples, q)."""
 
 def flow_over(*arguments: Any) -> None:
     """Write Φ, Γ and Q over a duration [s]; scratch has n (4 n + 2 m) numbers."""
-
-def advance_all(*arguments: Any) -> None:
-    """Move states (batch, n), Υᵀ (batch, k, n) and covariances (batch, n, n) over a time [s].
-
-    No covariance is moved if there are no numbers of it; y is read by integrated observers only.
-    """
 
 def simulate_arms(*arguments: Any) -> None:
     """Move two arms' records, without and with the payload, over samples; see simulate.h."""
@@ -61,10 +45,10 @@ def messages_split(data: bytes | memoryview, found: Numbers, /) -> int:
     """Write the fields of each message in some records, and return their number or -1."""
 
 def exported_seal(words: Numbers, /) -> None:
-    """Complete the head of an exported design, whose lengths and text are there."""
+    """Complete the head of an exported design, which has the model's length."""
 
-def exported_open(words: Numbers, /) -> tuple[int, int, int, int, int]:
-    """Return the lengths of model, memory, ring, scratch and of an estimate's row."""
+def exported_open(words: Numbers, /) -> int:
+    """Return the numbers of the room that a tracker of an exported design needs."""
 
 def history_scratch_size(model: Numbers, slots: int, /) -> int:
     """Return the numbers of scratch of a tracker whose ring has so many states."""
@@ -104,7 +88,4 @@ def estimator_observe(*arguments: Any) -> None:
     """Step each state through its samples (samples, p), and write a row after each."""
 
 def estimator_innovations(*arguments: Any) -> None:
-    """Write the innovations of a log; see estimator.h. No states are written if there is no room.
-
-    Python's lock is not held meanwhile.
-    """
+    """Write the innovations of a log; see estimator.h."""

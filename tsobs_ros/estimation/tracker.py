@@ -94,8 +94,6 @@ class Outcomes(NamedTuple):
 class Tracker:
     """Runs an estimator over measurements in the order of their stamps.
 
-    Its arrays keep their addresses, which the core looks up once.
-
     Attributes:
         estimator: The step functions.
         options: Limits.
@@ -112,10 +110,7 @@ class Tracker:
         self.ring: Record = np.zeros(slots, estimator.new_states(0).dtype)
         model = numbers_of(estimator.model)
         scratch = np.zeros(native.history_scratch_size(model, slots))
-        self._records = [
-            native.Memory(each)
-            for each in (model, numbers_of(self.memory), numbers_of(self.ring), scratch)
-        ]
+        self._records = model, numbers_of(self.memory), numbers_of(self.ring), scratch
         shape = estimator.shape
         self._one = (
             np.zeros(1, np.int64),

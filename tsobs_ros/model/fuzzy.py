@@ -89,7 +89,7 @@ SHAPES: Mapping[str, Shape] = {
 
 @dataclass(frozen=True)
 class Membership:
-    """A grade in [0, 1] of one premise variable z, elementwise; see `membership`.
+    """A grade in [0, 1] of one premise variable z; see `membership`.
 
     Attributes:
         shape: A name of `SHAPES`.
@@ -109,14 +109,6 @@ class Membership:
         names = SHAPES[self.shape].parameters
         return {"shape": self.shape, **dict(zip(names, self.values, strict=True))}
 
-    def __call__(self, z: ArrayLike) -> Array:
-        """Return the grade at each of some z."""
-        premise = np.ascontiguousarray(z, dtype=np.float64)
-        grades, slopes = np.empty((2, premise.size))
-        code = SHAPES[self.shape].code
-        native.grades_and_slopes(code, np.array(self.coded), premise, grades, slopes)
-        return grades.reshape(np.shape(z))
-
 
 def membership(shape: str, parameters: Mapping[str, float] | None = None) -> Membership:
     """Return a membership function by its name and parameters.
@@ -124,8 +116,8 @@ def membership(shape: str, parameters: Mapping[str, float] | None = None) -> Mem
     Raises:
         ModelError: The name is unknown, a parameter is missing, unknown or out of range.
 
-    >>> float(membership("linear", {"zero": 1.0, "one": 3.0})(1.5))
-    0.25
+    >>> membership("linear", {"zero": 1.0, "one": 3.0}).values
+    (1.0, 3.0)
     """
     if shape not in SHAPES:
         raise ModelError(
@@ -197,8 +189,7 @@ class RuleBase:
             )
         premise = np.ascontiguousarray(premise)
         weights = np.empty((*premise.shape[:-1], r))
-        slopes = np.empty((*premise.shape[:-1], r, q))
-        native.weights_and_slopes_of_each(*self.coded, premise, weights, slopes, r, q)
+        native.weights_of_each(*self.coded, premise, weights, r, q)
         if np.isnan(weights).any():
             where = premise[tuple(np.argwhere(np.isnan(weights[..., 0]))[0])].tolist()
             raise ModelError(f"memberships: no rule fires at z = {where}")
