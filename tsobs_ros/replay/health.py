@@ -76,12 +76,7 @@ class JointEvent(NamedTuple):
 
 
 def map_events(events: Iterable[JointEvent], begin: int) -> dict[str, Any]:
-    """Return the first events by their times, and the number of the others, as plain data.
-
-    Args:
-        events: The events.
-        begin: Log time that times count from, ns since the epoch.
-    """
+    """Return the first events, in seconds since `begin` [ns], as plain data, and how many more."""
     ordered = sorted(events, key=lambda one: one.log_time)
     mappings = [
         {
@@ -100,14 +95,14 @@ def map_events(events: Iterable[JointEvent], begin: int) -> dict[str, Any]:
 def list_events(events: Iterable[JointEvent], begin: int) -> list[str]:
     """Return the same for a terminal, fewer of them, and nothing if there are none."""
     mapped = map_events(events, begin)
-    shown = mapped["events"][:_MAX_LINES]
-    more = len(mapped["events"]) + mapped["events_left_out"] - len(shown)
-    return [
-        *(["events, in seconds since the first measurement:"] if shown else []),
-        *(f"{one['time']:9.1f} s  {one['level']:<5}  {one['joint']}: {one['text']}"
-          for one in shown),
-        *([f"and {more} more; JSON has up to {_MAX_EVENTS}"] if more else []),
-    ]  # fmt: skip
+    shown = mapped["events"]
+    lines = [
+        f"{one['time']:9.1f} s  {one['level']:<5}  {one['joint']}: {one['text']}"
+        for one in shown[:_MAX_LINES]
+    ]
+    if more := len(shown) + mapped["events_left_out"] - len(lines):
+        lines.append(f"and {more} more; JSON has up to {_MAX_EVENTS}")
+    return ["events, in seconds since the first measurement:", *lines] if lines else []
 
 
 class Health(NamedTuple):

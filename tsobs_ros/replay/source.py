@@ -343,7 +343,7 @@ class BagSource(Source):
             raise BagReadError(f"{self.path}: no message of {self.topic} names a joint")
         count, samples = len(self.joints), Spool(self._sample_type)
         outputs = max(len(one.outputs) for one in self.signals)
-        there, named = np.zeros((count, outputs), np.bool_), np.zeros(count, np.bool_)
+        there = np.zeros((count, outputs), np.bool_)
         others, without_input = dict[str, None](), 0
         wanted = [
             *(one.outputs for one in self.signals),
@@ -356,7 +356,6 @@ class BagSource(Source):
             measured = block.series[self.topic]
             given = measured.given[:, :count, :outputs]
             there |= given.any(axis=0)
-            named |= measured.named[:, :count].any(axis=0)
             others |= dict.fromkeys(measured.other_names)
             if not self._assume_zero_torque:
                 inputs = measured.given[:, count:].any(axis=(1, 2))
@@ -365,7 +364,6 @@ class BagSource(Source):
         self.samples = samples.read()
         if not self.count:
             raise self.damage or BagReadError(f"{self.path}: no message on {self.topic}")
-        self._require_joints(named, others)
         self._require_outputs(there, others)
         apart = self.samples.log_times - self.samples.stamps
         off = max((apart <= -_SAME_CLOCK).sum(), (apart >= _SAME_CLOCK).sum())
@@ -396,36 +394,18 @@ class BagSource(Source):
             samples.checksums[places] = [crc32(row) for row in data]
         return samples
 
-    def _require_joints(self, named: Flags, others: Iterable[str]) -> None:
-        """Raise `BagReadError` if no message names some arm."""
-        arms = [isinstance(request, ArmRequest) for request in self._requests]
-        each = zip(self.joints, arms, named, strict=True)
-        missing = [joint for joint, is_arm, is_named in each if is_arm and not is_named]
-        if missing:
-            seen = [joint for joint in self.joints if joint not in missing]
-            names = ", ".join([*seen, *others]) or "none"
-            raise BagReadError(
-                f"{self.path}: no message of {self.topic} names {', '.join(missing)}; "
-                f"joints: {names}"
-            )
-
     def _require_outputs(self, there: Flags, others: Iterable[str]) -> None:
         """Raise `BagReadError` if no message has some output, which none lacks by chance."""
-        each = [
-            (f"{name} of {joint}", place.described, is_there)
-            for joint, request, own, known in zip(
-                self.joints, self._requests, self.signals, there, strict=True
-            )
-            for name, place, is_there in zip(
-                request.output_names, own.outputs, known.tolist(), strict=False
-            )
-        ]
-        lacking = [f"{name} ({place})" for name, place, is_there in each if not is_there]
+        lacking, seen = list[str](), list[str]()
+        for joint, request, own, known in zip(
+            self.joints, self._requests, self.signals, there, strict=True
+        ):
+            for name, place, given in zip(request.output_names, own.outputs, known, strict=False):
+                (seen if given else lacking).append(f"{name} of {joint} ({place.described})")
         if not lacking:
             return
         text = f"no message of {self.topic} has {', '.join(lacking)}"
         if not self.was_observed:
-            seen = [place for _, place, is_there in each if is_there]
             has = ", ".join([*seen, *others]) or "none"
             raise BagReadError(f"{self.path}: {text}, which the design measures; it has: {has}")
         # The live observer went on with the others.
