@@ -4,6 +4,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,13 +23,7 @@ _MAX_RECORDS = 100
 
 
 class RanDesign(NamedTuple):
-    """A design that a recorded observer ran.
-
-    Attributes:
-        file: Its path where it ran.
-        sha256: Its checksum.
-        text: Its content.
-    """
+    """A design that a recorded observer ran: its path there, its checksum and its content."""
 
     file: str
     sha256: str
@@ -79,11 +74,7 @@ class RecordedObserver:
 
 
 def recorded_observer(reader: BagReader, name: str) -> RecordedObserver:
-    """Return what an observer ran; as good as nothing of it may be in the bag.
-
-    Args:
-        reader: The bag.
-        name: The node's full name.
+    """Return what an observer of a full name ran, as far as it is in the bag.
 
     Raises:
         BagReadError: Its topic `design` has something else.
@@ -105,7 +96,7 @@ def choose_designs(
     given: Sequence[str] = (),
     others_allowed: bool = False,
 ) -> dict[str, tuple[DesignFile, ...]]:
-    """Return the designs to estimate with by the names of their files, each with one a joint.
+    """Return the designs to estimate with by the names of their files, each with one per joint.
 
     Args:
         bag: For errors.
@@ -116,68 +107,61 @@ def choose_designs(
         others_allowed: Whether the files that are given may be others than those that it ran.
 
     Raises:
-        DesignFileError: A file is no design, is not the one that the observer ran.
+        DesignFileError: A file is no design, or not the one that the observer ran.
         BagReadError: The bag's own design is none.
     """
     own = dict(argument.split("=", 1) for argument in given if "=" in argument)
-    shared: list[str | None] = [argument for argument in given if "=" not in argument]
-    if unknown := sorted(set(own) - set(joints)):
-        raise DesignFileError(
-            f"--design {unknown[0]}={own[unknown[0]]}: no such joint; joints: {', '.join(joints)}"
-        )
+    shared = [argument for argument in given if "=" not in argument]
+    for joint in own.keys() - set(joints):
+        known = ", ".join(joints)
+        raise DesignFileError(f"--design {joint}={own[joint]}: no such joint; joints: {known}")
     if own and len(shared) > 1:
         raise DesignFileError(
-            "--design: expected at most one file for the joints without their own, got "
-            f"{', '.join(map(str, shared))}"
+            f"--design: expected one file for the joints without their own, got {', '.join(shared)}"
         )
-    loaded: dict[str, DesignFile] = {}
 
-    def load(joint: str, path: str | None) -> DesignFile:
-        if path is None:
-            return _recorded(bag, ran, joint, loaded)
-        if path not in loaded:
-            loaded[path] = load_design_file(path)
-        file = loaded[path]
-        for each in ran.designs.get(joint, ()):
-            if not (others_allowed or each.sha256 == file.sha256):
-                raise DesignFileError(
-                    f"--design {path} (SHA-256 {file.identity}): the observer of {bag} ran {each} "
-                    f"for {joint}; leave --design out to use that one, or add --other-design to "
-                    f"use this one all the same"
-                )
-        return file
+    @cache
+    def load(path: str, text: str | None = None) -> DesignFile:
+        return load_design_file(path, text)
 
-    found: dict[str, tuple[DesignFile, ...]] = {}
-    for path in shared or [None]:
-        name = "own"
-        if path is not None and not own:
-            stem = Path(path).name.split(".")[0].replace("-", "_").replace(" ", "_")
-            name = stem if stem not in found else f"{stem}_{len(found) + 1}"
-        found[name] = tuple(load(joint, own.get(joint, path)) for joint in joints)
-    return found
-
-
-def _recorded(
-    bag: str | Path, ran: RecordedObserver, joint: str, loaded: dict[str, DesignFile]
-) -> DesignFile:
-    """Return the design that the observer ran for a joint; the shipped one if nothing is known."""
-    if not ran.designs:
-        return load_design_file(config_path(SHIPPED_DESIGN))
-    designs = ran.designs.get(joint, ())
-    if len(designs) != 1:
-        which = f"no design for {joint}, but for {', '.join(ran.designs)}"
-        option = f"--design {joint}=FILE"
-        if designs:
-            which = f"{' and then '.join(map(str, designs))} for {joint}"
-            option = "--design FILE --other-design"
-        raise DesignFileError(f"{bag}: its observer ran {which}; name one with {option}")
-    (one,) = designs
-    if one.text not in loaded:
+    def design_of(joint: str, path: str | None) -> DesignFile:
+        ran_designs = ran.designs.get(joint, ())
+        if path is not None:
+            file = load(path)
+            for each in ran_designs:
+                if not (others_allowed or each.sha256 == file.sha256):
+                    raise DesignFileError(
+                        f"--design {path} (SHA-256 {file.identity}): the observer of {bag} ran "
+                        f"{each} for {joint}; leave --design out to use that one, or add "
+                        "--other-design to use this one all the same"
+                    )
+            return file
+        if not ran.designs:
+            return load(str(config_path(SHIPPED_DESIGN)))
+        if not ran_designs:
+            raise DesignFileError(
+                f"{bag}: its observer ran no design for {joint}, but for {', '.join(ran.designs)}; "
+                f"name one with --design {joint}=FILE"
+            )
+        if len(ran_designs) > 1:
+            raise DesignFileError(
+                f"{bag}: its observer ran {' and then '.join(map(str, ran_designs))} for {joint}; "
+                "name one with --design FILE --other-design"
+            )
         try:
-            loaded[one.text] = load_design_file(f"{one.file:.200}", one.text)
+            return load(f"{ran_designs[0].file:.200}", ran_designs[0].text)
         except DesignFileError as error:
             raise BagReadError(f"{bag}: {ran.source}: {error}") from error
-    return loaded[one.text]
+
+    if own or not shared:
+        rest = shared[0] if shared else None
+        return {"own": tuple(design_of(joint, own.get(joint, rest)) for joint in joints)}
+    found: dict[str, tuple[DesignFile, ...]] = {}
+    for path in shared:
+        stem = Path(path).name.split(".")[0].replace("-", "_").replace(" ", "_")
+        name = stem if stem not in found else f"{stem}_{len(found) + 1}"
+        found[name] = tuple(design_of(joint, path) for joint in joints)
+    return found
 
 
 def _of_records(reader: BagReader, topic: str) -> RecordedObserver:
@@ -186,24 +170,20 @@ def _of_records(reader: BagReader, topic: str) -> RecordedObserver:
         texts[CdrReader(message.data).text("data")] = None
         if len(texts) > _MAX_RECORDS:
             raise DesignFileError(f"more than {_MAX_RECORDS} different messages")
-    first, *others = map(read_record, texts)
-    changed = sorted(
-        name
-        for other in others
-        for name in first.parameters.keys() | other.parameters.keys()
-        if first.parameters.get(name) != other.parameters.get(name)
+    records = list(map(read_record, texts))
+    first = records[0].parameters
+    names = sorted({name for one in records for name in one.parameters})
+    changed = [n for n in names if any(one.parameters.get(n) != first.get(n) for one in records)]
+    remarks = (
+        "note: parameters of the observer were changed while it ran: "
+        f"{', '.join(changed)}; the first values are used",
     )
-    remarks = []
-    if changed:
-        remarks.append(
-            f"note: parameters of the observer were changed while it ran: "
-            f"{', '.join(dict.fromkeys(changed))}; the first values are used"
-        )
     designs: dict[str, dict[str, RanDesign]] = {}
-    for record in (first, *others):
+    for record in records:
         for one in record.designs:
             design = RanDesign(one.file, checksum(one.text), one.text)
             for joint in one.joints:
                 designs.setdefault(joint, {}).setdefault(design.sha256, design)
     by_joint = {joint: tuple(each.values()) for joint, each in designs.items()}
-    return RecordedObserver(topic, by_joint, first.parameters, first.measurements, tuple(remarks))
+    measurements = records[0].measurements
+    return RecordedObserver(topic, by_joint, first, measurements, remarks if changed else ())

@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain
+from itertools import chain, product
 from pathlib import Path
 from typing import Any
 
@@ -84,25 +84,18 @@ def make_observers(
     methods: Sequence[str],
     settings: ObserverSettings,
 ) -> list[Observer]:
-    """Return an observer for each design and method; names have what distinguishes them.
+    """Return an observer for each design of `choose_designs` and each name of `CONTENDERS`.
 
-    Args:
-        designs: As of `choose_designs`.
-        methods: Names of `methods.CONTENDERS`.
-        settings: How they are run.
+    Their names have what distinguishes them.
 
     Raises:
         ModelError: There is no such method.
     """
-    each = [(stem, method) for stem in designs for method in methods]
-    names = [
-        "_".join([stem] * (len(designs) > 1) + [method] * (len(methods) > 1)) or "observer"
-        for stem, method in each
-    ]
-    return [
-        Observer(name, contender(settings, method), designs[stem])
-        for name, (stem, method) in zip(names, each, strict=True)
-    ]
+    found = []
+    for stem, method in product(designs, methods):
+        name = "_".join([stem] * (len(designs) > 1) + [method] * (len(methods) > 1))
+        found.append(Observer(name or "observer", contender(settings, method), designs[stem]))
+    return found
 
 
 def without_misfits(observers: Iterable[Observer]) -> tuple[list[Observer], list[str]]:
@@ -186,12 +179,7 @@ class Run:
         self._is_first = True
 
     def begin(self, writer: BagWriter, definition: MessageDefinition) -> None:
-        """Write into a new bag what it runs.
-
-        Args:
-            writer: The bag; the topics of the messages are added to it.
-            definition: Of JointStates.
-        """
+        """Add its topics to a new bag, JointStates of a definition, and write what it runs."""
         for name in self._encoder.topics:
             writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)
         for end, known, qos in (
@@ -216,12 +204,7 @@ class Run:
         return sum(tracker.rewinds for tracker in self.trackers)
 
     def run(self, window: Window, *, encode: bool) -> list[MessageSeries]:
-        """Run the observer over a window, and return the messages.
-
-        Args:
-            window: The window.
-            encode: Whether there are to be messages.
-        """
+        """Run the observer over a window, and return the messages, if they are to be encoded."""
         self.window, ticks = window, window.ticks
         self._estimate()
         restarts = self._restarts + np.cumsum(ticks.resets)
@@ -364,21 +347,18 @@ class Run:
         each = zip(self._source.joints, self.observer.designs, self._outputs, strict=True)
         return {
             joint: {
-                name: {"gated": int(gated), "missing": int(missing)}
-                for name, (gated, missing) in zip(
-                    design.request.output_names, counts.tolist(), strict=True
-                )
+                name: dict(zip(("gated", "missing"), counts, strict=True))
+                for name, counts in zip(design.request.output_names, own.tolist(), strict=True)
             }
-            for joint, design, counts in each
-            if len(counts) > 1
+            for joint, design, own in each
+            if len(own) > 1
         }
 
     def warnings(self) -> list[str]:
         """Return what the node would have warned of: measurements at another rate."""
         found, samples = [], self._source.samples
-        for joint, (name, design) in enumerate(
-            zip(self._source.joints, self.observer.designs, strict=True)
-        ):
+        each = zip(self._source.joints, self.observer.designs, strict=True)
+        for joint, (name, design) in enumerate(each):
             apart = np.diff(samples.stamps[samples.complete[:, joint]])
             apart = apart[apart > 0]
             rate = NANOSECONDS / float(np.median(apart)) if len(apart) >= _ENOUGH else math.nan
@@ -410,9 +390,7 @@ class Run:
     def agreement(self) -> Agreement | None:
         """Return the comparison with the recorded estimates, if there is a tick log."""
         live = self.windows.live
-        if live is None:
-            return None
-        return live.compare(self._made.read())
+        return None if live is None else live.compare(self._made.read())
 
 
 def _due(stamps: Stamps, there: Flags, last: int) -> tuple[NDArray[np.intp], int]:
@@ -451,30 +429,16 @@ def open_source(
     assume_zero_torque: bool | None = None,
     both_sides: bool = False,
 ) -> Source:
-    """Open a bag, or a log if it is a file that is none of a bag's.
-
-    Args:
-        path: The file or folder.
-        topic: Of a bag, see `BagSource`.
-        joints: Names of the joints; all that were measured if empty.
-        columns: Of a log, see `LogSource`.
-        units: Of a log, see `LogSource`.
-        assume_zero_torque: Take measurements without torque as torque 0; None: as the observer of
-            a bag, of a log not.
-        both_sides: Of a bag, see `BagSource`.
+    """Open a bag, or a log if it is a file that is none of a bag's; options as for their classes.
 
     Raises:
         BagReadError: The bag cannot be read, or does not have the measurements.
         LogError: The log cannot be read.
     """
-    path, no_torque = Path(path), assume_zero_torque
+    path, zero = Path(path), assume_zero_torque
     if is_log(path):
-        return LogSource(
-            path, columns=columns, units=units, joints=joints, assume_zero_torque=bool(no_torque)
-        )
-    return BagSource(
-        path, topic=topic, joints=joints, assume_zero_torque=no_torque, both_sides=both_sides
-    )
+        return LogSource(path, columns, units, joints, assume_zero_torque=bool(zero))
+    return BagSource(path, topic, joints, assume_zero_torque=zero, both_sides=both_sides)
 
 
 def make_runs(
@@ -485,19 +449,12 @@ def make_runs(
     as_live: bool,
     window: int | None = WINDOW,
 ) -> list[Run]:
-    """Return a run of every observer over the same measurements.
-
-    Args:
-        source: The measurements.
-        observers: The observers.
-        rate: Estimate at this rate [Hz]; None: at every measurement.
-        as_live: Estimate, instead of both, when the recorded observer did.
-        window: Number of ticks in a window; None for one that has them all, so that the runs'
-            tables have everything.
+    """Return a run of every observer over the same measurements; options as for `Windows`.
 
     Raises:
         BagReadError: The bag does not have what the designs measure.
         LogError: The log does not.
+        ModelError: The designs do not measure the same.
     """
     observers = list(observers)
     for observer in observers:
@@ -520,14 +477,13 @@ def run_all(
     Args:
         source: The measurements.
         runs: From `make_runs`.
-        output: Folder of the new bag, which must not exist; None to write none.
+        output: Folder of a new bag; None to write none.
         estimates_only: Leave out the measurements, and the truth of a simulation.
         progress: Called with the number of measurements that the observers have taken since.
         after_window: Called when all observers have made a window's ticks.
 
     Raises:
-        BagWriteError: The folder exists, the definition of JointStates is not to be found, or the
-            bag cannot be written.
+        BagWriteError: The folder exists, or the bag cannot be written.
     """
     with ExitStack() as stack:
         # The core runs for several observers at once.

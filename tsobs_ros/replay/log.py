@@ -74,10 +74,10 @@ class LogSource(Source):
     def __init__(
         self,
         path: Path,
-        *,
         columns: Mapping[str, str] | None = None,
         units: Mapping[str, str] | None = None,
         joints: Sequence[str] = (),
+        *,
         assume_zero_torque: bool = False,
     ) -> None:
         self.path, self.topic, self.guessed = path, path.name, not joints

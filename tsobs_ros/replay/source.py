@@ -26,7 +26,7 @@ from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
 from tsobs_ros.checks import Flags
 from tsobs_ros.design.file import DesignFile
-from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.design.request import AnyRequest, ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError, MessageError, ModelError
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
@@ -72,8 +72,7 @@ def passes(stamps: Times) -> list[tuple[int, int]]:
 class Source:
     """Measurements of some joints, from a bag or a log.
 
-    What is read of each joint depends on its design: before anything else but the joints and what
-    ran is asked for, `observe` has to be called.
+    What is read depends on the designs: `observe` comes before `signals` and `samples`.
 
     Attributes:
         path: The bag or the log.
@@ -95,6 +94,7 @@ class Source:
         guessed: Whether the joints are those of the first messages, for want of anything better.
         topics: Topics that belong with estimates: measurements, and the truth of a simulation.
         both_sides: Whether arms have encoders on both sides, although a design may measure one.
+        alone: Whether messages name the signals of the only joint without the joint's name.
     """
 
     path: Path
@@ -111,31 +111,29 @@ class Source:
     guessed = False
     topics: tuple[TopicInfo, ...] = ()
     both_sides = False
-    _requests: tuple[ArmRequest | TSRequest, ...] = ()
+    _requests: tuple[AnyRequest, ...] = ()
 
-    def observe(self, requests: Sequence[ArmRequest | TSRequest]) -> None:
+    def observe(self, requests: Sequence[AnyRequest]) -> None:
         """Read what the designs of the joints need.
-
-        Args:
-            requests: Of the designs, one per joint.
 
         Raises:
             BagReadError: The bag does not have the measurements.
             LogError: The log does not.
-            ModelError: Something else is read already.
+            ModelError: What other designs measure is read already.
         """
-        names = [[(one.output_names, one.input_names) for one in them]
-                 for them in (requests, self._requests or requests)]  # fmt: skip
-        if names[0] != names[1]:
-            has, wanted = (", ".join(n for o, i in own for n in o + i) for own in names[::-1])
-            raise ModelError(
-                f"{self.path}: designs that are run together must measure the same, got one of "
-                f"{has} and one of {wanted}: run them one after the other"
-            )
         if not self._requests:
             self._requests = tuple(requests)
             self.signals = self.signals_of(requests)
             self._read()
+        has, wanted = (
+            [name for one in each for name in (*one.output_names, *one.input_names)]
+            for each in (self._requests, requests)
+        )
+        if has != wanted:
+            raise ModelError(
+                f"{self.path}: designs that are run together must measure the same, got one of "
+                f"{', '.join(has)} and one of {', '.join(wanted)}: run them one after the other"
+            )
 
     @property
     def count(self) -> int:
@@ -157,12 +155,8 @@ class Source:
             found = choose_designs(self.path, self.ran, self.joints, given, others_allowed)
         return found
 
-    def take_for_system(self, requests: Sequence[ArmRequest | TSRequest]) -> bool:
-        """Return whether there is one T–S system instead of joints, which nothing in it names.
-
-        Args:
-            requests: Of the designs.
-        """
+    def take_for_system(self, requests: Sequence[AnyRequest]) -> bool:
+        """Return whether there is one T–S system instead of joints, which nothing in it names."""
         systems = self.guessed and all(isinstance(one, TSRequest) for one in requests)
         if systems:
             self.joints, self.guessed = (UNNAMED_SYSTEM,), False
@@ -170,10 +164,9 @@ class Source:
 
     @property
     def alone(self) -> bool:
-        """Whether messages name the signals of the only joint without the joint's name."""
         return len(self.joints) == 1
 
-    def signals_of(self, requests: Sequence[ArmRequest | TSRequest]) -> tuple[Signals, ...]:
+    def signals_of(self, requests: Sequence[AnyRequest]) -> tuple[Signals, ...]:
         """Return the places of the joints' signals if they have these designs."""
         each = zip(requests, self.joints, strict=True)
         return tuple(signals(one, joint, self.alone, self.both_sides) for one, joint in each)
@@ -222,8 +215,7 @@ class BagSource(Source):
         joints: Names of the joints to read; by default those that the live observer observed and
             the first messages have, else those of the first messages.
         assume_zero_torque: Take messages without effort as torque 0; None: as the live observer.
-        both_sides: Take a joint with an entry of its motor for one with encoders on both sides,
-            although the design may measure one.
+        both_sides: Take a joint with an entry of its motor for one with encoders on both sides.
 
     Attributes:
         reader: The bag.
@@ -236,9 +228,9 @@ class BagSource(Source):
     def __init__(
         self,
         path: Path,
-        *,
         topic: str | None = None,
         joints: Sequence[str] = (),
+        *,
         assume_zero_torque: bool | None = None,
         both_sides: bool = False,
     ) -> None:
@@ -332,9 +324,8 @@ class BagSource(Source):
 
     def _first_names(self) -> tuple[str, ...]:
         messages = until_damage(self.reader.messages([self.topic]), self.damaged)
-        first = islice(messages, _FIRST_MESSAGES)
         try:
-            return joint_names(message.data for message in first)
+            return joint_names(message.data for message in islice(messages, _FIRST_MESSAGES))
         except MessageError as error:
             raise BagReadError(f"{self.path}: {self.topic}: {error}") from error
 
