@@ -12,8 +12,7 @@ import tsobs_ros as ts
 from tsobs_ros.cli.main import main
 from tsobs_ros.design.request import Output, TorquePath
 from tsobs_ros.errors import LogError, ModelError, OutputError
-from tsobs_ros.identification.excitation import Excitation
-from tsobs_ros.identification.motion import trial_arms
+from tsobs_ros.identification.excitation import Excitation, simulated, trial_arms
 from tsobs_ros.replay.csv_file import read_torques
 from tsobs_ros.resources import config_path
 
@@ -45,23 +44,15 @@ def motion(request: pytest.FixtureRequest) -> Excitation:
 
 
 def test_limits_hold_for_arms_that_the_search_did_not_see(motion: Excitation) -> None:
-    request, limits = motion.request, motion.limits
-    quiet = np.concatenate([motion.torque, np.zeros(100)])
-    for trial in trial_arms(request, 20, seed=99):
-        run = ts.simulate(
-            trial.arm,
-            rate=request.rate,
-            duration=(len(quiet) - 1) / request.rate,
-            torque=quiet,
-            initial_state=REST,
-            friction={"motor_coulomb": trial.friction[0], "link_coulomb": trial.friction[1]},
-        )
-        assert np.abs(run.state[:, ::2]).max() <= limits.angle
-        assert np.abs(run.state[:, 1::2]).max() <= limits.velocity
+    limits, quiet = motion.limits, np.concatenate([motion.torque, np.zeros(100)])
+    for arm in trial_arms(motion.request, 20, seed=99):
+        states = simulated(arm, quiet)
+        assert np.abs(states[:, ::2]).max() <= limits.angle
+        assert np.abs(states[:, 1::2]).max() <= limits.velocity
     assert np.abs(motion.torque).max() <= limits.torque
 
 
-def test_a_motion_begins_and_ends_at_rest(motion: Excitation) -> None:
+def test_a_motion_begins_and_ends_at_rest_and_shows_the_arm(motion: Excitation) -> None:
     duration = float(motion.time[-1])
     run = ts.simulate(
         motion.request.arm, rate=100.0, duration=duration, torque=motion.torque, initial_state=REST
@@ -72,13 +63,8 @@ def test_a_motion_begins_and_ends_at_rest(motion: Excitation) -> None:
     # But for what holding the torque from sample to sample changes.
     assert np.abs(run.state[-1]).max() < 0.02 * motion.limits.velocity
     assert np.abs(run.state[:, ::2] - motion.angles).max() < 0.05
-
-
-def test_a_motion_shows_more_than_a_plain_sine(motion: Excitation) -> None:
-    assert motion.gain > 1.5
-    assert motion.number("motor_damping").std < 0.5 * motion.number("motor_damping").plain_std
-    assert {"arm.stiffness", "arm.link_inertia", "arm.motor_inertia"}.isdisjoint(motion.unseen)
-    assert f"{motion.gain:.3g} times smaller" in str(motion)
+    arm = {"arm.stiffness", "arm.link_inertia", "arm.motor_inertia", "arm.motor_damping"}
+    assert arm.isdisjoint(motion.unseen)
 
 
 @pytest.mark.slow
@@ -141,7 +127,7 @@ def test_a_command_is_what_the_request_s_torque_path_makes_the_motor_s_torque_of
         ({}, {"max_torque": -1.0}, "max_torque"),
         ({}, {"candidates": 0}, "candidates"),
         ({}, {"free": ["stifness"]}, "stiffness"),
-        ({"torque_limit": 5.0}, {"max_torque": 6.0}, "torque_limit = 5 N m, got 6"),
+        ({"torque_limit": 5.0}, {"max_torque": 6.0}, "torque_limit = 5, got 6"),
         ({"rate": 15.0}, {}, "rate: expected at least"),
         ({"torque": TorquePath(offset=2.0)}, {"max_torque": 1.0}, "offset"),
     ],
@@ -186,7 +172,7 @@ def test_the_command_writes_a_motion(tmp_path: Path, capsys: pytest.CaptureFixtu
     )
     call = ["excite", str(request), "--output", str(output), "--candidates", "1", "--json"]
     assert main([*call, "--duration", "12", "--max-angle", "0.4", "--free", "stiffness"]) == 0
-    assert '"plain_sine"' in capsys.readouterr().out
+    assert '"worst"' in capsys.readouterr().out
     assert read_torques(output)[0][-1] == 12.0
 
 

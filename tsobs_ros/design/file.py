@@ -75,7 +75,11 @@ def design_text(design: Design) -> str:
     """Return the content of a design file; see `save_design`."""
     request = design.request
     kind = _ARM if isinstance(request, ArmRequest) else _SYSTEM
-    entries = _system_entries(request) if isinstance(request, TSRequest) else _arm_entries(request)
+    entries = (
+        _system_entries(request)
+        if isinstance(request, TSRequest)
+        else {"design": arm_entries(request)}
+    )
     answer = {
         "gain": {"K": design.plain_gain},
         "certificate": {"P": design.P},
@@ -225,16 +229,16 @@ def load_request(path: FilePath) -> AnyRequest:
         return request
 
 
-def _arm_entries(request: ArmRequest) -> dict[str, Any]:
+def arm_entries(request: ArmRequest) -> dict[str, Any]:
     """Return the entries of a file that describe an arm's request."""
-    entries = encode(request)
+    entries: dict[str, Any] = encode(request)
     for name in ("disturbance", "measurement_std") if request.outputs else ("outputs",):
         del entries[name]
     for name, default in (("torque_disturbance", TorqueDisturbance()), ("torque", DIRECT)):
         entry = entries.pop(name)
         if getattr(request, name) != default:
             entries[name] = entry
-    return {"design": entries}
+    return entries
 
 
 def _arm_request(data: dict[Any, Any], place: str) -> ArmRequest:

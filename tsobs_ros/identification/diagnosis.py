@@ -1,17 +1,12 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnosis of a fitted model on recordings: how well it predicts, and what it lacks.
-
-What it lacks shows in two ways: a tone in the innovations, and a torque that a filter with an
-unknown torque at the motor finds and that follows a velocity, the spring's deflection or an angle.
-"""
+"""Diagnosis of a fitted model on recordings: how well it predicts, and what it lacks."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.problem import DisturbanceTerm
@@ -20,12 +15,12 @@ from tsobs_ros.identification.joint import (
     DELAY,
     FRICTION,
     OFFSET,
+    Found,
     Joint,
     Unknowns,
-    with_values,
 )
 from tsobs_ros.identification.likelihood import GATE, Recording, innovations
-from tsobs_ros.identification.result import Found, Lack, OutputFit, Traces, Unseen
+from tsobs_ros.identification.result import Lack, OutputFit, Traces
 
 HORIZON = 1.0
 """Time for which a free run is compared [s]: longer ones of an arm without gravity drift away."""
@@ -33,14 +28,10 @@ HORIZON = 1.0
 _WARM_UP = 2.0
 """Time of filtering before a free run [s]."""
 
-_LAGS = 20
 _MAX_RUNS = 20
 
 _TONE = 20.0
 """Power of a tone by the mean of the spectrum around it: by chance e⁻²⁰ at a given frequency."""
-
-_EXPLAINED = 0.25
-"""Share of the unknown torque that one cause must explain."""
 
 
 def output_fits(
@@ -65,9 +56,7 @@ def output_fits(
         there = np.isfinite(r)
         run = np.isfinite(made) & there
         clean = np.clip(r[there], -GATE, GATE)
-        power, n, lags = float(clean @ clean) or 1.0, len(clean), np.arange(1, _LAGS + 1)
-        correlations = np.array([float(clean[lag:] @ clean[:-lag]) / power for lag in lags])
-        q = n * (n + 2) * float((correlations**2 / (n - lags)).sum())
+        power = float(clean @ clean) or 1.0
         fits.append(
             OutputFit(
                 output.measures,
@@ -75,13 +64,9 @@ def output_fits(
                 free_run=_fit(y[run], made[run]) if run.any() else math.nan,
                 horizon=HORIZON,
                 innovation_std=float(np.sqrt((clean**2).mean())),
-                correlation=float(correlations[0]),
-                whiteness=float(chi2.sf(q, _LAGS)),
+                correlation=float(clean[1:] @ clean[:-1]) / power,
             )
         )
-    # Else process noise would take most of it.
-    noise = replace(request.process_noise, motor=0.0)
-    torque_driven = replace(joint, request=replace(request, process_noise=noise))
     traces = Traces(
         recording.time[begin:],
         measured,
@@ -90,7 +75,7 @@ def output_fits(
         residual[begin:],
         recording.u[begin:],
         request.arm.to_physical(found.states[begin:, :4]),
-        _unexplained(torque_driven, recording)[0][begin:],
+        _unexplained(joint, recording)[begin:],
     )
     return tuple(fits), traces
 
@@ -118,25 +103,20 @@ def _fit(measured: Array, made: Array) -> float:
     return 100.0 * (1.0 - float(np.linalg.norm(measured - made)) / spread) if spread else math.nan
 
 
-def unseen(unknowns: Unknowns, information: Array) -> tuple[Unseen, ...]:
-    """Return the directions in which recordings know less than the prior.
+def unseen(unknowns: Unknowns, information: Array) -> tuple[str, ...]:
+    """Return the directions in which recordings know less than the prior, in words.
 
     Args:
         unknowns: What was estimated.
         information: Of the recordings, shape (k, k).
     """
     values, vectors = np.linalg.eigh(information)
-    names = [each.name for each in unknowns.numbers]
     found = []
-    for value, vector in zip(values.tolist(), vectors.T.tolist(), strict=True):
-        if value > 3.0:
-            break
-        pairs = [each for each in zip(names, vector, strict=True) if abs(each[1]) >= 0.3]
-        parts = tuple(sorted(pairs, key=lambda each: -abs(each[1])))
-        *others, last = [name.removeprefix("arm.") for name, _ in parts]
-        shown = f"{', '.join(others)} and {last}, which look alike" if others else last
-        motion = next((text for name, text in _MOTIONS.items() if name in parts[0][0]), "")
-        found.append(Unseen(parts, f"{shown}{motion}"))
+    for vector in vectors.T[values <= 3.0]:
+        order = [at for at in np.argsort(-np.abs(vector)) if abs(vector[at]) >= 0.3]
+        names = [unknowns.numbers[at].name for at in order]
+        motion = next((text for part, text in _MOTIONS.items() if part in names[0]), "")
+        found.append(" and ".join(name.removeprefix("arm.") for name in names) + motion)
     return tuple(found)
 
 
@@ -184,14 +164,8 @@ def found_lacks(numbers: Sequence[Found]) -> list[Lack]:
 _HAS_IT = "the fitted request has it"
 
 
-def remaining_lacks(joint: Joint, recordings: Sequence[Recording]) -> list[Lack]:
-    """Return what a fitted model still lacks, by the longest recording."""
-    longest = max(recordings, key=lambda recording: recording.count)
-    return [*_tones(joint, longest), *_torques(joint, longest)]
-
-
-def _tones(joint: Joint, recording: Recording) -> list[Lack]:
-    """Return the tones of an output's innovations."""
+def tones(joint: Joint, recording: Recording) -> list[Lack]:
+    """Return the tones in the outputs' innovations."""
     found, request = [], joint.request
     r = innovations(joint, recording).standardised
     for place, output in enumerate(request.sensors):
@@ -223,57 +197,17 @@ def _tones(joint: Joint, recording: Recording) -> list[Lack]:
     return found
 
 
-def _unexplained(joint: Joint, recording: Recording) -> tuple[Array, Array]:
-    """Return the torque at the motor that a model lacks, and the states."""
+def _unexplained(joint: Joint, recording: Recording) -> Array:
+    """Return the torque at the motor that a model without process noise there lacks [N m]."""
     request = joint.request
     size = 0.1 * request.arm.reference_torque
     quick = DisturbanceTerm("gauss_markov", {"std": size, "time_constant": 0.05})
     known = request.torque_disturbance
-    torques = TorqueDisturbance((*known.motor, quick), known.link)
-    looking = replace(joint, request=replace(request, torque_disturbance=torques))
-    states = innovations(looking, recording).states
-    torque = states @ looking.request.flow.motor_torque
-    return torque, request.arm.to_physical(states[:, :4])
-
-
-def _torques(joint: Joint, recording: Recording) -> list[Lack]:
-    """Return what a torque depends on that the model has not."""
-    request = joint.request
-    skip = min(recording.count // 10, round(1.0 / request.period))
-    smooth = with_values(joint, dict.fromkeys(FRICTION, 0.0))
-    torque, states = (each[skip:] for each in _unexplained(smooth, recording))
-    link, link_speed, motor, motor_speed = states.T
-    deflection = link - motor
-    slow_speed = 0.02 * float(np.abs(motor_speed).max() or 1.0)
-    slack = 0.1 * float(np.abs(deflection).max() or 1.0)
-    causes = {
-        "Coulomb friction of the motor": np.tanh(motor_speed / slow_speed),
-        "friction that grows with the square of the motor's velocity": motor_speed
-        * np.abs(motor_speed),
-        "backlash or a spring that is softer about its middle": np.tanh(deflection / slack),
-        "a spring that stiffens": deflection**3,
-        "a torque that depends on the motor's angle, such as cogging or an offset of the angle's "
-        "zero": np.sin(motor),
-    }
-    # What the model has already takes its share of each.
-    modelled = np.stack(
-        [np.ones(len(torque)), motor_speed, deflection, recording.u[skip:], link_speed], axis=1
+    looking = replace(
+        request,
+        # Else it would take most of the torque.
+        process_noise=replace(request.process_noise, motor=0.0),
+        torque_disturbance=TorqueDisturbance((*known.motor, quick), known.link),
     )
-    basis, _ = np.linalg.qr(modelled / np.maximum(np.linalg.norm(modelled, axis=0), 1e-300))
-    rest = torque - basis @ (basis.T @ torque)
-    total = float(rest @ rest)
-    share, text, amount = 0.0, "", 0.0
-    for cause, shape in causes.items():
-        part = shape - basis @ (basis.T @ shape)
-        norm, along = float(part @ part), float(part @ rest)
-        explained = norm >= 1e-9 * float(shape @ shape) and total > 0.0
-        if explained and along**2 / norm / total > share:
-            share, text = along**2 / norm / total, cause
-            amount = abs(along / norm) * float(np.abs(part).max())
-    if share < _EXPLAINED or amount < 0.003 * request.arm.reference_torque:
-        return []
-    term = f"{{kind: gauss_markov, std: {amount:.2g}, time_constant: 0.3}}"
-    entry = f"torque_disturbance: {{motor: [{term}]}}"
-    if request.torque_disturbance.motor:
-        entry = "the torque disturbance of the motor takes it up"
-    return [Lack(f"{text}, up to {amount:.2g} N m", entry)]
+    states = innovations(replace(joint, request=looking), recording).states
+    return np.asarray(states @ looking.flow.motor_torque)

@@ -2,79 +2,85 @@
 # SPDX-License-Identifier: Apache-2.0
 """Excitation: a torque motion within limits that shows the wanted numbers of a joint.
 
-The motion is a multisine in two parts, a slow one for gravity and friction and one up to beyond the
-joint's resonance. Phases and amplitudes come from a seeded search for the largest information that
-a recording of the motion would give, which is that of a simulated one. Each candidate is as large
-as the limits allow, for the nominal arm and for others within the request's uncertainty.
+The link angle is a multisine q₁ = w(t) Σ aᵢ sin(ωᵢt + φᵢ) with a window w that begins and ends at
+rest, and the torque follows from the nominal arm backwards (the link angle is its flat output):
+
+    τ = J₁ q̈₁ + b₁ q̇₁ + mgl sin q₁,   q₂ = q₁ + τ/k,   u = J₂ q̈₂ + b₂ q̇₂ + τ
+
+So the nominal arm starts and ends at rest, and one without gravity does not drift. A seeded search
+chooses phases and amplitudes for the largest information that a recording of the motion would
+give. Each candidate is as large as the limits allow, for the nominal arm and for others within the
+request's uncertainty; how far they go is simulated.
 """
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from operator import itemgetter
+from itertools import count, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from tsobs_ros.checks import Array, positive
-from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.design.request import NO_LIMIT, ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.files import require_new, written_whole
-from tsobs_ros.identification.joint import Unknowns, require_arm
-from tsobs_ros.identification.likelihood import Likelihood, Recording
-from tsobs_ros.identification.motion import (
-    Limits,
-    Mover,
-    TrialArm,
-    limits_of,
-    simulated,
-    trial_arms,
+from tsobs_ros.identification.joint import (
+    UNCERTAINTY,
+    Found,
+    Unknowns,
+    found_named,
+    require_arm,
+    table,
 )
+from tsobs_ros.identification.likelihood import WORKERS, Likelihood, Recording
 from tsobs_ros.model.arm import QUANTITIES
+from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.simulation.integrator import ArmMotion, Friction
+from tsobs_ros.simulation.plant import Scenario
 
 MARGIN = 0.15
 """Share of the limits of angle and velocity that the arms that are tried leave free."""
 
-_DRAWS = 64
-_TRIED = 4
-"""Arms that candidates are simulated with: those that went farthest."""
+_ANGLE_SHARE = 0.9
+"""Largest angle by the request's domain."""
 
-_CANDIDATES = 120
-_LEAST_CANDIDATES = 20
-_FULL_TIME = 30.0
-"""Duration up to which there are so many candidates [s]."""
+_DRAWS, _TRIED = 64, 4
+"""Random arms within the uncertainty, and those that candidates are simulated with."""
+
+_BOUND, _RUBBING = 0.3, 0.04
+"""Relative error of a number about which the request says nothing, and largest Coulomb friction of
+random arms by the torque of reference."""
+
+_CANDIDATES, _LEAST_CANDIDATES, _STARTS = 120, 20, 8
+_FULL_TIME, _LONGEST = 30.0, 600.0
+"""Duration up to which the search tries all candidates, and largest duration [s]."""
+
+_PERIODS, _BEYOND = 3.0, 2.5
+"""Periods of the slowest tone in the motion; fastest tone by the joint's resonance."""
+
+_TONES, _KNOTS = 24, 6
+"""Number of tones, and of frequencies at which their amplitudes are chosen."""
 
 _SAMPLES_PER_PERIOD = 16.0
 """Of the fastest tone, in the recordings that the search judges by."""
 
-_STARTS = 8
-_STAGES = 3
-_LONGEST = 600.0
-_SEEN = 0.5
-"""1σ by the prior's from which on a number is not shown."""
+_EDGE, _TAIL = 0.1, 2.0
+"""Share of the motion in which its window rises, and falls; time after it in which limits must
+hold [s]."""
 
 
-class Expected(NamedTuple):
-    """A number, and how well a recording of the motion would show it.
+class Limits(NamedTuple):
+    """Largest torque [N m], angle [rad] and velocity [rad/s] of link and motor."""
 
-    Attributes:
-        name: Its place in the request, e.g. "arm.stiffness".
-        unit: Its unit, empty for none.
-        value: The request's.
-        prior_std: 1σ before the recording.
-        std: 1σ after it.
-        plain_std: 1σ after one of a plain sine within the same limits, the best of three.
-        seen: Whether the recording shows it: its 1σ is at most half of the prior's.
-    """
+    torque: float
+    angle: float
+    velocity: float
 
-    name: str
-    unit: str
-    value: float
-    prior_std: float
-    std: float
-    plain_std: float
-    seen: bool
+    def __str__(self) -> str:
+        return f"{self.torque:.4g} N m, {self.angle:.4g} rad, {self.velocity:.4g} rad/s"
 
 
 @dataclass(frozen=True)
@@ -86,14 +92,12 @@ class Excitation:
         time: Since the start [s], shape (n,).
         torque: At the motor, held from each sample to the next [N m], shape (n,).
         angles: Of link and motor of the nominal arm [rad], shape (n, 2).
-        numbers: The wanted numbers.
+        numbers: The wanted numbers, as a fit of a recording would know them.
         limits: Largest torque, angle and velocity of link and motor that are allowed.
         nominal: What the nominal arm reaches of them.
         worst: What the farthest arm within the request's uncertainty reaches.
         arms: Number of arms that were simulated.
         frequencies: Slowest and fastest tone [rad/s].
-        plain: Amplitude [N m] and frequency [rad/s] of the plain sine.
-        gain: Mean factor by which 1σ is smaller than after the plain sine.
         seed: Of the search.
     """
 
@@ -101,24 +105,17 @@ class Excitation:
     time: Array
     torque: Array
     angles: Array
-    numbers: tuple[Expected, ...]
+    numbers: tuple[Found, ...]
     limits: Limits
     nominal: Limits
     worst: Limits
     arms: int
     frequencies: tuple[float, float]
-    plain: tuple[float, float]
-    gain: float
     seed: int
 
-    def number(self, name: str) -> Expected:
-        """Return how well a number is shown.
-
-        Raises:
-            KeyError: It is not among the wanted ones.
-        """
-        by_name = {each.name: each for each in self.numbers}
-        return by_name.get(name) or by_name[f"arm.{name}"]
+    def number(self, name: str) -> Found:
+        """Return how well a number is shown; one that is not wanted raises `KeyError`."""
+        return found_named(self.numbers, name)
 
     @property
     def unseen(self) -> tuple[str, ...]:
@@ -135,37 +132,21 @@ class Excitation:
             "nominal": self.nominal._asdict(),
             "worst": self.worst._asdict() | {"arms": self.arms},
             "frequencies": list(self.frequencies),
-            "numbers": [each._asdict() for each in self.numbers],
+            "numbers": [each._asdict() | {"seen": each.seen} for each in self.numbers],
             "unseen": list(self.unseen),
-            "plain_sine": {
-                "amplitude": self.plain[0],
-                "frequency": self.plain[1],
-                "gain": self.gain,
-            },
         }
 
     def __str__(self) -> str:
-        width = max(len(each.name) for each in self.numbers)
-        lines = [
-            f"{'number':{width}}  {'value':>10}  {'before':>9}  {'after':>9}  {'sine':>9}  unit"
-        ]
-        for each in self.numbers:
-            seen = "" if each.seen else "   not shown"
-            lines.append(
-                f"{each.name:{width}}  {each.value:>10.4g}  {each.prior_std:>9.2g}  "
-                f"{each.std:>9.2g}  {each.plain_std:>9.2g}  {each.unit}{seen}"
-            )
+        rows = [(f"{n.before:.4g}", f"{n.prior_std:.2g}", f"{n.std:.2g}") for n in self.numbers]
+        slowest, fastest = (frequency / math.tau for frequency in self.frequencies)
         return "\n".join(
             [
-                *lines,
-                "before, after, sine: expected 1 sigma before a recording, after one of this "
-                "motion, and after one of the best of three plain sines within the same limits, "
-                f"{self.plain[1]:.3g} rad/s and {self.plain[0]:.3g} N m",
-                f"after this motion 1 sigma is {self.gain:.3g} times smaller than after the sine",
-                _reached("the nominal arm reaches", self.nominal, self.limits),
-                _reached(f"the farthest of {self.arms} arms", self.worst, self.limits),
-                f"{len(self.time):,} samples, {self.time[-1]:g} s, tones from "
-                f"{self.frequencies[0] / math.tau:.3g} to {self.frequencies[1] / math.tau:.3g} Hz",
+                *table(self.numbers, ("value", "before", "after"), rows),
+                "before, after: expected 1 sigma before and after a recording of this motion",
+                f"limits: {self.limits}; the nominal arm reaches {self.nominal}, the farthest of "
+                f"{self.arms} arms {self.worst}",
+                f"{len(self.time):,} samples, {self.time[-1]:g} s, tones from {slowest:.3g} to "
+                f"{fastest:.3g} Hz",
             ]
         )
 
@@ -182,117 +163,175 @@ class Excitation:
         path = Path(path)
         require_new([path], force=force)
         rows = np.column_stack([self.time, self.torque, self.angles]).tolist()
+        lines = (f"{t:.9g},{u:.9g},{link:.6g},{motor:.6g}\n" for t, u, link, motor in rows)
         with written_whole(path.parent, force=force) as folder:
-            lines = (f"{t:.9g},{u:.9g},{link:.6g},{motor:.6g}\n" for t, u, link, motor in rows)
-            text = _HEADER.format(
-                duration=self.time[-1],
-                rate=self.request.rate,
-                limits=self.limits,
-                worst=self.worst,
-                seed=self.seed,
-            )
+            text = _HEADER.format(self, self.time[-1])
             (folder / path.name).write_text(text + "".join(lines), encoding="utf-8")
 
 
 _HEADER = """\
-# A motion of `tsobs excite`: {duration:g} s at {rate:g} Hz, seed {seed}.
+# A motion of `tsobs excite`: {1:g} s at {0.request.rate:g} Hz, seed {0.seed}.
 # torque: at the motor, held from its time to the next line's; 0 after the last one.
 # expected_link_angle, expected_motor_angle: of the request's arm, from rest at 0.
-# Limits of link and motor: {limits.torque:.4g} N m, {limits.angle:.4g} rad, \
-{limits.velocity:.4g} rad/s.
-# Arms within the request's uncertainty reach {worst.torque:.4g} N m, {worst.angle:.4g} rad, \
-{worst.velocity:.4g} rad/s.
+# Limits of link and motor: {0.limits}.
+# Arms within the request's uncertainty reach {0.worst}.
 time [s],torque [N m],expected_link_angle [rad],expected_motor_angle [rad]
 """
 
 
-def _reached(who: str, reached: Limits, limits: Limits) -> str:
-    return (
-        f"{who}: torque {reached.torque:.3g} of {limits.torque:.3g} N m, angle "
-        f"{reached.angle:.3g} of {limits.angle:.3g} rad, velocity {reached.velocity:.3g} of "
-        f"{limits.velocity:.3g} rad/s"
-    )
+class _Motions:
+    """The motions of a request's arm within limits, and what their recordings would show.
 
-
-class _Search:
-    """What recordings of motions would show, and the motion that shows most.
-
-    Args:
-        mover: Makes the motions.
-        free: Names of the numbers that a fit would estimate.
-        seed: Of the noise of simulated recordings, and of the search.
+    A motion's genes are the phases of its tones [rad] and the logarithms of torques at the knots.
     """
 
-    def __init__(self, mover: Mover, free: Sequence[str], seed: int) -> None:
-        self.mover, request = mover, mover.request
+    def __init__(
+        self, request: ArmRequest, duration: float, limits: Limits, free: Sequence[str], seed: int
+    ) -> None:
+        self.request, self.limits, arm = request, limits, request.arm
+        self.times = np.arange(math.floor(duration * request.rate + 1e-9) + 1) / request.rate
+        slowest = math.tau * _PERIODS / duration
+        # Link and motor swing against each other at the one, the arm at the other.
+        joint = math.sqrt(arm.stiffness / arm.link_inertia + arm.stiffness / arm.motor_inertia)
+        swing = math.sqrt(arm.gravity_torque / (arm.link_inertia + arm.motor_inertia))
+        mode = min(swing or math.inf, 0.5 * joint)
+        if slowest > mode:
+            least = math.ceil(10.0 * math.tau * _PERIODS / mode) / 10.0
+            raise ModelError(
+                f"duration: expected at least {least:g} s for {_PERIODS:g} periods of the slowest "
+                f"frequency, {mode:.3g} rad/s, got {duration:g}"
+            )
+        fastest = min(_BEYOND * joint, math.tau * request.rate / 8.0)
+        if fastest < joint:
+            raise ModelError(
+                f"rate: expected at least {math.ceil(8.0 * joint / math.tau)} Hz for the joint's "
+                f"resonance of {joint:.4g} rad/s, got {request.rate:g}"
+            )
+        self.frequencies = np.geomspace(slowest, fastest, _TONES)
+        s, k = 1j * self.frequencies, arm.stiffness
+        # Some damping, so that no tone is lost at a resonance.
+        rub_link = arm.link_damping + 0.1 * math.sqrt(arm.link_inertia * (k + arm.gravity_torque))
+        rub_motor = arm.motor_damping + 0.1 * math.sqrt(arm.motor_inertia * k)
+        spring = arm.link_inertia * s * s + rub_link * s + arm.gravity_torque
+        torque = (arm.motor_inertia * s * s + rub_motor * s) * (1.0 + spring / k) + spring
+        self._gains = 1.0 / np.abs(torque)
+        at = self.times / max(self.times[-1], 1e-9)
+        rise = np.clip(np.minimum(at, 1.0 - at) / _EDGE, 0.0, 1.0)
+        # Four derivatives are smooth.
+        self._window = rise**5 * (126 + rise * (-420 + rise * (540 + rise * (-315 + rise * 70))))
+
         self.unknowns = unknowns = Unknowns.of(request, free)
-        self._rng = np.random.default_rng((seed, 0))
         noise = np.random.default_rng((seed, 2)).standard_normal
-        self._noise = noise((len(mover.times), len(request.sensors))) * request.output_std
-        joint = unknowns.at(np.zeros(unknowns.count))
-        self._trial = TrialArm(joint.request.arm, joint.friction)
+        self._noise = noise((len(self.times), len(request.sensors))) * request.output_std
+        joint_at_prior = unknowns.at(np.zeros(unknowns.count))
+        self._recorded = replace(
+            _scenario(joint_at_prior.request, joint_at_prior.friction),
+            process_noise=request.process_noise,
+        )
         # A noise shows with any motion.
         noises = unknowns.noises().numbers
         moved = [each not in noises for each in unknowns.numbers]
         self._wanted = np.array(moved) if any(moved) else np.full(unknowns.count, True)
 
+    def angle(self, genes: Array) -> Array:
+        """Return the link angle, up to a scale, shape (n,)."""
+        phases, levels = np.split(genes, [_TONES])
+        knots = np.linspace(0.0, _TONES - 1.0, _KNOTS)
+        amplitudes = self._gains * np.exp(np.interp(np.arange(_TONES), knots, levels))
+        # A held torque acts half a period later.
+        times = self.times + 0.5 * self.request.period
+        waves = np.sin(np.outer(times, self.frequencies) + phases)
+        angle = self._window * (waves @ amplitudes)
+        return np.asarray(angle / max(float(np.abs(angle).max()), 1e-300))
+
+    def torque(self, angle: Array) -> Array:
+        """Return the torque under which the nominal arm moves so, shape (n,) [N m]."""
+        arm = self.request.arm
+        rate = 1j * np.fft.rfftfreq(len(angle), self.request.period) * math.tau
+        rate[np.abs(rate) > 4.0 * self.frequencies[-1]] = 0.0
+
+        def moved(position: Array, inertia: float, damping: float) -> Array:
+            spectrum = np.fft.rfft(position) * (inertia * rate * rate + damping * rate)
+            return np.fft.irfft(spectrum, len(position))
+
+        spring = moved(angle, arm.link_inertia, arm.link_damping)
+        spring = spring + arm.gravity_torque * np.sin(angle)
+        motor = angle + spring / arm.stiffness
+        torque = moved(motor, arm.motor_inertia, arm.motor_damping) + spring
+        torque[0] = torque[-1] = 0.0
+        return np.asarray(torque)
+
+    def reached(self, torque: Array, arms: Sequence[Scenario]) -> Array:
+        """Return torque, angle and velocity that each arm reaches, shape (arms, 3)."""
+        whole = np.concatenate([torque, np.zeros(round(_TAIL * self.request.rate))])
+        with ThreadPoolExecutor(WORKERS) as pool:
+            states = pool.map(lambda arm: simulated(arm, whole), arms)
+            largest = np.array([np.abs(each).max(axis=0) for each in states])
+        reached = np.maximum(largest[:, :2], largest[:, 2:])
+        return np.column_stack([np.full(len(arms), np.abs(torque).max()), reached])
+
+    def scaled(
+        self, genes: Array, arms: Sequence[Scenario], scale: float = 0.3, rounds: int = 4
+    ) -> tuple[Array, float, Limits]:
+        """Return torque, scale and what is reached of a motion as large as the limits allow.
+
+        Args:
+            genes: Of the motion.
+            arms: That must stay within the limits.
+            scale: To start from [rad].
+            rounds: Number of corrections upwards; it is then made smaller until the limits hold.
+        """
+        angle = self.angle(genes)
+        for place in count():
+            torque = self.torque(scale * angle)
+            reached = self.reached(torque, arms).max(axis=0)
+            ratio = max(float((reached / self.limits).max()), 1e-9)
+            if place >= rounds and ratio <= 1.0:
+                break
+            scale *= min(max(0.99 / ratio, 0.1), 3.0 if place < rounds else 1.0)
+            # Beyond its limit of angle nothing is gained.
+            scale = min(scale, self.limits.angle)
+        return torque, scale, Limits(*reached.tolist())
+
     def std(self, torque: Array) -> Array:
         """Return 1σ of the numbers after a recording, by that before it, shape (k,)."""
-        request, k = self.mover.request, self.unknowns.count
-        states = simulated(request, self._trial, torque, request.process_noise)
-        durations = np.full(len(torque), request.period)
-        y = states[:, _columns(request)] + self._noise
-        recording = Recording("the motion", self.mover.times, durations, y, torque)
+        states, k = simulated(self._recorded, torque), self.unknowns.count
+        y = states[:, _columns(self.request)] + self._noise
+        durations = np.full(len(torque), self.request.period)
+        recording = Recording("the motion", self.times, durations, y, torque)
         information = Likelihood(self.unknowns, [recording]).evaluate(np.zeros(k)).information
         return np.sqrt(np.diag(np.linalg.inv(information + np.eye(k))))
 
-    def mean(self, std: Array) -> float:
-        """Return the mean log of 1σ of the wanted numbers."""
-        return float(np.log(std[self._wanted]).mean())
-
     def best(
-        self, all_arms: Sequence[TrialArm], candidates: int, advance: Callable[[int], None]
+        self,
+        arms: Sequence[Scenario],
+        candidates: int,
+        rng: np.random.Generator,
+        advance: Callable[[int], None],
     ) -> Array:
         """Return the genes of the motion that shows most, of so many within the arms' limits."""
-        mover, steps = self.mover, self.mover.steps
-
-        def tried(
-            genes: Array, arms: Sequence[TrialArm], scale: float, rounds: int = 1
-        ) -> tuple[float, Array, float]:
-            torque, scale, _ = mover.scaled(mover.angle(genes), arms, scale=scale, rounds=rounds)
+        steps = np.repeat([1.0, 2.0], [_TONES, _KNOTS])
+        cost, genes, scale, size, near = math.inf, np.zeros(len(steps)), 0.3, 0.5, arms[:1]
+        for place in range(candidates):
+            searching = place >= _STARTS
+            if searching:
+                other = genes + steps * size * rng.standard_normal(len(steps))
+            else:
+                other = np.concatenate([rng.uniform(0.0, math.tau, _TONES), np.zeros(_KNOTS)])
+            if place in (0, _STARTS):
+                # The nominal arm and those that come closest to their limits, or beyond.
+                torque = self.torque(scale * self.angle(other))
+                shares = (self.reached(torque, arms) / self.limits)[1:, 1:].max(axis=1)
+                order = np.argsort(-shares, kind="stable")[:_TRIED]
+                near = [arms[0], *(arms[1 + at] for at in order.tolist())]
+            torque, other_scale, _ = self.scaled(other, near, scale, 1 if searching else 3)
+            new = float(np.log(self.std(torque)[self._wanted]).mean())
+            if searching:
+                size = min(size * 1.5, 1.5) if new < cost else size * 0.9
+            if new < cost:
+                cost, genes, scale = new, other, other_scale
             advance(1)
-            return self.mean(self.std(torque)), genes, scale
-
-        def farthest(genes: Array, scale: float) -> list[TrialArm]:
-            """Return the nominal arm and those that come closest to their limits, or beyond."""
-            torque = mover.torque(scale * mover.angle(genes))
-            reached = mover.reached(torque, all_arms) / np.array(mover.limits)
-            order = np.argsort(-reached[1:, 1:].max(axis=1), kind="stable")[:_TRIED]
-            return [all_arms[0], *(all_arms[1 + at] for at in order.tolist())]
-
-        starts = [mover.random(self._rng) for _ in range(min(_STARTS, candidates))]
-        arms = farthest(starts[0], 0.3)
-        cost, genes, scale = min((tried(each, arms, 0.3, 3) for each in starts), key=itemgetter(0))
-        size = 0.5
-        for _ in range(_STAGES):
-            arms = farthest(genes, scale)
-            cost, genes, scale = tried(genes, arms, scale)
-            for _ in range((candidates - len(starts)) // _STAGES):
-                other = genes + steps * size * self._rng.standard_normal(len(genes))
-                moved = tried(other, arms, scale)
-                size = min(size * 1.5, 1.5) if moved[0] < cost else size * 0.9
-                if moved[0] < cost:
-                    cost, genes, scale = moved
         return genes
-
-    def plainest(self, arms: Sequence[TrialArm]) -> tuple[Array, float]:
-        """Return the torque of the plain sine that shows most, of three frequencies, and its."""
-        mover, found = self.mover, []
-        for share in (0.0, 0.25, 0.5):
-            frequency = mover.slowest * (mover.fastest / mover.slowest) ** share
-            torque, *_ = mover.scaled(mover.sine(frequency), arms, scale=0.1, rounds=4)
-            found.append((self.mean(self.std(torque)), torque, frequency))
-        return min(found, key=itemgetter(0))[1:]
 
 
 def excite(
@@ -338,61 +377,120 @@ def excite(
     require_arm(request)
     if positive("duration", duration) > _LONGEST:
         raise ModelError(f"duration: expected at most {_LONGEST:g} s, got {duration:g}")
-    limits, path = limits_of(request, max_torque, max_angle, max_velocity), request.torque
+    limits, path = _limits(request, max_torque, max_angle, max_velocity), request.torque
     at_motor = path.gain * limits.torque - abs(path.offset)
     if at_motor <= 0.0:
         raise ModelError(
             f"max_torque: expected more than the offset of the request's torque takes, "
             f"{abs(path.offset) / path.gain:g} N m, got {limits.torque:g}"
         )
-    # What a fit would find of delays, gain and offset does not depend on theirs.
-    known, request = request, request.at_rate(request.rate)
-    inner = Limits(at_motor, *((1.0 - MARGIN) * each for each in limits[1:]))
-    mover = Mover(request, duration, inner)
-    arms = trial_arms(request, _DRAWS, seed)
-    whole = _Search(mover, free, seed)
-    search = _Search(Mover(_thinned(request, mover.fastest), duration, inner), free, seed)
     if candidates is None:
         share = min(1.0, _FULL_TIME / duration)
         candidates = max(_LEAST_CANDIDATES, round(_CANDIDATES * share))
     elif candidates < 1:
         raise ModelError(f"candidates: expected at least 1, got {candidates}")
-    _require_visible(mover, arms[:1], limits, seed)
-    genes = search.best(arms, candidates, advance)
-    torque, _, worst = mover.scaled(mover.angle(genes), arms, rounds=5)
-    plain, frequency = whole.plainest(arms)
-    after, sine = whole.std(torque), whole.std(plain)
-    numbers = tuple(
-        Expected(
-            each.name,
-            each.unit,
-            each.before,
-            each.deviation(0.0, 1.0),
-            each.deviation(0.0, one),
-            each.deviation(0.0, other),
-            one <= _SEEN,
-        )
-        for each, one, other in zip(
-            whole.unknowns.numbers, after.tolist(), sine.tolist(), strict=True
-        )
+    # What a fit would find of delays, gain and offset does not depend on theirs.
+    known, request = request, request.at_rate(request.rate)
+    inner = Limits(at_motor, *((1.0 - MARGIN) * each for each in limits[1:]))
+    motions, arms = (
+        _Motions(request, duration, inner, free, seed),
+        trial_arms(request, _DRAWS, seed),
     )
+    thinned = _thinned(request, motions.frequencies[-1])
+    search = _Motions(thinned, duration, inner, free, seed)
+    rng = np.random.default_rng((seed, 0))
+    _require_visible(motions, arms[:1], limits)
+    genes = search.best([replace(arm, rate=thinned.rate) for arm in arms], candidates, rng, advance)
+    torque, _, worst = motions.scaled(genes, arms)
     commands = (torque - path.offset) / path.gain
     largest = float(np.abs(commands).max())
+    pairs = zip(motions.unknowns.numbers, motions.std(torque).tolist(), strict=True)
     return Excitation(
         request=known,
-        time=mover.times,
+        time=motions.times,
         torque=commands,
-        angles=simulated(request, arms[0], torque)[:, ::2],
-        numbers=numbers,
+        angles=simulated(arms[0], torque)[:, ::2],
+        numbers=tuple(number.found(0.0, std) for number, std in pairs),
         limits=limits,
-        nominal=Limits(largest, *mover.reached(torque, arms[:1])[0, 1:].tolist()),
+        nominal=Limits(largest, *motions.reached(torque, arms[:1])[0, 1:].tolist()),
         worst=worst._replace(torque=largest),
         arms=len(arms),
-        frequencies=(mover.slowest, mover.fastest),
-        plain=(float(np.abs(plain).max()), frequency),
-        gain=math.exp(whole.mean(sine) - whole.mean(after)),
+        frequencies=(float(motions.frequencies[0]), float(motions.frequencies[-1])),
         seed=seed,
     )
+
+
+def _limits(
+    request: ArmRequest, torque: float | None, angle: float | None, velocity: float | None
+) -> Limits:
+    """Return limits, those that are None from a request."""
+    known = request.torque_limit
+    largest = known if known and known < NO_LIMIT else math.inf
+    found = Limits(
+        min(0.5 * largest, request.arm.reference_torque) if torque is None else torque,
+        _ANGLE_SHARE * request.x_max if angle is None else angle,
+        float(request.reach[1]) if velocity is None else velocity,
+    )
+    for name, value in found._asdict().items():
+        positive(f"max_{name}", value)
+    for name, value, source, limit in (
+        ("max_torque", found.torque, "torque_limit", largest),
+        ("max_angle", found.angle, "x_max", request.max_angle),
+    ):
+        if value > limit:
+            raise ModelError(
+                f"{name}: expected at most the request's {source} = {limit:g}, got {value:g}"
+            )
+    return found
+
+
+def _scenario(request: ArmRequest, friction: Sequence[float] = (0.0, 0.0)) -> Scenario:
+    """Return a simulation from rest, with Coulomb friction at motor and link [N m]."""
+    return Scenario(
+        arm=request.arm,
+        friction=Friction(motor_coulomb=friction[0], link_coulomb=friction[1]),
+        rate=request.rate,
+        process_noise=ProcessNoise(0.0, 0.0),
+        initial_state=(0.0,) * 4,
+        initial_spread=(0.0,) * 4,
+    )
+
+
+def simulated(scenario: Scenario, torque: Array) -> Array:
+    """Return the true [q₁, q̇₁, q₂, q̇₂] of an arm under a torque, shape (n, 4)."""
+    inputs, torques = torque.reshape(1, -1, 1).copy(), np.zeros((1, len(torque), 2))
+    return np.asarray(ArmMotion(scenario, [0]).move(0, inputs, torques)[0][0])
+
+
+def trial_arms(request: ArmRequest, draws: int, seed: int) -> list[Scenario]:
+    """Return arms within a request's uncertainty: the nominal one, the corners and random ones.
+
+    Corners have the least damping, with which resonances grow most; random ones also have friction.
+    """
+    arm, rng = request.arm, np.random.default_rng((seed, 1))
+    names = [name for name in UNCERTAINTY if getattr(arm, name)]
+    bounds = [min(request.uncertainty.get(UNCERTAINTY[name], _BOUND), 0.9) for name in names]
+    dampings = {name: getattr(arm, name) for name in ("link_damping", "motor_damping")}
+    spreads = [request.uncertainty.get(name, _BOUND * own) for name, own in dampings.items()]
+
+    def arm_with(
+        errors: Sequence[float], damping: Sequence[float], rub: Sequence[float]
+    ) -> Scenario:
+        each = zip(dampings.items(), damping, spreads, strict=True)
+        changes = {name: max(0.0, own + by * spread) for (name, own), by, spread in each}
+        for name, error, bound in zip(names, errors, bounds, strict=True):
+            # Those of inertias are errors of their inverses.
+            power = -1.0 if UNCERTAINTY[name].endswith("inverse_inertia") else 1.0
+            changes[name] = getattr(arm, name) * (1.0 + error * bound) ** power
+        friction = [_RUBBING * arm.reference_torque * each for each in rub]
+        return _scenario(replace(request, arm=replace(arm, **changes)), friction)
+
+    corners = product((-1.0, 1.0), repeat=len(names))
+    found = [_scenario(request), *(arm_with(signs, (-1.0, -1.0), (0.0, 0.0)) for signs in corners)]
+    for _ in range(draws):
+        errors, damping = rng.uniform(-1.0, 1.0, len(names)), rng.uniform(-1.0, 1.0, 2)
+        found.append(arm_with(errors.tolist(), damping.tolist(), rng.uniform(size=2).tolist()))
+    return found
 
 
 def _columns(request: ArmRequest) -> list[int]:
@@ -405,25 +503,21 @@ def _thinned(request: ArmRequest, fastest: float) -> ArmRequest:
     fewer = int(request.rate / (_SAMPLES_PER_PERIOD * fastest / math.tau))
     if fewer < 2:
         return request
-    share = 1.0 / math.sqrt(fewer)
     outputs = [
-        replace(each, measurement_std=share * each.measurement_std) for each in request.sensors
+        replace(each, measurement_std=each.measurement_std / math.sqrt(fewer))
+        for each in request.sensors
     ]
-    changes: dict[str, Any] = {"measurement_std": outputs[0].measurement_std}
-    if request.outputs:
-        changes["outputs"] = tuple(outputs)
     try:
-        return replace(request, rate=request.rate / fewer, **changes)
+        return replace(request.with_outputs(outputs), rate=request.rate / fewer)
     except ModelError:  # a disturbance would be too fast for the samples
         return request
 
 
-def _require_visible(mover: Mover, arms: Sequence[TrialArm], limits: Limits, seed: int) -> None:
+def _require_visible(motions: _Motions, arms: Sequence[Scenario], limits: Limits) -> None:
     """Refuse limits within which no output moves by more than its noise."""
-    request, angle = mover.request, mover.angle(mover.random(np.random.default_rng(seed)))
-    torque, _, reached = mover.scaled(angle, arms)
-    states = simulated(request, TrialArm(request.arm), torque)
-    moved = np.abs(states[:, _columns(request)]).max(axis=0)
+    request = motions.request
+    torque, _, reached = motions.scaled(np.zeros(_TONES + _KNOTS), arms)
+    moved = np.abs(simulated(arms[0], torque)[:, _columns(request)]).max(axis=0)
     if (moved > request.output_std).any():
         return
     shares = {name: getattr(reached, name) / getattr(limits, name) for name in limits._fields}

@@ -15,13 +15,14 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.identification.diagnosis import found_lacks, output_fits, remaining_lacks, unseen
+from tsobs_ros.identification.diagnosis import found_lacks, output_fits, tones, unseen
 from tsobs_ros.identification.joint import (
     DELAY,
     FRICTION,
     OFFSET,
     TORQUE_GAIN,
     UNCERTAINTY,
+    Found,
     Joint,
     Unknowns,
     numbers_of,
@@ -34,10 +35,9 @@ from tsobs_ros.identification.likelihood import (
     Likelihood,
     Recording,
     innovations,
-    mean_log_likelihoods,
 )
 from tsobs_ros.identification.recordings import Samples, read, require_torque
-from tsobs_ros.identification.result import Fit, Found, Lack
+from tsobs_ros.identification.result import Fit, Lack
 from tsobs_ros.model.arm import SIDES
 
 Advance = Callable[[int], None]
@@ -85,18 +85,7 @@ class Optimum(NamedTuple):
     def numbers(self) -> tuple[Found, ...]:
         """The numbers as they are reported."""
         each = zip(self.unknowns.numbers, self.coordinates.tolist(), self.std.tolist(), strict=True)
-        return tuple(
-            Found(
-                number.name,
-                number.unit,
-                number.before,
-                number.value(at),
-                number.deviation(at, std),
-                known=min(max(1.0 - std * std, 0.0), 1.0),
-                prior_std=number.deviation(at, 1.0),
-            )
-            for number, at, std in each
-        )
+        return tuple(number.found(at, std) for number, at, std in each)
 
 
 def maximise(
@@ -363,9 +352,6 @@ def fit(
     whole = recordings[longest]
     begin = begins[longest] if held_out else whole.count // 2
     outputs, traces = output_fits(likeliest, whole, begin)
-    before, after = (
-        mean_log_likelihoods(each, recordings, begins) for each in (unknowns.joint, likeliest)
-    )
     samples = sum(begins)
     return Fit(
         request=_observable(likeliest, numbers, fitted, advance),
@@ -373,10 +359,8 @@ def fit(
         joint=likeliest,
         numbers=numbers,
         unseen=unseen(optimum.unknowns, optimum.evaluation.information),
-        lacks=(*added, *found_lacks(numbers), *remaining_lacks(likeliest, fitted)),
+        lacks=(*added, *found_lacks(numbers), *tones(likeliest, _longest(fitted))),
         outputs=outputs,
-        log_likelihood=(before[0], after[0]),
-        log_likelihood_held_out=(before[1], after[1]),
         samples=(samples, sum(each.count for each in recordings) - samples),
         outliers=optimum.evaluation.outliers,
         notes=tuple(notes),

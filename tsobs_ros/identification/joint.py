@@ -28,22 +28,11 @@ FRICTION = tuple(f"{side}_friction" for side in SIDES)
 """Coulomb friction at motor and link [N m]."""
 
 _UNITS = {
-    "link_inertia": "kg m²",
-    "motor_inertia": "kg m²",
-    "stiffness": "N m/rad",
-    "gravity_torque": "N m",
-    "link_damping": "N m s/rad",
-    "motor_damping": "N m s/rad",
-    "link_friction": "N m",
-    "motor_friction": "N m",
-    "gain": "",
-    "offset": "N m",
-    "delay": "s",
-    "time_constant": "s",
-    "frequency": "rad/s",
-    "link": "rad²/s³",
-    "motor": "rad²/s³",
-}
+    "link_inertia": "kg m²", "motor_inertia": "kg m²", "stiffness": "N m/rad",
+    "gravity_torque": "N m", "link_damping": "N m s/rad", "motor_damping": "N m s/rad",
+    "link_friction": "N m", "motor_friction": "N m", "offset": "N m", "delay": "s",
+    "time_constant": "s", "frequency": "rad/s", "link": "rad²/s³", "motor": "rad²/s³",
+}  # fmt: skip
 """By the last part of a number's name."""
 
 UNCERTAINTY = {
@@ -71,12 +60,42 @@ _SMALL = 0.02
 of reference at the speed of a swing."""
 
 
-class Number(NamedTuple):
-    """A number of a joint and its prior.
+class Found(NamedTuple):
+    """A number that recordings show, or would show.
 
     Attributes:
         name: Its place in the request, e.g. "arm.stiffness" or "motor_angle.measurement_std".
         unit: Its unit, empty for none.
+        before: The request's value.
+        value: The likeliest one.
+        std: Its 1σ.
+        prior_std: 1σ of the value without the recordings.
+    """
+
+    name: str
+    unit: str
+    before: float
+    value: float
+    std: float
+    prior_std: float
+
+    @property
+    def seen(self) -> bool:
+        """Whether the recordings show it: its 1σ is at most half of the prior's."""
+        return self.std <= 0.5 * self.prior_std
+
+    @property
+    def significant(self) -> bool:
+        """Whether it is surely not 0."""
+        return abs(self.value) > 3.0 * self.std
+
+
+class Number(NamedTuple):
+    """A number of a joint and its prior.
+
+    Attributes:
+        name: As of `Found`.
+        unit: As of `Found`.
         start: The request's value, or what stands for nothing.
         prior_std: 1σ beforehand: of the logarithm if `positive`.
         positive: Whether its logarithm is estimated.
@@ -90,21 +109,39 @@ class Number(NamedTuple):
     positive: bool = True
     from_nothing: bool = False
 
-    @property
-    def before(self) -> float:
-        """The request's value."""
-        return 0.0 if self.from_nothing else self.start
-
     def value(self, coordinate: float) -> float:
         """Return the number at a distance from the start, in units of `prior_std`."""
         if self.positive:
             return self.start * math.exp(min(max(coordinate * self.prior_std, -60.0), 60.0))
         return self.start + coordinate * self.prior_std
 
-    def deviation(self, coordinate: float, std: float) -> float:
-        """Return 1σ of the number from that of the coordinate."""
-        scale = self.value(coordinate) if self.positive else 1.0
-        return std * self.prior_std * scale
+    def found(self, coordinate: float, std: float) -> Found:
+        """Return what is known of the number from a coordinate and its 1σ."""
+        value = self.value(coordinate)
+        unit = self.prior_std * (value if self.positive else 1.0)
+        before = 0.0 if self.from_nothing else self.start
+        return Found(self.name, self.unit, before, value, std * unit, unit)
+
+
+def found_named(numbers: Sequence[Found], name: str) -> Found:
+    """Return the number of a name, which may leave out `arm.`; others raise `KeyError`."""
+    by_name = {each.name: each for each in numbers}
+    return by_name.get(name) or by_name[f"arm.{name}"]
+
+
+def table(
+    numbers: Sequence[Found], head: Sequence[str], rows: Sequence[Sequence[str]]
+) -> list[str]:
+    """Return lines of a table of numbers, with three columns between their names and units."""
+    width = max(len(each.name) for each in numbers)
+
+    def line(name: str, cells: Sequence[str], unit: str) -> str:
+        return f"{name:{width}}  {cells[0]:>10}  {cells[1]:>10}  {cells[2]:>9}  {unit}"
+
+    lines = [line("number", head, "unit")]
+    for each, cells in zip(numbers, rows, strict=True):
+        lines.append(line(each.name, cells, each.unit) + "   not shown" * (not each.seen))
+    return lines
 
 
 @dataclass(frozen=True)

@@ -258,22 +258,3 @@ class Likelihood:
         self._spacing = np.maximum(_STEP / np.sqrt(np.diag(information) + 1.0), 1e-7)
         self._known = {key: made}
         return made
-
-
-def mean_log_likelihoods(
-    joint: Joint, recordings: Sequence[Recording], begins: Sequence[int]
-) -> tuple[float, float]:
-    """Return log L per sample before the held-out parts begin, and in them; NaN without any."""
-    totals, counts = [0.0, 0.0], [0, 0]
-    for recording, begin in zip(recordings, begins, strict=True):
-        found = innovations(joint, recording)
-        with np.errstate(all="ignore"):
-            squares = np.minimum(found.errors**2 / found.variances, GATE * GATE)
-            costs = squares + np.log(2.0 * math.pi * found.variances)
-        for place, part in enumerate((costs[:begin], costs[begin:])):
-            totals[place] -= 0.5 * float(np.nansum(part))
-            counts[place] += len(part)
-    before, after = (
-        total / count if count else math.nan for total, count in zip(totals, counts, strict=True)
-    )
-    return before, after

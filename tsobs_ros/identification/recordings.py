@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings for a fit, from logs, bags and arrays, and what is wrong with them in one line.
 
-What people get wrong is the torque's sign, a gear ratio, and units: each shows in a likelihood that
-is far better with another sign or scale, or in angles that leave the domain.
+People get wrong the torque's sign, a gear ratio, and units: each shows in a likelihood that is far
+better with another sign or scale, or in angles that leave the domain.
 """
 
 import math
@@ -26,30 +26,24 @@ from tsobs_ros.series import NANOSECONDS
 Samples = tuple[ArrayLike, ArrayLike, ArrayLike]
 """Times [s], shape (n,), outputs [rad, rad/s], shape (n, p), and torques [N m], shape (n,)."""
 
-LEAST_SAMPLES = 300
-LEAST_TIME = 2.0
-"""Shortest recording [s]."""
+LEAST_SAMPLES, LEAST_TIME = 300, 2.0
+"""Shortest recording, in samples and [s]."""
 
-_GAP = 3.5
-"""Periods between samples that begin a gap: the torque in it is not known."""
+_GAP, _JITTER = 3.5, 0.02
+"""Periods between samples that begin a gap, in which the torque is not known, and the share of a
+period within which times are taken for even."""
 
-_JITTER = 0.02
-"""Times within this share of a period from even ones are taken for even."""
-
-_FAR = 0.1
-"""Distance of two angles' zeros that no spring's deflection makes [rad]."""
+_FAR, _FARTHEST = 0.1, 50.0
+"""Distance of two angles' zeros that no spring's deflection makes, and an angle that no joint has
+even without gravity [rad]."""
 
 _LEAST_MOTION = 8.0
 """Motion that says something, by the noise of the sensor."""
-
-_SATURATED = 0.05
-"""Share of samples at the same largest value from which on a sensor is at its stop."""
 
 _BETTER = 100.0
 """Gain of likelihood by which another sign or scale of the torque must be likelier [nat]."""
 
 _SCALES = tuple(10.0 ** (step / 3.0) for step in range(-12, 13))
-_UNITS = {1e-3: "mN m", 1e-2: "N cm"}
 
 _Raw = tuple[str, Array, Array, Array]
 """Name, times, outputs and torques of a recording."""
@@ -72,15 +66,15 @@ def read(
     """
     if not logs:
         raise ModelError("logs: expected at least one recording")
-    raw = []
-    for log in logs:
-        if isinstance(log, str | Path):
-            raw.append(_complete(*_of_file(request, log, options)))
-        else:
-            raw.append(_complete(*_of_arrays(request, log)))
+    raw = [
+        _complete(
+            *_of_file(request, log, options)
+            if isinstance(log, str | Path)
+            else _of_arrays(request, log)
+        )
+        for log in logs
+    ]
     period = float(np.median(np.concatenate([np.diff(time) for _, time, _, _ in raw])))
-    if not period > 0.0:
-        raise LogError(f"{raw[0][0]}: its samples have no time between them")
     notes = []
     if abs(period * request.rate - 1.0) > 0.02:
         notes.append(
@@ -88,38 +82,31 @@ def read(
             f"{request.rate:.4g}: the fitted request has the recording's rate"
         )
         request = replace(request, rate=float(f"{1.0 / period:.6g}"))
-    zeros = _zeros(request, raw)
+    zeros = _zeros(request, np.concatenate([y for _, _, y, _ in raw]))
     if zeros.any():
-        shown = ", ".join(
-            f"{output.measures} {zero:.4g} rad"
-            for output, zero in zip(request.sensors, zeros.tolist(), strict=True)
-            if zero
-        )
-        notes.append(
-            f"note: the zeros of the angles differ; subtracted from the recordings: {shown}"
-        )
+        shown = ", ".join(f"{zero:.4g} rad" for zero in zeros.tolist())
+        names = ", ".join(request.output_names)
+        notes.append(f"note: the zeros of the angles differ; subtracted from {names}: {shown}")
     found = []
     for name, time, y, u in raw:
-        recording, remark = _even(name, time, y - zeros, u, request.period)
+        recording, gaps = _even(name, time, y - zeros, u, request.period)
         found.append(recording)
-        notes += [f"note: {name}: {remark}"] * bool(remark)
-        notes += _checked(request, recording)
+        notes += [f"note: {name}: {gaps}"] * bool(gaps)
+        _require_motion(request, recording)
+        _require_no_gear(request, recording)
     return request, found, notes
 
 
-def _zeros(request: ArmRequest, raw: Sequence[_Raw]) -> Array:
-    """Return what to subtract from outputs whose zero is far from the others', shape (p,)."""
+def _zeros(request: ArmRequest, y: Array) -> Array:
+    """Return what to subtract from outputs whose zero is far from the first angle's, shape (p,)."""
     zeros = np.zeros(len(request.sensors))
     angles = [i for i, one in enumerate(request.sensors) if one.measures.endswith("_angle")]
-    if not angles:
-        return zeros
-    y = np.concatenate([each for _, _, each, _ in raw])
-    first, *others = angles
-    if not request.arm.gravity_torque and abs(np.nanmedian(y[:, first])) > _FAR:
-        # Without gravity an angle has no zero.
-        zeros[first] = float(f"{np.nanmedian(y[:, first]):.4g}")
-    for place in others:
-        apart = float(np.nanmedian(y[:, place] - y[:, first])) + zeros[first]
+    for place in angles:
+        far = y[:, place] - y[:, angles[0]] + zeros[angles[0]]
+        if place == angles[0]:
+            # Without gravity an angle has no zero.
+            far = np.zeros(1) if request.arm.gravity_torque else y[:, place]
+        apart = float(np.nanmedian(far))
         if abs(apart) > _FAR and not request.sensors[place].model.state_count:
             zeros[place] = float(f"{apart:.4g}")
     return zeros
@@ -181,83 +168,46 @@ def _even(name: str, time: Array, y: Array, u: Array, period: float) -> tuple[Re
     return Recording(name, time, np.where(gaps, -1.0, durations), y, u), remark
 
 
-def _checked(request: ArmRequest, recording: Recording) -> list[str]:
-    """Return remarks; raise a `LogError` for what is of no use."""
-    name, y, u, notes = recording.name, recording.y, recording.u, list[str]()
+def _require_motion(request: ArmRequest, recording: Recording) -> None:
+    """Refuse a recording at rest or beyond the domain, or one that lacks torque or an output."""
+    name, y, u, moves = recording.name, recording.y, recording.u, False
     if float(np.ptp(u)) == 0.0:
         raise LogError(
             f"{name}: the torque is {u[0] + 0.0:.4g} N m throughout: nothing moves the arm"
         )
-    moves = False
     for place, output in enumerate(request.sensors):
         values = y[np.isfinite(y[:, place]), place]
         if len(values) < LEAST_SAMPLES:
             raise LogError(f"{name}: {output.measures}: only {len(values)} samples have it")
         noise = max(float(np.median(np.abs(np.diff(values, 2)))) / 1.65, 1e-12)
         swing = float(np.quantile(values, 0.98) - np.quantile(values, 0.02))
-        moves |= (
-            swing > _LEAST_MOTION * noise and swing > _LEAST_MOTION * 0.05 * output.measurement_std
-        )
-        if output.measures.endswith("_angle"):
-            _require_domain(request, recording, place, values)
-        for edge in (values.min(), values.max()):
-            share = float((values == edge).mean())
-            if share > _SATURATED and swing > 0.0:
-                raise LogError(
-                    f"{name}: {output.measures}: {100 * share:.0f} % of the samples are "
-                    f"{edge:.4g}: the sensor or the arm is at a stop; leave that part out"
-                )
+        moves |= swing > _LEAST_MOTION * max(noise, 0.05 * output.measurement_std)
+        largest, domain = float(np.quantile(np.abs(values), 0.999)), request.max_angle
+        if output.measures.endswith("_angle") and largest > min(1.0001 * domain, _FARTHEST):
+            raise LogError(
+                f"{name}: {output.measures}: up to {largest:.4g} rad, beyond "
+                f"{min(domain, math.pi):.4g} rad: if these are degrees, "
+                f"{math.radians(largest):.3g} rad, say so: --units angle=deg; if it is the motor's "
+                "side of a gear, divide by its ratio; else widen x_max, or leave that motion out"
+            )
     if not moves:
         raise LogError(f"{name}: at rest: no output moves by more than its noise")
-    for edge in (u.min(), u.max()):
-        share = float((u == edge).mean())
-        if share > 0.3:
-            notes.append(
-                f"note: {name}: the torque is {edge:.4g} N m in {100 * share:.0f} % of the "
-                "samples: if the drive is at its limit there, the true torque may be another one"
-            )
-    _require_no_gear(request, recording)
-    return notes
-
-
-def _require_domain(request: ArmRequest, recording: Recording, place: int, values: Array) -> None:
-    """Refuse angles beyond the domain, with what they would be in degrees."""
-    largest = float(np.quantile(np.abs(values), 0.999))
-    domain = request.max_angle
-    if largest <= domain * 1.0001 and (math.isfinite(domain) or largest < 50.0):
-        return
-    name, what = recording.name, request.sensors[place].measures
-    limit, hints = min(domain, math.pi), []
-    if largest > max(limit, 3.0) and math.radians(largest) <= limit:
-        hints.append(
-            f"if these are degrees, {math.radians(largest):.3g} rad, say so: --units angle=deg"
-        )
-    if largest > 4.0:
-        hints.append("if it is the motor's side of a gear, divide by its ratio")
-    if math.isfinite(domain):
-        hints.append("widen x_max, or leave that motion out")
-    if hints:
-        raise LogError(
-            f"{name}: {what}: up to {largest:.4g} rad, beyond {limit:.4g} rad: {'; '.join(hints)}"
-        )
 
 
 def _require_no_gear(request: ArmRequest, recording: Recording) -> None:
     """Refuse angles of motor and link with a gear between them."""
-    names = [output.measures for output in request.sensors]
+    names = request.output_names
     if not {"motor_angle", "link_angle"} <= set(names):
         return
-    motor, link = (recording.y[:, names.index(each)] for each in ("motor_angle", "link_angle"))
-    both = np.isfinite(motor) & np.isfinite(link)
-    motor, link = motor[both] - motor[both].mean(), link[both] - link[both].mean()
-    slope = float(motor @ link) / float(link @ link) if link.any() else 0.0
-    agreement = float(motor @ link) / (float(np.linalg.norm(motor) * np.linalg.norm(link)) + 1e-300)
-    if abs(agreement) > 0.7 and not 0.5 < slope < 2.0:
-        sign = " and has the opposite sign" if slope < 0.0 else ""
+    both = recording.y[:, [names.index("motor_angle"), names.index("link_angle")]]
+    both = both[np.isfinite(both).all(axis=1)]
+    (motor, cross), (_, link) = np.cov(both.T)
+    if cross * cross > 0.5 * motor * link and not 0.5 < cross / link < 2.0:
+        sign = " and has the opposite sign" if cross < 0.0 else ""
         raise LogError(
-            f"{recording.name}: motor_angle moves {abs(slope):.4g} times as far as link_angle"
-            f"{sign}: if a gear is between them, divide the motor's angle by its ratio, and "
-            "multiply the torque by it"
+            f"{recording.name}: motor_angle moves {abs(cross / link):.4g} times as far as "
+            f"link_angle{sign}: if a gear is between them, divide the motor's angle by its ratio, "
+            "and multiply the torque by it"
         )
 
 
@@ -271,11 +221,9 @@ def require_torque(unknowns: Unknowns, recording: Recording) -> None:
     # A filter that does not trust its model shows the sign and the scale, whatever else is wrong.
     at = np.array([2.0 if each.name.startswith("process") else 0.0 for each in noises.numbers])
     costs = {}
-    for sign in (1.0, -1.0):
-        for scale in _SCALES:
-            joint = with_values(noises.joint, {"torque.gain": sign * scale})
-            moved = Likelihood(replace(noises, joint=joint), [recording])
-            costs[sign * scale] = moved.cost(at)
+    for gain in (sign * scale for sign in (1.0, -1.0) for scale in _SCALES):
+        joint = with_values(noises.joint, {"torque.gain": gain})
+        costs[gain] = Likelihood(replace(noises, joint=joint), [recording]).cost(at)
     likeliest = min(costs, key=costs.__getitem__)
     upright = min((each for each in costs if each > 0.0), key=costs.__getitem__)
     if likeliest < 0.0 and costs[likeliest] < costs[upright] - _BETTER:
@@ -284,11 +232,8 @@ def require_torque(unknowns: Unknowns, recording: Recording) -> None:
             "sign the motion follows from it; change the sign of torque or angle"
         )
     if not 0.08 < upright < 12.0 and costs[upright] < costs[1.0] - _BETTER:
-        unit = min(_UNITS, key=lambda each: abs(math.log(each / upright)))
-        is_unit = upright < 1.0 and abs(math.log10(unit / upright)) < 0.4
-        hint = f" (is its unit {_UNITS[unit]}?)" if is_unit else " (a gear ratio?)"
         raise LogError(
             f"{recording.name}: torque: the request's arm moves as if the torque were about "
-            f"{upright:.2g} times as large: the torque's unit, or the side of the gear that it is "
-            f"for, is not the request's{hint}"
+            f"{upright:.2g} times as large: is its unit mN m (--units torque=mNm), or is it for "
+            "the other side of a gear?"
         )

@@ -62,12 +62,9 @@ def write_page(path: Path, fit: Fit, names: str) -> None:
     counts = "{:,} numbers  ·  {:,} samples fitted  ·  {:,} held out  ·  {:,} outliers".format(
         len(fit.numbers), *fit.samples, fit.outliers
     )
-    fitted = "{:.4g} before, {:.4g} after".format(*fit.log_likelihood)
-    held_out = "{:.4g} before, {:.4g} after".format(*fit.log_likelihood_held_out)
     facts = [
         ("recordings", names),
         ("rate", f"{fit.request.rate:g} Hz"),
-        ("log likelihood per sample", fitted + f"; held out {held_out}" * bool(fit.samples[1])),
         ("version of this report", f"tsobs_ros {__version__}"),
     ]
     elsewhere = "the tables have the numbers"
@@ -87,9 +84,6 @@ def _verdict(fit: Fit, part: str) -> Summary:
         f"{fit.outputs[0].horizon:g} s from the torque alone."
     )
     faults = [fault for each in fit.outputs for fault in _faults(each)]
-    before, after = fit.log_likelihood_held_out
-    if after < before:
-        faults.append("The numbers before explain the part that was held out better.")
     hidden = [each.name for each in fit.numbers if not each.seen]
     of = f"{len(hidden)} of {len(fit.numbers)} numbers: {_listed([*map(_words, hidden)])}"
     seen = f"The recordings hardly show {of}." if hidden else "The recordings show all numbers."
@@ -102,7 +96,7 @@ def _verdict(fit: Fit, part: str) -> Summary:
     unseen = any(name.startswith("arm.") for name in hidden)
     level = Level.WARN if faults or still or unseen else Level.OK
     sentences = (prediction, *faults, seen, *found, lack)
-    return Summary(Level.ERROR if after < before else level, sentences)
+    return Summary(level, sentences)
 
 
 def _faults(output: OutputFit) -> Iterator[str]:
@@ -124,15 +118,14 @@ def _tables(fit: Fit, part: str) -> Iterator[Table]:
     ]
     yield Table("Numbers", ("number", "before", "fitted", "1σ", "unit", "shown"), rows)
     predicted = [
-        (_words(name), f"{ahead:.4g}", f"{run:.4g}", f"{std:.3g}", f"{near:.2f}", f"{white:.2g}")
-        for name, ahead, run, _, std, near, white in fit.outputs
+        (_words(name), f"{ahead:.4g}", f"{run:.4g}", f"{std:.3g}", f"{near:.2f}")
+        for name, ahead, run, _, std, near in fit.outputs
     ]
     horizon = f"simulated for {fit.outputs[0].horizon:g} s [%]"
-    head = ("one sample ahead [%]", horizon, "innovations / expected", "correlation", "probability")
+    head = ("one sample ahead [%]", horizon, "innovations / expected", "correlation")
     note = (
         f"Of {part}. 100 % is without error, 0 % no better than the mean. Correlation is that of "
-        "neighbouring innovations; probability is that of such correlations up to 20 samples apart "
-        "if the innovations were white."
+        "neighbouring innovations, 0 if they are white."
     )
     yield Table("Prediction", ("output", *head), predicted, 1, note)
     lacks = [
@@ -140,10 +133,7 @@ def _tables(fit: Fit, part: str) -> Iterator[Table]:
         for each in fit.lacks
     ]
     yield Table("What the model lacked", ("what", "entry of the request that adds it"), lacks, 2)
-    unseen = [
-        (" with ".join(_words(name) for name, _ in each.numbers), each.text.partition(": ")[2])
-        for each in fit.unseen
-    ]
+    unseen = [(_words(each.partition(": ")[0]), each.partition(": ")[2]) for each in fit.unseen]
     title = "What the recordings do not show"
     yield Table(title, ("numbers", "motion that would show them"), unseen, 2)
 
