@@ -33,7 +33,7 @@ from tsobs_ros.estimation.baselines import THETA_STD, THETA_WANDER
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.records import Hypothesis, Measurement
 from tsobs_ros.estimation.state import State
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_tracker
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
 from tsobs_ros.model.uncertainty import SINE
@@ -297,15 +297,13 @@ def _late(design: Design, count: int, turns: int) -> dict[str, float]:
     runs = simulate(SCENARIOS["noise"], [1], (count + 2) * design.request.period)
     y, u = runs.measurements[0, :count], runs.torques[0, :count]
     stamps = NANOSECONDS + np.round(runs.times[:count] * NANOSECONDS).astype(np.int64)
-    limits = TrackerOptions(
-        design.arm_request.x_max, history=2.0 * count * design.request.period, max_steps=count
-    )
+    limits = {"x_max": design.arm_request.x_max, "history": 2.0 * count * design.request.period}
     now, order = int(stamps[-1]), np.arange(count)
     orders = {"ascending": order, "descending": order[::-1]}
     times: dict[str, list[float]] = {name: [] for name in orders}
     for _ in range(turns):
         for name, places in orders.items():
-            tracker = Tracker(design.supervised(), limits)
+            tracker = Tracker(design.supervised(), **limits, max_steps=count)
             given = (stamps[places], y[places], u[places])
             times[name].append(timed(lambda: tracker.offer_many(*given, now)))  # noqa: B023
     return {name: float(np.median(each)) for name, each in times.items()}

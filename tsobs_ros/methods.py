@@ -15,7 +15,7 @@ from tsobs_ros.estimation import baselines
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import STALE_AFTER
 from tsobs_ros.estimation.options import TORQUE_RATE, GainMode, SupervisionOptions
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.paper.observer import (
     PAPER_WARNING,
     SYSTEM_WARNING,
@@ -279,10 +279,10 @@ def make_tracker(
     (4,)
     """
     settings = settings or ObserverSettings()
-    options = TrackerOptions(
+    return Tracker(
+        estimator or make_estimator(design, settings),
         x_max=design.request.max_angle,
         history=settings.history,
         future_tolerance=settings.future_tolerance,
         restart_after=settings.stale_after,
     )
-    return Tracker(estimator or make_estimator(design, settings), options)

@@ -18,7 +18,7 @@ from tsobs_ros.core.records import record_type
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.records import REASONS
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 DESIGN = load_design(config_path(FIXED_DESIGN))
@@ -33,7 +33,7 @@ def numbers(records: Any) -> Any:
 
 
 def tracker(**options: Any) -> Tracker:
-    return Tracker(DESIGN.supervised(), TrackerOptions(**options))
+    return Tracker(DESIGN.supervised(), **options)
 
 
 def zeros(*shape: int, kind: Any = float) -> Any:

@@ -32,7 +32,6 @@ from pathlib import Path
 import numpy as np
 import tsobs_ros as ts
 from tsobs_ros.estimation.estimator import certified_estimator
-from tsobs_ros.estimation.options import CertifiedGain
 from tsobs_ros.methods import METHODS, make_estimator
 from tsobs_ros.model.torque_path import TorquePath
 
@@ -54,7 +53,7 @@ for file in ("elastic_joint_fixed.design.yaml", "elastic_joint.design.yaml"):
     request, X = design.request, design.covariance_bound
     show(f"design {file}", X)
     settled = certified_estimator(
-        request.flow, request.measurement_covariance, X, CertifiedGain(design.K, X),
+        request.flow, request.measurement_covariance, X, design.K, X,
         settle_time=0.0, uncertainty=request.uncertainty_model,
     )
     _, angle, torque = np.load(folder / "arrays.npy")[:, :100, np.newaxis]

@@ -20,11 +20,10 @@ from tsobs_ros.estimation.baselines import (
     high_gain,
     high_gain_matrix,
     proportional_integral,
-    proportional_integral_matrix,
 )
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.records import RejectReason
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -46,7 +45,7 @@ def test_observers_have_their_poles(theta: float) -> None:
     high = arm - high_gain_matrix(ARM, theta) @ ARM.output_matrix
     joined = block_diag(0.0, arm)
     joined[0, 1] = 1.0  # the integral of the error
-    joined[:, :1] -= proportional_integral_matrix(ARM, theta)
+    joined[:, :1] -= high_gain_matrix(ARM, theta, integral=True)
     for closed, spread in ((high, [1.3, 1.2, 1.1, 1.0]), (joined, [1.4, 1.3, 1.2, 1.1, 1.0])):
         poles = np.sort(np.linalg.eigvals(closed).real)
         np.testing.assert_allclose(poles, -theta * np.array(spread), rtol=1e-5)
@@ -67,7 +66,7 @@ def test_an_ekf_is_the_textbook_filter_on_a_linear_arm() -> None:
     textbook.P = request.initial_covariance.copy()
     random = np.random.default_rng(2)
     y, u = random.normal(0.0, 0.3, (300, 1)), random.normal(size=(300, 1))
-    rows = Tracker(ekf, TrackerOptions(x_max=0.75)).follow(stamps_of(300), y, u)
+    rows = Tracker(ekf, x_max=0.75).follow(stamps_of(300), y, u)
     for k in range(300):
         textbook.update(y[k])
         states = LINEAR.to_physical(textbook.x[:4, 0])
@@ -140,7 +139,7 @@ def test_an_ekf_that_leaves_out_most_samples_starts_its_covariance_again() -> No
 
 @pytest.mark.parametrize("make", [high_gain, proportional_integral])
 def test_high_gain_observers_follow_the_arm(make: Callable[..., Estimator]) -> None:
-    tracker, count = Tracker(make(ARM, 2.5, PERIOD, 0.028), TrackerOptions(x_max=0.75)), 4000
+    tracker, count = Tracker(make(ARM, 2.5, PERIOD, 0.028), x_max=0.75), 4000
     rows = tracker.follow(stamps_of(count), RUN.measurements[0, :count], RUN.torques[0, :count])
     assert tracker.used == count
     assert rows.state_bound.shape[1] == rows.disturbance.shape[1] == 0

@@ -20,7 +20,7 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import high_gain, proportional_integral
 from tsobs_ros.estimation.estimator import Estimator, Rows, certified_estimator
-from tsobs_ros.estimation.options import AdaptationOptions, CertifiedGain, SupervisionOptions
+from tsobs_ros.estimation.options import SupervisionOptions
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.state import State
 from tsobs_ros.model.arm import ElasticJointArm
@@ -40,10 +40,11 @@ SAMPLES = 140
 def supervised_arm() -> Estimator:
     """The shipped adaptive design, that learns and reacts early."""
     design = load_design(config_path(SHIPPED_DESIGN))
-    learning = AdaptationOptions(
-        initial_std=0.3, start=0.0, significance=1e-3, pass_time=0.02, memory=0.3
-    )
-    estimator = design.observer(settle_time=0.0, adapt=True, adaptation=learning)
+    estimator = design.observer(settle_time=0.0, adapt=True)
+    estimator.learn(
+        design.request.uncertainty_model, covered=design.request.certify_uncertainty,
+        initial_std=0.3, start=0.0, significance=1e-3, pass_time=0.02, memory=0.3,
+    )  # fmt: skip
     estimator.supervise(SupervisionOptions(stuck_samples=10))
     return estimator
 
@@ -58,15 +59,18 @@ def gyroscope() -> Estimator:
                     np.eye(1, 2))  # fmt: skip
     directions = np.zeros((1, 2, 2, 3))
     directions[0, :, 1, 0] = -stiffness
-    return certified_estimator(
+    uncertainty = Uncertainty({"gravity": 0.2}, directions)
+    estimator = certified_estimator(
         TSFlow(model, per_channel([clean(), bias(1e-6)]), [0.0, 1e-3], T),
         np.diag([1e-4, 4e-4]),
         np.diag([0.25, 1.0, 0.01]),
-        CertifiedGain(np.array([[0.3, 0.0], [0.0, 0.2], [0.0, 0.1]]), np.diag([0.3, 1.0, 0.02])),
+        np.array([[0.3, 0.0], [0.0, 0.2], [0.0, 0.1]]),
+        np.diag([0.3, 1.0, 0.02]),
         settle_time=0.2,
-        uncertainty=Uncertainty({"gravity": 0.2}, directions),
-        adaptation=AdaptationOptions(start=0.05, significance=1e-3),
+        uncertainty=uncertainty,
     )
+    estimator.learn(uncertainty, start=0.05, significance=1e-3)
+    return estimator
 
 
 ESTIMATORS: dict[str, Callable[[], Estimator]] = {
@@ -119,7 +123,7 @@ def stepped(estimator: Estimator) -> list[State]:
         state = state.changed(covariance=bound, settling=0.0, certified=1)
     for k, (y, u) in enumerate(zip(*series(estimator), strict=True)):
         state, _ = estimator.correct(state, y)
-        states += [state, estimator.extrapolate(state, u, 0.4 * T)]
+        states += [state, estimator.predict(state, u, 0.4 * T, between_samples=True)]
         state = estimator.predict(state, u, {70: 0.0421, 80: 0.7 * T}.get(k, T))
         states.append(state)
         if k % 10 == 3:
@@ -240,7 +244,7 @@ def test_the_bound_covers_the_time_between_samples_too(fraction: float) -> None:
     observer, flow, u = design.observer(), design.request.flow, np.array([0.5])
     settled = observer.initial().changed(x=np.full(5, 0.1), settling=0.0, certified=1)
     corrected, _ = observer.correct(settled, [0.1])
-    between = observer.extrapolate(corrected, u, fraction * T)
+    between = observer.predict(corrected, u, fraction * T, between_samples=True)
     assert observer.readout(between).basis == Basis.CERTIFIED
     np.testing.assert_allclose(observer.readout(between).state_bound, design.bound_std[:4])
     root, step = np.linalg.cholesky(design.P), flow.transition(fraction * T)
@@ -250,7 +254,7 @@ def test_the_bound_covers_the_time_between_samples_too(fraction: float) -> None:
         before[1, 0], kick[1, 0] = -step.half_kick * first, -step.half_kick * second
         spread = step.phi @ before @ after @ before.T @ step.phi.T + step.noise
         assert np.linalg.eigvalsh(root.T @ kick @ spread @ kick.T @ root)[-1] <= 1.0 + 1e-6
-    late = observer.extrapolate(corrected, u, 3.0 * T)
+    late = observer.predict(corrected, u, 3.0 * T, between_samples=True)
     assert observer.readout(late).basis != Basis.CERTIFIED
 
 

@@ -17,7 +17,7 @@ from staging.stage import Arm
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 
@@ -92,7 +92,7 @@ def script(arm: Arm, kind: Kind) -> list[Event]:
 @pytest.mark.parametrize("name", KINDS)
 def test_bad_samples_have_their_outcome_and_the_estimate_recovers(name: str) -> None:
     arm, kind = Arm(BEGIN), KINDS[name]
-    tracker = Tracker(DESIGN.supervised(), TrackerOptions(x_max=DESIGN.request.x_max))
+    tracker = Tracker(DESIGN.supervised(), x_max=DESIGN.request.x_max)
     events = script(arm, kind)
     seen: Counter[tuple[RejectReason | str, RejectReason | str]] = Counter()
     estimate, place = None, 0

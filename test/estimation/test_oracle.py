@@ -17,12 +17,7 @@ from scipy.linalg import block_diag, expm
 from tsobs_ros.core import native
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
-from tsobs_ros.estimation.options import (
-    AdaptationOptions,
-    CertifiedGain,
-    GainMode,
-    SupervisionOptions,
-)
+from tsobs_ros.estimation.options import GainMode, SupervisionOptions
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.estimation.state import State
 from tsobs_ros.model.disturbance import DisturbanceModel, bias, clean, gauss_markov, per_channel
@@ -34,10 +29,10 @@ from tsobs_ros.model.uncertainty import Uncertainty
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 Array = NDArray[np.float64]
-LEARNING = AdaptationOptions(
-    initial_std=0.3, random_walk_density=1e-3, start=0.05, significance=0.01, memory=0.5,
-    pass_time=0.2,
-)  # fmt: skip
+LEARNING = {
+    "initial_std": 0.3, "random_walk": 1e-3, "start": 0.05, "significance": 0.01, "memory": 0.5,
+    "pass_time": 0.2,
+}  # fmt: skip
 BANK = {name: value for name, value, _ in native.bank_constants()}
 BANK |= {"MOVING": 0.3}
 """Constants, but arms need not move as much."""
@@ -199,9 +194,10 @@ class Plan:
 
     def estimator(self, **options: Any) -> Estimator:
         made = certified_estimator(
-            self.system.flow, self.R, self.start, CertifiedGain(self.K, self.X), settle_time=0.1,
-            uncertainty=self.system.uncertainty, adaptation=LEARNING, **options,
+            self.system.flow, self.R, self.start, self.K, self.X, settle_time=0.1,
+            uncertainty=self.system.uncertainty, **options,
         )  # fmt: skip
+        made.learn(self.system.uncertainty, **LEARNING)
         made.model["constants"] = list(BANK.values())
         if self.supervised:
             made.supervise(SupervisionOptions(disturbance_limit=1e9))
@@ -222,7 +218,7 @@ class Filter:
         std, _ = self._stationary()
         self.x = np.zeros(n + self.own)
         self.P = block_diag(plan.start, np.diag(std**2 * np.ones(self.own)))
-        self.theta, self.gamma = np.zeros(k), LEARNING.initial_std**2 * np.eye(k)  # type: ignore
+        self.theta, self.gamma = np.zeros(k), LEARNING["initial_std"] ** 2 * np.eye(k)
         self.upsilon, self.gram = np.zeros((n + self.own, k)), np.zeros((k, k))
         self.pending, self.anchor = np.zeros(k), np.zeros(k)
         self.significant, self.certified, self.corrected = False, False, False
@@ -271,7 +267,7 @@ class Filter:
         used = there & (~np.isfinite(price) | (said >= -0.5 * GATE**2 - 0.5 * np.log(level)))
         least = -price - 0.5 * np.log(level)
         said = np.where(there, np.maximum(said, least), 0.0)
-        adapt = moving and self.learning >= LEARNING.start
+        adapt = moving and self.learning >= LEARNING["start"]
         if not used.any():
             return float(said.sum())
         if self.certified and used.all():
@@ -354,14 +350,14 @@ class Filter:
 
     def _use_pending(self) -> None:
         evidence = float(self.pending @ np.linalg.solve(self.gamma, self.pending))
-        self.significant = self.significant or evidence > LEARNING.significance
+        self.significant = self.significant or evidence > LEARNING["significance"]
         if self.significant:
             self.x = self.x + self.upsilon @ self.pending
             self.theta, self.pending = self.theta + self.pending, np.zeros(self.plan.k)
 
     def _begin_pass(self) -> None:
         """Trust less what the last pass has moved, along wrong regressors."""
-        if self.pass_age > LEARNING.pass_time:
+        if self.pass_age > LEARNING["pass_time"]:
             self.passes, self.pass_age = self.passes + 1, 0.0
             for a, moved in enumerate(self.theta - self.anchor):
                 grown = self.gamma[a, a] + (BANK["CURVED"] * moved) ** 2
@@ -385,10 +381,10 @@ class Filter:
         self.corrected = False
         self.settling = max(0.0, self.settling - duration)
         self.learning += duration
-        self.pass_age += duration if self.learning >= LEARNING.start else 0.0
-        self.gram = (1.0 - duration / LEARNING.memory) * self.gram
+        self.pass_age += duration if self.learning >= LEARNING["start"] else 0.0
+        self.gram = (1.0 - duration / LEARNING["memory"]) * self.gram
         for a in range(self.plan.k):
-            grown = self.gamma[a, a] + duration * LEARNING.random_walk_density
+            grown = self.gamma[a, a] + duration * LEARNING["random_walk"]
             self.gamma[a, a] = min(grown, 0.3**2)
         if not serves and self.kind is Hypothesis.AS_DESIGNED and self.settling <= 0.0:
             self.certified = bool(np.linalg.eigvalsh(self.plan.X - self.P)[0] >= 0.0)
@@ -437,7 +433,7 @@ class Rest:
         self.plan, self.mean, self.spread = plan, np.zeros(plan.plant), np.zeros(plan.plant)
 
     def moves(self, of: Filter, scale: float) -> bool:
-        share = min(self.plan.T / 2.0, 1.0) if of.learning >= LEARNING.start else 1.0
+        share = min(self.plan.T / 2.0, 1.0) if of.learning >= LEARNING["start"] else 1.0
         off = of.x[: self.plan.plant] - self.mean
         self.mean = self.mean + share * off
         self.spread = (1.0 - share) * (self.spread + share * off**2)

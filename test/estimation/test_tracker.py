@@ -17,7 +17,7 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.options import TorqueLimits
 from tsobs_ros.estimation.records import REASONS, Estimate, Innovation, Measurement, RejectReason
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -41,7 +41,7 @@ def estimator() -> Estimator:
 
 def tracker(**options: Any) -> Tracker:
     """Return a new tracker of an observer."""
-    return Tracker(estimator(), TrackerOptions(x_max=X_MAX, **options))
+    return Tracker(estimator(), x_max=X_MAX, **options)
 
 
 RUN = simulate(SCENARIOS["noise"], [4], 3.0)
@@ -110,7 +110,7 @@ def test_late_samples_change_no_bit_while_hypotheses_compete(batch: int) -> None
     stamps = BEGIN + PERIOD * np.arange(count)
     results, seen = [], set()
     for order in (np.arange(count), np.arange(count).reshape(-1, 20)[:, ::-1].ravel()):
-        one = Tracker(ADAPTIVE.supervised(0.5), TrackerOptions(X_MAX))
+        one = Tracker(ADAPTIVE.supervised(0.5), x_max=X_MAX)
         for part in np.split(order, range(batch, count, batch)):
             one.offer_many(stamps[part], y[part], u[part], END)
             assert one.state is not None
@@ -118,7 +118,7 @@ def test_late_samples_change_no_bit_while_hypotheses_compete(batch: int) -> None
         results.append((probes(one), one.state.records.tobytes(), one.rejected))
     assert len(seen) > 8  # standing ones, and forks
     assert results[0] == results[1]
-    whole = Tracker(ADAPTIVE.supervised(0.5), TrackerOptions(X_MAX))
+    whole = Tracker(ADAPTIVE.supervised(0.5), x_max=X_MAX)
     rows = whole.follow(stamps, y, u)
     observed = ADAPTIVE.supervised(0.5).observe(y[np.newaxis], u[np.newaxis])
     for name in ("state", "state_bound"):
@@ -205,7 +205,7 @@ def test_enormous_numbers_never_give_an_estimate_that_is_not_finite(
     field: str, size: float
 ) -> None:
     # Without supervision: what overflows here is the observer itself.
-    enormous = Tracker(DESIGN.observer(), TrackerOptions(X_MAX))
+    enormous = Tracker(DESIGN.observer(), x_max=X_MAX)
     enormous.estimator.limit_torque(TorqueLimits.of(0.0, 0.0, 1.0))
     for k in range(120):
         measurement = sample(k)

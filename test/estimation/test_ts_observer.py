@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from tsobs_ros.design.file import load_request
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.estimation.options import AdaptationOptions
 from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.resources import config_path
 
@@ -103,10 +102,8 @@ def test_adaptation_finds_the_true_parameter(
     pendulum: Design, runge_kutta: Callable[..., Array]
 ) -> None:
     """Gravity differs by θ; the truth is the equation, both sensors are noisy, one has a bias."""
-    theta, observer = (
-        -0.15,
-        pendulum.observer(1.0, adapt=True, adaptation=AdaptationOptions(start=1.0)),
-    )
+    theta, observer = -0.15, pendulum.observer(1.0, adapt=True)
+    observer.learn(pendulum.request.uncertainty_model, start=1.0)
     assert pendulum.request.period == 0.01
     truth, y, u = swung(theta, 2500, runge_kutta)
     readout = observer.observe(y[np.newaxis], u[np.newaxis])

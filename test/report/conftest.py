@@ -16,7 +16,7 @@ from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.records import Basis, Hypothesis, Innovation, Measurement
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.replay.health import BASIS, CLAIMED, HYPOTHESIS
 from tsobs_ros.report.run import RecordedRun
 from tsobs_ros.series import Series
@@ -97,7 +97,7 @@ def unobserved() -> RecordedRun:
 @pytest.fixture(scope="session")
 def simulated(unobserved: RecordedRun, design: Design) -> RecordedRun:
     """The same with the certified observer's estimates."""
-    return observed(unobserved, Tracker(design.observer(), TrackerOptions(design.request.x_max)))
+    return observed(unobserved, Tracker(design.observer(), x_max=design.request.x_max))
 
 
 @pytest.fixture

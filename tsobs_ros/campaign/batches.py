@@ -18,7 +18,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.estimation.estimator import Estimator, Rows
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.report.metrics import SIGMAS, measure
@@ -86,14 +86,13 @@ def observe(
         ModelError: The method cannot observe this arm.
     """
     settings = settings or ObserverSettings()
-    # Nothing is late.
-    limits = TrackerOptions(
-        design.arm_request.max_angle,
-        history=0.0,
+    tracker = Tracker(
+        estimator or make_estimator(design, settings),
+        x_max=design.arm_request.max_angle,
+        history=0.0,  # nothing is late
         restart_after=settings.stale_after,
         max_steps=1,
     )
-    tracker = Tracker(estimator or make_estimator(design, settings), limits)
     rows, events = [], []
     for y, u in zip(runs.measurements, runs.torques, strict=True):
         tracker.reset()

@@ -15,12 +15,7 @@ from tsobs_ros.design.names import labelled
 from tsobs_ros.design.request import AnyRequest, ArmRequest
 from tsobs_ros.errors import ModelError, printable
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
-from tsobs_ros.estimation.options import (
-    AdaptationOptions,
-    CertifiedGain,
-    GainMode,
-    SupervisionOptions,
-)
+from tsobs_ros.estimation.options import GainMode, SupervisionOptions
 from tsobs_ros.model.matrices import inverse
 
 
@@ -138,7 +133,6 @@ class Design:
         torque_rate: float | None = None,
         *,
         adapt: bool = False,
-        adaptation: AdaptationOptions | None = None,
     ) -> Estimator:
         """Return the observer this design is for.
 
@@ -148,7 +142,6 @@ class Design:
             torque_rate: 1σ of the rate at which an arm's torque may move in a gap [N m/s]; by
                 default `TORQUE_RATE`, and 0 for a T–S system, which has no other.
             adapt: Whether to learn the parameters that the request calls uncertain.
-            adaptation: How fast it learns.
 
         Raises:
             ModelError: It is to learn, and the request calls nothing uncertain.
@@ -161,15 +154,17 @@ class Design:
             request.flow,
             request.measurement_covariance,
             request.initial_covariance,
-            CertifiedGain(self.K, self.covariance_bound, self.late_factor),
+            self.K,
+            self.covariance_bound,
+            late_factor=self.late_factor,
             settle_time=settle_time,
             gain_mode=gain_mode,
             torque_rate=request.default_torque_rate if torque_rate is None else torque_rate,
             uncertainty=uncertainty,
-            adaptation=adaptation,
-            covered=request.certify_uncertainty,
             domain=request.reach,
         )
+        if uncertainty is not None:
+            estimator.learn(uncertainty, covered=request.certify_uncertainty)
         if (limits := request.torque_limits()) is not None:
             estimator.limit_torque(limits)
         return estimator

@@ -27,14 +27,14 @@ is learnt from the first sample on, without limits; with Υ = ∂x/∂θ and the
 are those of θ as states, but for what it wanders. No observer here has a certificate.
 """
 
-import numpy as np
-from numpy.typing import ArrayLike
+from functools import partial
 
-from tsobs_ros.checks import Array, as_matrix, positive
+import numpy as np
+
+from tsobs_ros.checks import Array, positive
 from tsobs_ros.core import native
-from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, enter_adaptation, model_of
-from tsobs_ros.estimation.options import AdaptationOptions, TorqueLimits
+from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, riccati_estimator
+from tsobs_ros.estimation.options import TorqueLimits
 from tsobs_ros.estimation.state import Shape, new_model
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ArmFlow
@@ -63,8 +63,10 @@ def high_gain(
     period: float,
     measurement_std: float,
     torque: TorquePath = DIRECT,
+    *,
+    integral: bool = False,
 ) -> Estimator:
-    """Return the proportional high-gain observer (PO).
+    """Return the proportional high-gain observer (PO), or with an integral the PIO.
 
     Args:
         arm: The physical model.
@@ -72,29 +74,48 @@ def high_gain(
         period: Nominal sampling period [s].
         measurement_std: 1σ of a sample [rad], the only known part of an innovation's size.
         torque: How torques reach the motor.
+        integral: Whether the integral of the measurement is measured in its place.
 
     Raises:
         ModelError: A number is not finite and above zero.
     """
-    K = high_gain_matrix(arm, theta)
-    F = arm.spring_matrix - product(K, arm.output_matrix)
-    return _of_arm(arm, F, K, arm.input_matrix, theta, period, measurement_std, torque)
+    K, C, U = high_gain_matrix(arm, theta, integral=integral), arm.output_matrix, arm.input_matrix
+    F, Y = arm.spring_matrix - product(K[:4], C), K
+    if integral:
+        F = np.block([[arm.spring_matrix, K[1:]], [-C, -K[:1]]])
+        Y, U = np.eye(5)[:, 4:], np.vstack([U, [[0.0]]])
+    std = positive("measurement_std", measurement_std)
+    return integrated_estimator(
+        F[np.newaxis],
+        Y[np.newaxis],
+        U[np.newaxis],
+        np.eye(1, len(F)),
+        period=period,
+        max_step=_STEP_LIMIT / (theta * _POLE_RATIOS[len(F) - 1]),
+        scale=arm.to_physical(np.ones(4)),
+        measurement_covariance=np.array([[std * std]]),
+        gravity_gain=arm.gravity_gain,
+        torque=torque,
+    )
 
 
-def proportional_integral(
-    arm: ElasticJointArm,
-    theta: float,
-    period: float,
-    measurement_std: float,
-    torque: TorquePath = DIRECT,
-) -> Estimator:
-    """Return the proportional-integral observer (PIO); see `high_gain`."""
-    K = proportional_integral_matrix(arm, theta)
-    F, Y = np.zeros((5, 5)), np.zeros((5, 1))
-    F[:4, :4], F[:4, 4:] = arm.spring_matrix, K[1:]
-    F[4:, :4], F[4:, 4:], Y[4] = -arm.output_matrix, -K[:1], 1.0
-    U = np.vstack([arm.input_matrix, [[0.0]]])
-    return _of_arm(arm, F, Y, U, theta, period, measurement_std, torque)
+proportional_integral = partial(high_gain, integral=True)
+"""The proportional-integral observer (PIO)."""
+
+
+def high_gain_matrix(arm: ElasticJointArm, theta: float, *, integral: bool = False) -> Array:
+    """Return the gain K of a PO, shape (4, 1), or those of a PIO, K₀ and then K, shape (5, 1).
+
+    Ackermann's formula, K = Π (A − pᵢ I) O⁻¹ eₙ for the poles pᵢ: each state is the derivative of
+    the one before, up to those before that, so the observability matrix O has the last column eₙ.
+    """
+    A = arm.slope_matrix(1.0)
+    if integral:
+        A = np.block([[np.zeros((1, 1)), arm.output_matrix], [np.zeros((4, 1)), A]])
+    polynomial = np.eye(len(A))
+    for ratio in _POLE_RATIOS[: len(A)]:
+        polynomial = product(polynomial, A + positive("theta", theta) * ratio * np.eye(len(A)))
+    return polynomial[:, -1:]
 
 
 def extended_kalman(
@@ -118,33 +139,19 @@ def extended_kalman(
         ModelError: A matrix has the wrong shape, or the uncertainty is of another model.
     """
     covariances = (measurement_covariance, initial_covariance)
-    shape, model = model_of(flow, *covariances, uncertainty, auxiliary=False)
-    one = model[0]
-    one["gain_mode"], one["gate"] = native.GAIN_RICCATI, gate
-    if uncertainty is not None and shape.k:
-        at_once = AdaptationOptions(THETA_STD, THETA_WANDER, start=0.0, significance=0.0)
-        enter_adaptation(one, np.full(shape.k, np.inf), at_once, covered=False)
-        # θ, always valid, is learnt in one pass without curvature.
-        one["pass_time"], one["excitation"] = np.inf, -1.0
-        one["constants"][CONSTANTS["CURVED"]] = 0.0
-    estimator = Estimator(shape, model)
+    estimator = riccati_estimator(flow, *covariances, uncertainty)
+    estimator.model["gate"] = gate
+    if uncertainty is not None and uncertainty.count:
+        # θ, always valid, is learnt in one pass without curvature or limits.
+        estimator.learn(
+            uncertainty, initial_std=THETA_STD, random_walk=THETA_WANDER, start=0.0,
+            significance=0.0, pass_time=np.inf, excitation=-1.0,
+        )  # fmt: skip
+        estimator.model["limits"] = np.inf
+        estimator.model["constants"][0, CONSTANTS["CURVED"]] = 0.0
     if isinstance(flow, ArmFlow):  # a torque that is no number is held, any other one taken
         estimator.limit_torque(TorqueLimits(np.inf, np.inf, 0.0))
     return estimator
-
-
-def high_gain_matrix(arm: ElasticJointArm, theta: float) -> Array:
-    """Return the gain K of a PO, shape (4, 1)."""
-    poles = -positive("theta", theta) * np.array(_POLE_RATIOS[:4])
-    return place_single_output(arm.slope_matrix(1.0), arm.output_matrix, poles)[:, np.newaxis]
-
-
-def proportional_integral_matrix(arm: ElasticJointArm, theta: float) -> Array:
-    """Return the gains of a PIO, K₀ and then K, shape (5, 1)."""
-    A = np.zeros((5, 5))
-    A[:1, 1:], A[1:, 1:] = arm.output_matrix, arm.slope_matrix(1.0)
-    poles = -positive("theta", theta) * np.array(_POLE_RATIOS)
-    return place_single_output(A, np.eye(1, 5), poles)[:, np.newaxis]
 
 
 def integrated_estimator(
@@ -185,96 +192,24 @@ def integrated_estimator(
     shape = Shape(n, len(scale), p, U.shape[2])
     base = rule_base or RuleBase(((membership("always"),),))
     sizes = FlowSizes(n, shape.m, shape.m, p, 0, shape.plant, rules, base.premise_count)
-    flow = np.zeros(1, flow_type(sizes))
-    for name, number in {
-        **sizes._asdict(),
-        "kind": native.KIND_INTEGRATED,
-        "period": positive("period", period),
-        "max_step": max_step,
-        "gravity_gain": gravity_gain,
-    }.items():
-        flow[name] = number
     shapes, parameters = base.coded
-    for name, values in (
-        ("F", F),
-        ("Y", Y),
-        ("U", U),
-        ("shapes", shapes),
-        ("parameters", parameters),
-    ):
+    flow = np.zeros(1, flow_type(sizes))
+    for name, number in sizes._asdict().items():
+        flow[name] = number
+    flow["kind"], flow["period"] = native.KIND_INTEGRATED, positive("period", period)
+    flow["max_step"], flow["gravity_gain"] = max_step, gravity_gain
+    for name, values in {
+        "F": F, "Y": Y, "U": U, "shapes": shapes, "parameters": parameters,
+    }.items():  # fmt: skip
         fill_matrix(flow[0][name], values)
     model = new_model(shape, period, flow, torque=torque)
-    one = model[0]
     direct = np.zeros((p, p)) if D is None else D
-    for name, values in (("C", C), ("D", direct), ("R", measurement_covariance), ("scale", scale)):
-        fill_matrix(one[name], values)
-    if disturbance is not None:
-        fill_matrix(one["disturbance_map"], disturbance[0])
-        fill_matrix(one["disturbance_direct"], disturbance[1])
-    lacking = ("state_bound", "disturbance_bound", "disturbance_rate")
-    return Estimator(shape, model, lacking if disturbance else (*lacking, "disturbance"))
-
-
-def place_single_output(A: Array, C: Array, poles: ArrayLike) -> Array:
-    """Return K, shape (n,), such that A − K C has the given poles (Ackermann's formula).
-
-    Args:
-        A: State matrix, shape (n, n).
-        C: Output matrix of one output, shape (1, n).
-        poles: n real poles [1/s].
-
-    Raises:
-        ModelError: The output does not see every mode of A.
-    """
-    n = A.shape[0]
-    rows = [np.array(C, np.float64)]
-    for _ in range(n - 1):
-        rows.append(product(rows[-1], A))
-    observability = np.vstack(rows)
-    if np.linalg.matrix_rank(observability) < n:
-        raise ModelError(f"C: expected an output that sees all {n} modes of A, got {C.tolist()}")
-    polynomial = np.eye(n)
-    for pole in np.asarray(poles).tolist():
-        polynomial = product(polynomial, A - pole * np.eye(n))
-    return np.asarray(product(polynomial, _solution(observability))[:, 0])
-
-
-def _solution(matrix: Array) -> Array:
-    """Return the last column of a matrix's inverse, by Gauss elimination in fixed order."""
-    n = len(matrix)
-    rows = [[*row, 1.0 if i == n - 1 else 0.0] for i, row in enumerate(matrix.tolist())]
-    for column in range(n):
-        best = max(range(column, n), key=lambda row: abs(rows[row][column]))
-        rows[column], rows[best] = rows[best], rows[column]
-        pivot = rows[column][column]
-        for row in range(n):
-            if row != column:
-                share = rows[row][column] / pivot
-                rows[row] = [a - share * b for a, b in zip(rows[row], rows[column], strict=True)]
-    return np.array([[rows[i][n] / rows[i][i]] for i in range(n)])
-
-
-def _of_arm(
-    arm: ElasticJointArm,
-    F: Array,
-    Y: Array,
-    U: Array,
-    theta: float,
-    period: float,
-    measurement_std: float,
-    torque: TorquePath,
-) -> Estimator:
-    n, fastest = len(F), theta * _POLE_RATIOS[len(F) - 1]
-    std = positive("measurement_std", measurement_std)
-    return integrated_estimator(
-        F[np.newaxis],
-        Y[np.newaxis],
-        U[np.newaxis],
-        np.eye(1, n),
-        period=period,
-        max_step=_STEP_LIMIT / fastest,
-        scale=arm.to_physical(np.ones(4)),
-        measurement_covariance=as_matrix("R", [[std * std]], (1, 1)),
-        gravity_gain=arm.gravity_gain,
-        torque=torque,
-    )
+    matrices = {"C": C, "D": direct, "R": measurement_covariance, "scale": scale}
+    lacking: tuple[str, ...] = ("state_bound", "disturbance_bound", "disturbance_rate")
+    if disturbance is None:
+        lacking += ("disturbance",)
+    else:
+        matrices |= zip(("disturbance_map", "disturbance_direct"), disturbance, strict=True)
+    for name, values in matrices.items():
+        fill_matrix(model[0][name], values)
+    return Estimator(shape, model, lacking)

@@ -11,14 +11,8 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array, as_matrix, non_negative
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.options import (
-    AdaptationOptions,
-    CertifiedGain,
-    GainMode,
-    SupervisionOptions,
-    TorqueLimits,
-)
-from tsobs_ros.estimation.state import Shape, State, flow_of, new_model, numbers_of, types_of
+from tsobs_ros.estimation.options import GainMode, SupervisionOptions, TorqueLimits
+from tsobs_ros.estimation.state import Shape, State, new_model, numbers_of, types_of
 from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.matrices import congruent, inverse, joseph
@@ -61,11 +55,6 @@ class Estimator:
     `Design.observer` and `Design.supervised` make it for a design; `estimation.baselines` makes
     those to compare with.
 
-    Args:
-        shape: Sizes.
-        model: Model record, shape (1,).
-        lacking: Fields of an estimate that it has nothing for.
-
     Attributes:
         shape: Sizes.
         model: Model record, shape (1,).
@@ -78,7 +67,7 @@ class Estimator:
         self.shape, self.model, self.lacking = shape, model, lacking
         self._types = types_of(tuple(model["sizes"][0].tolist()))
         self._work = self.new_work()
-        full: Any = self._types.estimate
+        full = self._types["estimate"]
         nothing, fields = (np.float64, (0,)), [(name, *full.fields[name]) for name in full.names]
         rows: Any = {
             "names": full.names,
@@ -101,27 +90,66 @@ class Estimator:
     def supervise(self, options: SupervisionOptions) -> None:
         """Supervise from now on, or by other options than before."""
         model = self.model[0]
-        is_arm = flow_of(model)["kind"] == native.KIND_ARM
         for name, value in vars(options).items():
             model[name] = value
         model["supervised"] = 1
-        for i, row in enumerate(model["C"]):
-            if not (is_arm and (row[LINK_ANGLE] or row[MOTOR_ANGLE])):
-                # The limit is for angles; another output has a unit of its own.
-                model["disturbance_limit"][i] = math.inf
+        # The limit is for an arm's angles; another output has a unit of its own.
+        angles = model["C"][:, [LINK_ANGLE, MOTOR_ANGLE]].any(axis=1)
+        is_arm = model["flow"].view(np.int64)[0] == native.KIND_ARM
+        model["disturbance_limit"][~(angles & is_arm)] = math.inf
 
     def limit_torque(self, limits: TorqueLimits) -> None:
         """Use only plausible torques from now on."""
         for name, value in limits._asdict().items():
             self.model[f"torque_{name}"] = value
 
+    def learn(
+        self,
+        uncertainty: Uncertainty,
+        *,
+        covered: bool = False,
+        initial_std: ArrayLike | None = None,
+        random_walk: float = 1e-6,
+        start: float = 2.0,
+        significance: float = 25.0,
+        pass_time: float = 4.0,
+        memory: float = 10.0,
+        excitation: float = 400.0,
+    ) -> None:
+        """Learn the parameters that the estimator was made for, by these options from now on.
+
+        Args:
+            uncertainty: The parameters, whose bounds limit what is learnt.
+            covered: Whether the certificate holds for every θ within the bounds; if not, no bound
+                that depends on θ is called certified.
+            initial_std: 1σ of each θ before any measurement, that of an even draw from its range
+                if None; caps the gain ever after.
+            random_walk: Growth of each θ's variance, which keeps the gain alive [1/s].
+            start: Adaptation begins so long after a (re)start [s], when the innovations are not
+                one-sided any more.
+            significance: Parameters are used from when they differ from nominal ones by so much,
+                squared and relative to their covariance: 25 is 5σ. A nominal arm stays nominal.
+            pass_time: What was learnt far from the truth, along wrong regressors, is learnt again
+                after so long [s].
+            memory: Time constant of the measure of excitation [s].
+            excitation: Smallest eigenvalue of the excitation from which θ counts as valid.
+        """
+        one = self.model[0]
+        one["limits"], one["covered"] = uncertainty.limits, covered
+        std = uncertainty.limits / math.sqrt(3.0) if initial_std is None else initial_std
+        one["theta_deviation"] = std
+        one["significance"], one["pass_time"] = significance, pass_time
+        one["random_walk"], one["adaptation_start"] = random_walk, start
+        one["memory"], one["excitation"] = memory, excitation
+        one["initial"]["hypotheses"][0]["gamma"] = np.diag(one["theta_deviation"] ** 2)
+
     def new_work(self) -> Record:
         """Return a scratch record, for a thread of its own."""
-        return np.zeros(1, self._types.work)
+        return np.zeros(1, self._types["work"])
 
     def new_corrections(self, count: int = 1) -> Record:
         """Return records for the effects of samples."""
-        return np.zeros(count, self._types.correction)
+        return np.zeros(count, self._types["correction"])
 
     def new_rows(self, *shape: int) -> Array:
         """Return NaN for estimates, whose numbers are the last axis; see `as_rows`."""
@@ -134,11 +162,11 @@ class Estimator:
     def new_states(self, count: int) -> Record:
         """Return records of states before any measurement."""
         numbers = np.tile(self.model["initial"].reshape(1).view(np.float64), count)
-        return numbers.view(self._types.state)
+        return numbers.view(self._types["state"])
 
     def initial(self, batch: tuple[int, ...] = ()) -> State:
         """Return the state before any measurement: zero estimate, wide covariance."""
-        return State(self.new_states(int(np.prod(batch, dtype=int))), self.shape, batch)
+        return State(self.new_states(math.prod(batch)), self.shape, batch)
 
     def correct(self, state: State, y: ArrayLike) -> tuple[State, Correction]:
         """Use one measurement.
@@ -161,40 +189,25 @@ class Estimator:
         fields = (self.shape.trim(name, corrections[name]) for name in Correction._fields)
         return after, Correction(*(each.reshape(*state.batch, *each.shape[1:]) for each in fields))
 
-    def predict(self, state: State, u: ArrayLike, duration: float) -> State:
+    def predict(
+        self, state: State, u: ArrayLike, duration: float, *, between_samples: bool = False
+    ) -> State:
         """Predict to the next stamp.
 
         Args:
             state: Corrected, or not if the measurement is missing.
             u: Inputs held over the step, shape (..., m).
             duration: Time to the next stamp [s], at least 0.
+            between_samples: Whether the result is only read, and not stepped on: the certified
+                bound then serves the whole interval to the next regular sample.
 
         Raises:
             ModelError: The duration is negative or not finite, or the inputs have another shape.
         """
-        return self._predicted(state, u, duration, between_samples=False)
-
-    def extrapolate(self, state: State, u: ArrayLike, duration: float) -> State:
-        """Predict to a time between samples; the result is read and not stepped on.
-
-        As `predict`, except that the certified bound serves the whole interval to the next
-        regular sample.
-        """
-        return self._predicted(state, u, duration, between_samples=True)
-
-    def _predicted(
-        self, state: State, u: ArrayLike, duration: float, *, between_samples: bool
-    ) -> State:
         non_negative("duration", duration)
         after, inputs = state.copy(), as_rows("u", u, state.batch, (self.shape.m,))
-        native.estimator_predict(
-            numbers_of(self.model),
-            numbers_of(after.records),
-            inputs,
-            duration,
-            between_samples,
-            numbers_of(self._work),
-        )
+        given = inputs, duration, between_samples, numbers_of(self._work)
+        native.estimator_predict(numbers_of(self.model), numbers_of(after.records), *given)
         return after
 
     def readout(self, state: State) -> Any:
@@ -228,23 +241,16 @@ class Estimator:
             raise ModelError(
                 f"y: expected shape (runs, samples, {self.shape.p}), got {samples.shape}"
             )
-        inputs = as_rows("u", u, samples.shape[:1], (samples.shape[1], self.shape.m))
-        rows = self.new_rows(*samples.shape[:2])
+        runs, count = samples.shape[:2]
+        inputs = as_rows("u", u, (runs,), (count, self.shape.m))
         length = self.period if period is None else non_negative("period", period)
-        states = self.initial((len(samples),)) if start is None else start.copy()
-        if states.batch != (len(samples),):
-            raise ModelError(f"start: expected a batch of {(len(samples),)}, got {states.batch}")
-        native.estimator_observe(
-            numbers_of(self.model),
-            numbers_of(states.records),
-            samples,
-            inputs,
-            length,
-            samples.shape[1],
-            numbers_of(self.new_corrections()),
-            numbers_of(self.new_work()),
-            rows,
-        )
+        states = self.initial((runs,)) if start is None else start.copy()
+        if states.batch != (runs,):
+            raise ModelError(f"start: expected a batch of {(runs,)}, got {states.batch}")
+        rows, given = self.new_rows(runs, count), (samples, inputs, length, count)
+        scratch = numbers_of(self.new_corrections()), numbers_of(self.new_work())
+        model, records = numbers_of(self.model), numbers_of(states.records)
+        native.estimator_observe(model, records, *given, *scratch, rows)
         return self.as_rows(rows)
 
     def events(self, state: State) -> dict[str, int]:
@@ -259,92 +265,22 @@ class Estimator:
         }
 
 
-def certified_estimator(
+def riccati_estimator(
     flow: Flow,
     measurement_covariance: Array,
     initial_covariance: Array,
-    certified: CertifiedGain,
-    *,
-    settle_time: float = 5.0,
-    gain_mode: GainMode = GainMode.CERTIFIED,
-    torque_rate: float = 0.0,
     uncertainty: Uncertainty | None = None,
-    adaptation: AdaptationOptions | None = None,
-    covered: bool = False,
-    domain: Array | None = None,
+    *,
+    auxiliary: bool = False,
 ) -> Estimator:
-    """Return the estimator with a certified gain.
+    """Return the estimator whose gains are Riccati's, a Kalman filter along the estimate.
 
     Args:
         flow: Prediction model.
         measurement_covariance: R of one sample, shape (p, p).
         initial_covariance: Error covariance of the zero estimate before any sample, shape (n, n).
-        certified: The constant gain and its bound.
-        settle_time: Least duration of the Riccati phase [s].
-        gain_mode: Whether the certified gain ever takes over.
-        torque_rate: 1σ of the rate at which the torque may move in a gap, which is a step longer
-            than a regular one [N m/s]; 0: it is held.
-        uncertainty: Parameters to learn; none if None.
-        adaptation: How fast.
-        covered: Whether the certificate holds for every θ within the bounds; if not, no bound
-            that depends on θ is called certified.
-        domain: 1σ of the plant's states where nothing is known of them, in physical units, shape
-            (plant,); at least the initial one.
-
-    Raises:
-        ModelError: A matrix has the wrong shape, a number is negative, there is a torque rate for
-            a system that is no arm, or the uncertainty is of another model.
-    """
-    is_arm = isinstance(flow, ArmFlow)
-    if non_negative("torque_rate", torque_rate) and not is_arm:
-        raise ModelError(f"torque_rate: expected 0 for any system but an arm, got {torque_rate!r}")
-    covariances = (measurement_covariance, initial_covariance)
-    shape, model = model_of(flow, *covariances, uncertainty, auxiliary=True)
-    one, n, p = model[0], shape.n, shape.p
-    one["torque_rate"] = torque_rate
-    if isinstance(flow, ArmFlow):
-        share = one["constants"][CONSTANTS["FORCE_SHARE"]]
-        one["force"] = share * flow.arm.reference_torque
-    designed = one["initial"]["hypotheses"][0]
-    designed["settling"] = non_negative("settle_time", settle_time)
-    one["domain"] = np.sqrt(np.diag(initial_covariance)[: shape.plant])
-    if domain is not None:
-        one["domain"] = np.maximum(one["domain"], domain / np.abs(one["scale"]))
-    gain = certified._replace(
-        K=as_matrix("K", certified.K, (n, p)), X=as_matrix("X", certified.X, (n, n))
-    )
-    C, H, T = (one[name][:, :n] for name in ("C", "disturbance_map", "torque_map"))
-    X, K, R = gain.X, gain.K, one["R"]
-    one["late_factor"], one["gain_mode"] = gain.late, native.GAIN_RICCATI
-    if gain_mode is GainMode.CERTIFIED:
-        one["gain_mode"] = native.GAIN_CERTIFIED
-    for name, matrix in (
-        ("X", X),
-        ("K", K),
-        ("P", inverse(X)),
-        ("posterior", joseph(C, R, X, K)),
-        ("innovation_covariance", congruent(C, X, R)),
-        ("state_std", np.sqrt(X.diagonal())),
-        ("disturbance_std", np.sqrt(np.maximum(congruent(H, X).diagonal(), 0.0))),
-        ("torque_std", np.sqrt(np.maximum(congruent(T, X).diagonal(), 0.0))),
-    ):
-        fill_matrix(one[name], matrix)
-    if uncertainty is not None and shape.k:
-        enter_adaptation(one, uncertainty.limits, adaptation or AdaptationOptions(), covered)
-    return Estimator(shape, model)
-
-
-def model_of(
-    flow: Flow,
-    measurement_covariance: Array,
-    initial_covariance: Array,
-    uncertainty: Uncertainty | None,
-    *,
-    auxiliary: bool,
-) -> tuple[Shape, Record]:
-    """Return the sizes and the model record of a filter without its gain.
-
-    The arguments are those of `certified_estimator` and of `state.new_model`.
+        uncertainty: Parameters to learn, see `Estimator.learn`; none if None.
+        auxiliary: As of `new_model`.
 
     Raises:
         ModelError: A matrix has the wrong shape, or the uncertainty is of another model.
@@ -358,6 +294,7 @@ def model_of(
     record = flow_record(flow, uncertainty)
     model = new_model(shape, flow.period, record, auxiliary=auxiliary, torque=flow.torque_path)
     one = model[0]
+    one["gain_mode"] = native.GAIN_RICCATI
     one["shortest"] = (1.0 - PERIOD_TOLERANCE) * flow.period
     one["longest"] = (1.0 + PERIOD_TOLERANCE) * flow.period
     for name, values in (
@@ -371,18 +308,70 @@ def model_of(
     ):
         fill_matrix(one[name], values)
     fill_matrix(one["initial"]["hypotheses"][0]["covariance"], initial)
-    return shape, model
+    estimator = Estimator(shape, model)
+    if uncertainty is not None and k:
+        estimator.learn(uncertainty)
+    return estimator
 
 
-def enter_adaptation(model: Any, limits: Array, options: AdaptationOptions, covered: bool) -> None:
-    """Enter what is learnt, and how fast, into one model record."""
-    fill_matrix(model["limits"], limits)
-    model["covered"] = covered
-    std = limits / math.sqrt(3.0) if options.initial_std is None else options.initial_std
-    model["theta_deviation"] = std
-    model["significance"], model["pass_time"] = options.significance, options.pass_time
-    model["random_walk"] = options.random_walk_density
-    model["adaptation_start"], model["memory"] = options.start, options.memory
-    model["excitation"] = options.excitation
-    designed = model["initial"]["hypotheses"][0]
-    fill_matrix(designed["gamma"], np.diag(model["theta_deviation"] ** 2))
+def certified_estimator(
+    flow: Flow,
+    measurement_covariance: Array,
+    initial_covariance: Array,
+    K: Array,
+    X: Array,
+    *,
+    late_factor: float = math.nan,
+    settle_time: float = 5.0,
+    gain_mode: GainMode = GainMode.CERTIFIED,
+    torque_rate: float = 0.0,
+    uncertainty: Uncertainty | None = None,
+    domain: Array | None = None,
+) -> Estimator:
+    """Return the estimator with a certified gain; arguments are those of `riccati_estimator`, and
+
+    Args:
+        K: Filter gain, shape (n, p).
+        X: Bound that is proved for it on the error covariance before each sample, shape (n, n).
+        late_factor: Factor of the bound's root for a period from when the next sample is late; NaN
+            if none is known.
+        settle_time: Least duration of the Riccati phase [s].
+        gain_mode: Whether the certified gain ever takes over.
+        torque_rate: 1σ of the rate at which the torque may move in a gap, which is a step longer
+            than a regular one [N m/s]; 0: it is held.
+        domain: 1σ of the plant's states where nothing is known of them, in physical units, shape
+            (plant,); at least the initial one.
+
+    Raises:
+        ModelError: As `riccati_estimator`; a number is negative, or there is a torque rate for a
+            system that is no arm.
+    """
+    if non_negative("torque_rate", torque_rate) and not isinstance(flow, ArmFlow):
+        raise ModelError(f"torque_rate: expected 0 for any system but an arm, got {torque_rate!r}")
+    covariances = (measurement_covariance, initial_covariance)
+    estimator = riccati_estimator(flow, *covariances, uncertainty, auxiliary=True)
+    one, (n, plant, p, *_) = estimator.model[0], estimator.shape
+    one["torque_rate"], one["late_factor"] = torque_rate, late_factor
+    if isinstance(flow, ArmFlow):
+        share = one["constants"][CONSTANTS["FORCE_SHARE"]]
+        one["force"] = share * flow.arm.reference_torque
+    one["initial"]["hypotheses"][0]["settling"] = non_negative("settle_time", settle_time)
+    one["domain"] = np.sqrt(np.diag(initial_covariance)[:plant])
+    if domain is not None:
+        one["domain"] = np.maximum(one["domain"], domain / np.abs(one["scale"]))
+    if gain_mode is GainMode.CERTIFIED:
+        one["gain_mode"] = native.GAIN_CERTIFIED
+    K, X, R = as_matrix("K", K, (n, p)), as_matrix("X", X, (n, n)), one["R"]
+    C, H, T = (one[name][:, :n] for name in ("C", "disturbance_map", "torque_map"))
+    for name, matrix in (
+        ("X", X),
+        ("K", K),
+        ("P", inverse(X)),
+        ("posterior", joseph(C, R, X, K)),
+        ("innovation_covariance", congruent(C, X, R)),
+        ("state_std", np.sqrt(X.diagonal())),
+        ("disturbance_std", np.sqrt(np.maximum(congruent(H, X).diagonal(), 0.0))),
+        ("torque_std", np.sqrt(np.maximum(congruent(T, X).diagonal(), 0.0))),
+    ):
+        fill_matrix(one[name], matrix)
+    return estimator

@@ -18,7 +18,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.model.prediction import FlowSizes, Record, flow_type, scratch_size
+from tsobs_ros.model.prediction import FlowSizes, Record, scratch_size
 from tsobs_ros.model.torque_path import DIRECT, TorquePath
 
 
@@ -26,7 +26,7 @@ class Shape(NamedTuple):
     """Sizes of an estimator.
 
     Attributes:
-        n: Number of augmented states.
+        n: Number of augmented states; in records there is room for auxiliary ones behind them.
         plant: Number of the plant's states, the first of them.
         p: Number of outputs.
         m: Number of inputs and scheduled signals.
@@ -42,10 +42,7 @@ class Shape(NamedTuple):
     t: int = 0
 
     def trim(self, name: str, values: Any) -> Any:
-        """Return a field's numbers, shape (records, ...), of the n states only.
-
-        Behind them there is room for auxiliary ones.
-        """
+        """Return a field's numbers, shape (records, ...), of the n states only."""
         n, square = self.n, (self.n, self.n)
         wide = {"x": (n,), "upsilon": (self.k, n), "gain": (n, self.p)}
         wide |= dict.fromkeys(("covariance", "X", "P", "posterior"), square)
@@ -56,8 +53,7 @@ class State:
     """All that an estimator remembers, or a batch of such states; it is not changed by a step.
 
     The fields of core/estimator.h's state are attributes, those of its sensors with an axis of the
-    outputs, and those of its likeliest hypothesis; of a batch with the batch's axis in front. Two
-    states are equal if their bytes are.
+    outputs, and those of its likeliest hypothesis; of a batch with the batch's axis in front.
 
     Attributes:
         records: The records, shape (1,) for a single state.
@@ -68,9 +64,7 @@ class State:
     __slots__ = ("batch", "records", "shape")
 
     def __init__(self, state_records: Record, shape: Shape, batch: tuple[int, ...] = ()) -> None:
-        self.records = state_records
-        self.shape = shape
-        self.batch = batch
+        self.records, self.shape, self.batch = state_records, shape, batch
 
     def __getattr__(self, name: str) -> Any:
         if name in State.__slots__:  # of a copy that is still being made
@@ -121,23 +115,14 @@ def copy_records(source: Record) -> Record:
     return numbers_of(source).copy().view(source.dtype)
 
 
-class Types(NamedTuple):
-    """Types of an estimator's records, with the names of core/estimator.h."""
-
-    state: "np.dtype[Any]"
-    correction: "np.dtype[Any]"
-    estimate: "np.dtype[Any]"
-    work: "np.dtype[Any]"
-    model: "np.dtype[Any]"
-
-
 @cache
-def types_of(sizes: tuple[int, ...]) -> Types:
-    """Return the types of records with the sizes in a model record; its flow is plain numbers."""
-    sensor, hypothesis = (record_type(name, sizes) for name in ("sensor", "hypothesis"))
-    state = record_type("state", sizes, {"sensors": sensor, "hypotheses": hypothesis})
-    others = {name: record_type(name, sizes) for name in ("correction", "estimate", "work")}
-    return Types(state=state, **others, model=record_type("model", sizes, {"initial": state}))
+def types_of(sizes: tuple[int, ...]) -> dict[str, Any]:
+    """Return the types of records with the sizes in a model record, by their names in the core."""
+    names = ("sensor", "hypothesis", "correction", "estimate", "work")
+    types = {name: record_type(name, sizes) for name in names}
+    inner = {"sensors": types["sensor"], "hypotheses": types["hypothesis"]}
+    types["state"] = record_type("state", sizes, inner)
+    return types | {"model": record_type("model", sizes, {"initial": types["state"]})}
 
 
 def new_model(
@@ -148,7 +133,7 @@ def new_model(
     auxiliary: bool = False,
     torque: TorquePath = DIRECT,
 ) -> Record:
-    """Return a model record with sizes, flow and a period, whose other numbers are zero.
+    """Return a model record, shape (1,), with sizes, flow and period; the rest is zero.
 
     Args:
         shape: Sizes of the estimator.
@@ -157,9 +142,6 @@ def new_model(
         auxiliary: Whether there are states of an unknown torque and of parts of the outputs, and
             other hypotheses than the design.
         torque: How torques reach the motor of an arm.
-
-    Returns:
-        The model record, shape (1,).
     """
     n, plant, p, m, k, t = shape
     sizes = (
@@ -168,7 +150,7 @@ def new_model(
         flow.dtype.itemsize // 8,
         scratch_size(FlowSizes(*(int(flow[name][0]) for name in FlowSizes._fields))),
     )  # fmt: skip
-    model = np.zeros(1, types_of(sizes).model)
+    model = np.zeros(1, types_of(sizes)["model"])
     model["sizes"], model["flow"][0] = sizes, flow.view(np.float64)
     model["period"], model["gate"] = period, np.inf
     for name, value in asdict(torque).items():
@@ -183,10 +165,3 @@ def new_model(
     designed["live"], designed["cause"] = 1, Basis.STARTING
     designed["inlier"] = designed["nis"] = 1.0
     return model
-
-
-def flow_of(model: Any) -> Any:
-    """Return the record of the design's flow in one model record; its sizes follow its kind."""
-    numbers = model["flow"]
-    sizes = numbers[1 : 1 + len(FlowSizes._fields)].view(np.int64)
-    return numbers.view(flow_type(FlowSizes(*sizes.tolist())))[0]

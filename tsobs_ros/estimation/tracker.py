@@ -11,13 +11,12 @@ one pass over the ring. core/history.c does it.
 
 import math
 from collections import Counter
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tsobs_ros.checks import Array, check_each, non_negative, positive
+from tsobs_ros.checks import Array, non_negative, positive
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
@@ -48,33 +47,6 @@ _LONGEST = 2**61
 """Longest time that is told from a longer one, so that no sum of stamps overflows [ns]."""
 
 
-@dataclass(frozen=True)
-class TrackerOptions:
-    """Limits of a tracker.
-
-    Attributes:
-        x_max: Half width of the certificate's domain of the first state; infinite if the domain is
-            no interval of it, as a T–S system's.
-        history: How far back a late measurement may reach [s].
-        future_tolerance: How far ahead of `now` a stamp may lie [s].
-        restart_after: A gap in the measurements longer than this restarts the estimator [s]; no
-            estimate is given further than this from a measurement.
-        max_steps: Largest number of measurements in the history, however dense their stamps.
-    """
-
-    x_max: float = math.inf
-    history: float = 0.5
-    future_tolerance: float = 0.1
-    restart_after: float = 5.0
-    max_steps: int = 1024
-
-    def __post_init__(self) -> None:
-        if self.x_max != math.inf:
-            positive("x_max", self.x_max)
-        check_each(positive, self, "restart_after", "max_steps")
-        check_each(non_negative, self, "history", "future_tolerance")
-
-
 class Outcomes(NamedTuple):
     """The outcomes of N measurements.
 
@@ -92,52 +64,64 @@ class Outcomes(NamedTuple):
 
 
 class Tracker:
-    """Runs an estimator over measurements in the order of their stamps.
+    """Runs an estimator over measurements in the order of their stamps; see `make_tracker`.
+
+    Args:
+        estimator: The step functions.
+        x_max: Half width of the certificate's domain of the first state; infinite if the domain is
+            no interval of it, as a T–S system's.
+        history: How far back a late measurement may reach [s].
+        future_tolerance: How far ahead of `now` a stamp may lie [s].
+        restart_after: A gap in the measurements longer than this restarts the estimator [s]; no
+            estimate is given further than this from a measurement.
+        max_steps: Largest number of measurements in the history, however dense their stamps.
 
     Attributes:
         estimator: The step functions.
-        options: Limits.
         memory: Counts, limits and places in the ring, a record that core/history.h describes,
             shape (1,).
         ring: States after the last measurements.
+
+    Raises:
+        ModelError: A limit is negative or not finite.
     """
 
-    def __init__(self, estimator: Estimator, options: TrackerOptions) -> None:
+    def __init__(
+        self,
+        estimator: Estimator,
+        *,
+        x_max: float = math.inf,
+        history: float = 0.5,
+        future_tolerance: float = 0.1,
+        restart_after: float = 5.0,
+        max_steps: int = 1024,
+    ) -> None:
         self.estimator = estimator
-        self.options = options
         self.memory: Record = np.zeros(1, _MEMORY)
-        slots = options.max_steps + 2 + _SPARE
+        for name, seconds in (
+            ("span", non_negative("history", history)),
+            ("future", non_negative("future_tolerance", future_tolerance)),
+            ("restart_after", positive("restart_after", restart_after)),
+        ):
+            self.memory[name] = round(min(seconds * NANOSECONDS, _LONGEST))
+        self.memory["max_steps"] = positive("max_steps", max_steps)
+        self.memory["x_max"] = x_max if x_max == math.inf else positive("x_max", x_max)
+        self._unused = self.memory.copy()
+        slots = max_steps + 2 + _SPARE
         self.ring: Record = np.zeros(slots, estimator.new_states(0).dtype)
         model = numbers_of(estimator.model)
         scratch = np.zeros(native.history_scratch_size(model, slots))
         self._records = model, numbers_of(self.memory), numbers_of(self.ring), scratch
-        shape = estimator.shape
-        self._one = (
-            np.zeros(1, np.int64),
-            np.zeros((1, shape.p)),
-            np.zeros((1, shape.m)),
-            np.zeros(1, np.int64),
-            np.zeros((1, shape.p), np.int64),
-        )
         fields = [estimator.row_type.fields[name] for name in estimator.row_type.names]
         self._vectors = [
             slice(place // 8, place // 8 + of.shape[0]) for of, place in fields if of.shape
         ]
         self._width = estimator.row_type.itemsize // 8
         self._scalars = slice(len(self._vectors) - len(fields), None)
-        self.reset()
 
     def reset(self) -> None:
         """Forget everything; afterwards the tracker is as a new one."""
-        self.memory[:] = np.zeros(1, self.memory.dtype)
-        options, memory = self.options, self.memory[0]
-        for name, seconds in (
-            ("span", options.history),
-            ("future", options.future_tolerance),
-            ("restart_after", options.restart_after),
-        ):
-            memory[name] = round(min(seconds * NANOSECONDS, _LONGEST))
-        memory["max_steps"], memory["x_max"] = options.max_steps, options.x_max
+        self.memory[:] = self._unused
 
     def forget(self) -> None:
         """Forget all measurements, but not the counts."""
@@ -147,29 +131,34 @@ class Tracker:
             self.memory[name] = 0
 
     @property
-    def _place(self) -> int:
-        """Where the newest state is in the ring, if there is one."""
+    def _last(self) -> Any:
+        """The newest state, shape (1,), None before the first."""
         memory = self.memory[0]
-        return int((memory["first"] + memory["length"] - 1) % (len(self.ring) - _SPARE))
+        if not memory["length"]:
+            return None
+        place = int((memory["first"] + memory["length"] - 1) % (len(self.ring) - _SPARE))
+        return self.ring[place : place + 1]
+
+    def _count(self, name: str) -> int:
+        """Return a count of the newest state."""
+        return 0 if self._last is None else int(self._last[name][0])
 
     @property
-    def _last(self) -> Any:
-        """The newest state, None before the first."""
-        return self.ring[self._place] if self.memory["length"][0] else None
+    def _judged(self) -> list[int]:
+        """Numbers of measurements that the estimator itself refused, in part at least, by code."""
+        last = self._last
+        return [0] * len(REASONS) if last is None else last["judged"][0].tolist()
 
     @property
     def newest(self) -> int | None:
         """Stamp of the newest measurement in use [ns], None before the first."""
-        last = self._last
-        return None if last is None else int(last["stamp"])
+        return None if self._last is None else self._count("stamp")
 
     @property
     def state(self) -> State | None:
         """The state after the newest measurement, None before the first."""
-        if self._last is None:
-            return None
-        newest = self.ring[self._place : self._place + 1]
-        return State(copy_records(newest), self.estimator.shape)
+        last = self._last
+        return None if last is None else State(copy_records(last), self.estimator.shape)
 
     @property
     def used(self) -> int:
@@ -189,25 +178,14 @@ class Tracker:
         return int(self.memory["rewinds"][0])
 
     @property
-    def forgotten(self) -> int:
-        """Number of measurements that left the history early because it was full.
-
-        Those that are older yet are then too old.
-        """
-        return int(self.memory["forgotten"][0])
-
-    @property
     def restarts(self) -> int:
         """Number of restarts after a gap or a numerical failure."""
-        last = self._last
-        return 0 if last is None else int(last["restarts"])
+        return self._count("restarts")
 
     @property
     def failures(self) -> int:
         """Number of numerical failures: states or outputs that were not finite."""
-        last = self._last
-        inner = 0 if last is None else int(last["failures"])
-        return int(self.memory["bad_outputs"][0]) + inner
+        return int(self.memory["bad_outputs"][0]) + self._count("failures")
 
     @property
     def events(self) -> dict[str, int]:
@@ -218,13 +196,10 @@ class Tracker:
     @property
     def output_counts(self) -> tuple[dict[str, int], ...]:
         """Numbers of samples of each output that were gated, and that were missing."""
-        last = self._last
+        names, last = ("gated", "missing"), self._last
         if last is None:
-            return ({"gated": 0, "missing": 0},) * self.estimator.shape.p
-        sensors = last["sensors"][: self.estimator.shape.p]
-        return tuple(
-            {"gated": int(each["gated"]), "missing": int(each["missing"])} for each in sensors
-        )
+            return (dict.fromkeys(names, 0),) * self.estimator.shape.p
+        return tuple({name: int(each[name]) for name in names} for each in last["sensors"][0])
 
     def reject(self, reason: RejectReason, count: int = 1) -> None:
         """Count measurements that the caller could not even read."""
@@ -241,15 +216,8 @@ class Tracker:
             Its innovation, or the reason of its rejection, which has been counted.
         """
         stamp, y, u = measurement
-        stamps, sample, inputs, codes, output_codes = self._one
-        if np.shape(y) != sample.shape[1:] or np.shape(u) != inputs.shape[1:]:
-            self._prepared([stamp], [y], [u])  # names what is wrong
-        # Arrays that are kept: making them would take longer than the estimator does.
-        stamps[0], sample[0], inputs[0], codes[0] = stamp, y, u, 0
-        innovation, expected_std = np.empty(sample.shape), np.empty(sample.shape)
-        self.offer_into(stamps, sample, inputs, now, codes, output_codes, innovation, expected_std)
-        reason = REASONS[codes.item()]
-        return reason or Innovation(stamp, innovation[0], expected_std[0])
+        codes, _, innovations, expected_std = self.offer_many([stamp], [y], [u], now)
+        return REASONS[codes.item()] or Innovation(stamp, innovations[0], expected_std[0])
 
     def offer_many(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike, now: int) -> Outcomes:
         """Use measurements in the order of their stamps, or refuse them.
@@ -266,20 +234,15 @@ class Tracker:
         Raises:
             ModelError: The arrays have other shapes.
         """
-        times, samples, inputs = self._prepared(stamps, y, u)
-        count, p = samples.shape
-        outcomes = Outcomes(
-            np.zeros(count, np.int64),
-            np.zeros((count, p), np.int64),
-            np.empty((count, p)),
-            np.empty((count, p)),
-        )
-        ascending = count < 2 or bool((times[1:] >= times[:-1]).all())
-        if not ascending:
+        times, samples, inputs = self._checked(stamps, y, u)
+        (count, p), order = samples.shape, None
+        if count > 1 and (times[1:] < times[:-1]).any():
             order = np.argsort(times, kind="stable")
             times, samples, inputs = times[order], samples[order], inputs[order]
-        self.offer_into(times, samples, inputs, now, *outcomes)
-        if not ascending:
+        codes, output_codes = np.zeros(count, np.int64), np.zeros((count, p), np.int64)
+        outcomes = Outcomes(codes, output_codes, np.empty((count, p)), np.empty((count, p)))
+        native.history_offer(*self._records, times, samples, inputs, now, *outcomes)
+        if order is not None:
             for each in outcomes:
                 each[order] = each.copy()
         return outcomes
@@ -300,7 +263,7 @@ class Tracker:
         Raises:
             ModelError: The arrays have other shapes, or the stamps do not ascend.
         """
-        times, samples, inputs = self._prepared(stamps, y, u)
+        times, samples, inputs = self._checked(stamps, y, u)
         after = self.newest or 0
         if not (np.diff(times, prepend=after) > 0).all():
             raise ModelError(f"stamps: expected them to ascend from {after} ns on")
@@ -314,32 +277,19 @@ class Tracker:
         rows[there == 0] = np.nan
         return self.estimator.as_rows(rows)
 
-    def offer_into(self, *arguments: Any) -> None:
-        """Use arrays of measurements as they are, or refuse them, and write what becomes of them.
-
-        Args:
-            arguments: Stamps, in any order [ns], shape (N,), y, shape (N, p), u, shape (N, m), the
-                time on the clock of the stamps [ns], and the arrays of `Outcomes`.
-
-        Raises:
-            ValueError: An array is too short.
-        """
-        native.history_offer(*self._records, *arguments)
-
     def advance(self, *arguments: Any) -> None:
         """Offer measurements, and estimate at ticks, without other threads waiting.
 
-        See `advance` of core/history.h.
-
         Args:
-            arguments: As of `offer_into` but for the time; of the ticks stamps and times on the
-                clock [ns], numbers of samples before each, newest stamps in use, whether there are
-                estimates, and rows; and the age of the newest sample from which on there are none
-                [ns].
+            arguments: Those of `advance` of core/history.h: stamps, y and u of the measurements and
+                arrays for their `Outcomes`; stamps of the ticks, times on their clock [ns], numbers
+                of samples before each, and arrays for newest stamps in use, whether there are
+                estimates, and their rows; and the age of the newest sample from which on there are
+                none [ns].
         """
         native.history_advance(*self._records, *arguments)
 
-    def _prepared(
+    def _checked(
         self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike
     ) -> tuple[NDArray[np.int64], Array, Array]:
         shape, times = self.estimator.shape, np.array(stamps, np.int64)
@@ -373,9 +323,3 @@ class Tracker:
                 _HYPOTHESES[int(hypothesis)], in_domain != 0.0, age,
             )
         )  # fmt: skip
-
-    @property
-    def _judged(self) -> list[int]:
-        """Numbers of measurements that the estimator itself refused, in part at least, by code."""
-        last = self._last
-        return [0] * len(REASONS) if last is None else last["judged"].tolist()

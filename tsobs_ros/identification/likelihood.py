@@ -23,7 +23,7 @@ import numpy as np
 
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.core import native
-from tsobs_ros.estimation.estimator import model_of
+from tsobs_ros.estimation.estimator import riccati_estimator
 from tsobs_ros.identification.joint import (
     DELAY,
     OFFSET,
@@ -108,7 +108,8 @@ def innovations(
     """
     request = joint.request
     covariances = (request.measurement_covariance, request.initial_covariance)
-    shape, model = model_of(request.flow, *covariances, None, auxiliary=False)
+    estimator = riccati_estimator(request.flow, *covariances)
+    shape, model = estimator.shape, estimator.model
     scale = request.arm.to_physical(np.ones(4))
     for place, delay in enumerate(joint.of_outputs("delay")):
         if delay:

@@ -28,6 +28,7 @@ from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.design.signals import Place
 from tsobs_ros.estimation.records import Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.methods import make_tracker
 from tsobs_ros.nodes.observer import Observer
 from tsobs_ros.nodes.wire import DrainedSubscription
 from tsobs_ros.series import NANOSECONDS
@@ -323,7 +324,9 @@ class Stage:
 
 def tracker_of(observer: Observer) -> Tracker:
     """Return a new tracker like the observer's."""
-    return Tracker(observer.joints[0].tracker.estimator, observer.joints[0].tracker.options)
+    joint = observer.joints[0]
+    settings = observer.parameters.settings
+    return make_tracker(joint.loaded.design, settings, joint.tracker.estimator)
 
 
 def replayed(watcher: Watcher, observer: Observer, sent: Iterable[Event]) -> int:
