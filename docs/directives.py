@@ -21,7 +21,7 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.util.logging import getLogger
 
 from tsobs_ros.cli.main import main
-from tsobs_ros.settings import describe
+from tsobs_ros.settings import described, in_yaml
 
 _LOG = getLogger(__name__)
 
@@ -62,9 +62,10 @@ def _described(text: str) -> Iterator[str]:
 
 def _parameters(make: type) -> Iterator[str]:
     yield from ("| parameter | type, default | accepted | |", "|---|---|---|---|")
-    for name, kind, default, accepted, description in describe(make):
-        limits = accepted.replace("; ", ", ")
-        cells = (f"`{name}`", f"{kind.replace('_', ' ')}, `{default}`", limits, description)
+    for each in described(make):
+        kind = f"{each.kind.replace('_', ' ')}, `{in_yaml(each.default)}`"
+        limits = ", ".join(filter(None, [each.limits, "" if each.live else "read-only"]))
+        cells = (f"`{each.name}`", kind, limits, each.description)
         yield f"| {' | '.join(each.replace('|', chr(92) + '|') for each in cells)} |"
 
 

@@ -74,9 +74,10 @@ class ObserverSettings:
         minimum=0.1,
         maximum=100.0,
     )
-    gain_mode: GainMode = setting(
-        GainMode.CERTIFIED,
+    gain_mode: str = setting(
+        "certified",
         "Gain once settled: the constant certified one, or the Riccati gain throughout",
+        choices=tuple(each.value for each in GainMode),
     )
     settle_time: float = setting(
         5.0, "Least time with Riccati gains after a start", unit="s", minimum=0.0, maximum=600.0
@@ -224,7 +225,7 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
     if method == "certified":
         estimator = design.supervised(
             settings.settle_time,
-            settings.gain_mode,
+            GainMode(settings.gain_mode),
             settings.adapt,
             settings.torque_rate if is_arm else None,
             settings.supervision,

@@ -17,12 +17,13 @@ The full name of the amplitude is then "bias_step.amplitude". A ``__post_init__`
 ParameterError or ModelError checks fields against each other.
 """
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
-from enum import Enum
+from contextlib import suppress
+from dataclasses import Field, dataclass, field, fields, replace
 from numbers import Integral
-from typing import Any, TypeVar, cast, get_args, get_type_hints
+from typing import Any, TypeVar, get_args, get_type_hints
 
 from tsobs_ros.errors import ModelError, ParameterError
 
@@ -33,7 +34,7 @@ _KEY = "tsobs_ros.setting"
 _TYPES: Mapping[type, tuple[str, str, str]] = {
     bool: ("bool", "true or false", "booleans"),
     int: ("integer", "an integer", "integers"),
-    float: ("double", "a number", "numbers"),
+    float: ("double", "a finite number", "numbers"),
     str: ("string", "a string", "strings"),
 }
 
@@ -52,9 +53,8 @@ class Setting:
         live: Whether the value may be changed while a node runs.
         hidden: Whether help and reference leave it out, as users can hardly choose it.
         name: Its full name.
-        element: Its type as a user gives it, or that of an element: bool, int, float or str.
+        type: Its type, or that of an element: bool, int, float or str.
         is_array: Whether it is a tuple.
-        make: Its type, or that of an element, which may be an enum.
     """
 
     default: Any
@@ -66,24 +66,20 @@ class Setting:
     live: bool = False
     hidden: bool = False
     name: str = ""
-    element: type = str
+    type: Any = str
     is_array: bool = False
-    make: type = str
 
     @property
     def kind(self) -> str:
         """The name of the type in ROS, such as "double_array"."""
-        return _TYPES[self.element][0] + "_array" * self.is_array
+        return _TYPES[self.type][0] + "_array" * self.is_array
 
     @property
-    def limits(self) -> tuple[str, ...]:
+    def limits(self) -> str:
         """What is accepted, in words."""
-        low, high = self.minimum, self.maximum
-        return (
-            *([] if low is None else [f"at least {low}"]),
-            *([] if high is None else [f"at most {high}"]),
-            *([f"one of: {', '.join(map(str, self.choices))}"] if self.choices else []),
-        )
+        ends = (("at least", self.minimum), ("at most", self.maximum))
+        limits = [f"{words} {end}" for words, end in ends if end is not None]
+        return f"one of: {', '.join(self.choices)}" if self.choices else " and ".join(limits)
 
     @property
     def description(self) -> str:
@@ -97,61 +93,54 @@ class Setting:
             ParameterError: It is of another type, not finite or out of range.
         """
         if not self.is_array:
-            return self._element(value)
-        if value is None:  # rcl hands `name: []` over like this
-            return ()
-        if isinstance(value, str | bytes) or not hasattr(value, "__len__"):
-            raise self._wrong_type(value)
-        return tuple(self._element(item) for item in list(value))
-
-    def parsed(self, value: Any) -> Any:
-        """Return a value, or its text as on the command line, in the setting's type."""
-        if isinstance(value, str) and not self.is_array and self.element in (bool, int, float):
-            text = value.strip()
-            try:
-                words = {"true": True, "false": False}
-                value = words[text.lower()] if self.element is bool else self.element(text)
-            except (KeyError, ValueError):
-                raise self._wrong_type(value) from None
-        return self.converted(value)
-
-    def _element(self, value: Any) -> Any:
-        low, high, kind = self.minimum, self.maximum, cast(Any, self.element)
-        if isinstance(value, self.make) and isinstance(value, Enum):
-            value = value.value
-        if isinstance(value, bool) != (kind is bool):
-            raise self._wrong_type(value)
-        if kind in (int, float) and isinstance(value, Integral):
-            value = kind(value)
-        if not isinstance(value, kind):
-            raise self._wrong_type(value)
-        if isinstance(value, float) and not math.isfinite(value):
-            accepted, limits = False, "finite"
+            elements: tuple[Any, ...] = (self._accepted(value),)
+        elif value is None:  # rcl hands `name: []` over like this
+            elements = ()
+        elif isinstance(value, str | bytes) or not hasattr(value, "__len__"):
+            elements = (None,)
         else:
-            accepted = (low is None or value >= low) and (high is None or value <= high)
-            accepted &= not self.choices or value in self.choices
-            limits = " and ".join(self.limits)
-        if not accepted:
-            each = "each element of " if self.is_array else ""
-            unit = f" {self.unit}" if self.unit else ""
-            raise ParameterError(
-                f"{each}parameter '{self.name}' must be {limits}{unit}, got {in_yaml(value)}"
-            )
-        return self.make(value)
-
-    def _wrong_type(self, value: Any) -> ParameterError:
+            elements = tuple(map(self._accepted, list(value)))
+        if None not in elements:
+            return elements if self.is_array else elements[0]
+        _, one, several = _TYPES[self.type]
+        expected = f"a list of {several}" if self.is_array else one
+        if self.limits:
+            each = ", each " if self.is_array else " of "
+            expected = self.limits if self.choices else f"{expected}{each}{self.limits}"
+        unit = f" {self.unit}" if self.unit else ""
         hint = ""
         if self.is_array and isinstance(value, str) and value.lstrip().startswith("["):
             # ros2cli sends a list of mixed types as a string, and rcl refuses it in YAML.
             hint = "; lists must not mix types: write every number with a decimal point"
-        _, one, several = _TYPES[self.element]
-        expected = f"a list of {several}" if self.is_array else one
-        got = "nothing" if value is None else in_yaml(value)
-        return ParameterError(f"parameter '{self.name}': expected {expected}, got {got}{hint}")
+        raise ParameterError(
+            f"parameter '{self.name}': expected {expected}{unit}, got {in_yaml(value)}{hint}"
+        )
+
+    def parsed(self, value: Any) -> Any:
+        """Return a value, or its text as on the command line, in the setting's type."""
+        if isinstance(value, str) and not self.is_array:
+            with suppress(KeyError, ValueError):
+                words = {"true": True, "false": False}
+                value = words[value.lower()] if self.type is bool else self.type(value)
+        return self.converted(value)
+
+    def _accepted(self, value: Any) -> Any:
+        """Return a value in the type of a setting or of its elements; None if it is refused."""
+        if isinstance(value, bool) != (self.type is bool):
+            return None
+        if self.type in (int, float) and isinstance(value, Integral):
+            value = self.type(value)
+        if not isinstance(value, self.type) or (self.type is float and not math.isfinite(value)):
+            return None
+        if (self.minimum is not None and value < self.minimum) or (
+            self.maximum is not None and value > self.maximum
+        ):
+            return None
+        return self.type(value) if not self.choices or value in self.choices else None
 
 
 def setting(default: T, description: str, **rules: Any) -> T:
-    """Declare a dataclass field as a setting, of type bool, int, float, str, an enum or tuples.
+    """Declare a dataclass field as a setting, of type bool, int, float, str or tuples of these.
 
     Args:
         default: Value if the user gives none.
@@ -213,35 +202,25 @@ class Schema:
 
     Attributes:
         entries: The settings by their full names, in the order of the fields.
-
-    Raises:
-        TypeError: A field is none of a setting or of a type that none has.
     """
 
     def __init__(
         self, make: Any, members: Mapping[str, Field[Any]] | None = None, prefix: str = ""
     ) -> None:
-        if not (isinstance(make, type) and is_dataclass(make)):
-            raise TypeError(f"{make!r} is not a dataclass of settings")
         self.entries: dict[str, Setting] = {}
         self._make, self._prefix = make, prefix
         self._parts: dict[str, Schema | Setting] = {}
         hints = get_type_hints(make)
         for name, item in (members or {item.name: item for item in fields(make)}).items():
-            hint, own, full_name = hints[name], item.metadata.get(_KEY), f"{prefix}{name}"
+            hint, own, full_name = hints[name], item.metadata[_KEY], f"{prefix}{name}"
             if isinstance(own, dict):
                 group = Schema(hint, own, f"{full_name}.")
                 self._parts[name] = group
                 self.entries |= group.entries
-                continue
-            kind = (get_args(hint) or (hint,))[0]
-            if own is None or not issubclass(kind, (*_TYPES, Enum)):
-                raise TypeError(f"{make.__name__}.{name}: {hint} is not a setting")
-            found = {"name": full_name, "make": kind, "element": kind, "is_array": hint is not kind}
-            if issubclass(kind, Enum):
-                choices = own.choices or tuple(each.value for each in kind)
-                found |= {"element": str, "choices": choices}
-            self._parts[name] = self.entries[full_name] = replace(own, **found)
+            else:
+                kind = (get_args(hint) or (hint,))[0]
+                entry = replace(own, name=full_name, type=kind, is_array=hint is not kind)
+                self._parts[name] = self.entries[full_name] = entry
 
     def build(self, values: Mapping[str, Any]) -> Any:
         """Return the dataclass made of values by their full names.
@@ -306,33 +285,18 @@ def changed(record: T, values: Mapping[str, Any]) -> T:
     return built
 
 
-def describe(make: type) -> list[tuple[str, str, str, str, str]]:
-    """Return name, type, default, what is accepted and description of settings, but hidden ones."""
-    return [
-        (
-            each.name,
-            each.kind,
-            in_yaml(each.default),
-            "; ".join([*each.limits, *([] if each.live else ["read-only"])]),
-            each.description,
-        )
-        for each in schema_of(make).entries.values()
-        if not each.hidden
-    ]
+def described(make: type) -> list[Setting]:
+    """Return the settings of a dataclass that help and reference have."""
+    return [each for each in schema_of(make).entries.values() if not each.hidden]
 
 
 def plain(value: Any) -> Any:
     """Return a setting's value as YAML and ROS have it."""
-    return list(value) if isinstance(value, tuple) else getattr(value, "value", value)
+    return list(value) if isinstance(value, tuple) else value
 
 
 def in_yaml(value: Any) -> str:
-    """Return a value as YAML would take it back."""
-    value = plain(value)
-    if isinstance(value, bool):
-        return str(value).lower()
+    """Return a value as YAML has it."""
     if isinstance(value, str):
         return f"'{value}'"
-    if hasattr(value, "__len__"):
-        return f"[{', '.join(map(in_yaml, list(value)))}]"
-    return repr(value)
+    return json.dumps(value, default=repr, ensure_ascii=False)

@@ -112,16 +112,16 @@ def test_overrides_are_converted(make, name: str, given, expected) -> None:
 
 
 REFUSED = [
-    ("rate", "fast", r"'rate': expected a number, got 'fast'"),
-    ("rate", True, r"'rate': expected a number, got true"),
-    ("upper", float("nan"), r"'upper' must be finite, got nan"),
-    ("rate", 0.5, r"'rate' must be at least 1.0 and at most 2000.0 Hz, got 0.5"),
-    ("depth", 2.0, r"'depth': expected an integer, got 2.0"),
+    ("rate", "fast", r"'rate': expected a finite number of at least 1.0 and .* Hz, got .fast."),
+    ("rate", True, r"'rate': expected a finite number .*, got true"),
+    ("upper", float("nan"), r"'upper': expected a finite number, got NaN"),
+    ("rate", 0.5, r"'rate': expected .* of at least 1.0 and at most 2000.0 Hz, got 0.5"),
+    ("depth", 2.0, r"'depth': expected an integer of at least 1, got 2.0"),
     ("enabled", 1, r"'enabled': expected true or false, got 1"),
-    ("kind", "bais_step", r"'kind' must be one of: none, bias_step, got 'bais_step'"),
-    ("gains", [1.0, -1.0], r"each element of parameter 'gains' must be at least 0.0, got -1.0"),
-    ("gains", "[1, 2.5]", r"got '.*'; .* write every number with a decimal point"),
-    ("topics", "/a", r"'topics': expected a list of strings, got '/a'"),
+    ("kind", "bais_step", r"'kind': expected one of: none, bias_step, got .bais_step."),
+    ("gains", [1.0, -1.0], r"'gains': expected a list of numbers, each at least 0.0, got"),
+    ("gains", "[1, 2.5]", r"got .*; .* write every number with a decimal point"),
+    ("topics", "/a", r"'topics': expected a list of strings, got ./a."),
     ("lower", 2.0, r"lower \(2.0\) must be below upper \(1.0\)"),
 ]
 
@@ -352,7 +352,11 @@ def test_each_node_is_allowed_what_it_has_and_nothing_else(
         ("plant_simulator", {"mismatch.stiffness": -1.0}, "stiffness: expected"),
         ("plant_simulator", {"excitation.multisine.highest": 0.1}, "multisine highest"),
         ("recorder", {"regex": "*joints"}, r"'regex': not a regular expression .*'\*joints'"),
-        ("recorder", {"queue_depth": 5001}, "'queue_depth' must be at least 1 and at most 5000"),
+        (
+            "recorder",
+            {"queue_depth": 5001},
+            "'queue_depth': expected an integer of at least 1 and at most 5000",
+        ),
     ],
 )
 def test_senseless_parameters_are_refused(

@@ -96,6 +96,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
     """
 
     ticker: Ticker | None = None
+    _overrides: dict[str, Any] | None = None
 
     def __init__(self, name: str, schema: type[P], **node_kwargs: Any) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **node_kwargs)
@@ -108,7 +109,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         self._quiet_until: dict[object, float] = {}
         self._stand_before_services()
         try:
-            self._values = declare(self, schema)
+            self._values = declare(self, schema, self._overrides or {})
             self.add_pre_set_parameters_callback(partial(converted, schema))
             self.add_on_set_parameters_callback(self._check_set)
             self.add_post_set_parameters_callback(self._take_set)
@@ -263,12 +264,10 @@ class ManagedNode(LifecycleNode, Generic[P]):
     def declare_parameters(
         self, namespace: str, parameters: list[Any], ignore_override: bool = False
     ) -> list[Any]:
-        """Declare parameters; rclpy's constructor does so with the overrides.
-
-        It hands `name: []` over without a value, and refuses to declare that with a fixed type.
-        """
-        for _, value, descriptor in (each for each in parameters if len(each) == 3):
-            descriptor.dynamic_typing = descriptor.dynamic_typing or value is None
+        """Declare parameters; keep the overrides, which rclpy's constructor would declare first."""
+        if self._overrides is None:
+            self._overrides = {name: value for name, value, _ in parameters}
+            return []
         declared: list[Any] = super().declare_parameters(namespace, parameters, ignore_override)
         return declared
 

@@ -2,16 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS parameters of a node, made of its settings: declared, checked, changed all or none.
 
-Parameters are statically typed, as a dynamic one would return an integer for a double after
-``ros2 param set … 3``. So integers become doubles before rclpy compares types: overrides before
-their declaration, requests in a pre-set callback. rclpy refuses other types and scalars out of
-range; an on-set callback refuses the rest.
+Integers become doubles before rclpy compares types: overrides before their declaration, requests in
+a pre-set callback. rclpy refuses other types and scalars out of range; an on-set callback refuses
+the rest.
 """
 
 import math
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -27,8 +26,6 @@ from tsobs_ros.settings import Setting, in_yaml, plain, schema_of, setting
 P = TypeVar("P")
 
 _MAX_INTEGER, _MAX_FLOAT = 2**63 - 1, sys.float_info.max
-# Declared by rclpy or rcl on behalf of every node.
-_FOREIGN = ("qos_overrides.", "use_sim_time", "start_type_description_service")
 
 
 @dataclass(frozen=True)
@@ -91,41 +88,31 @@ def design_paths(joints: Sequence[str], own: Sequence[str], common: str) -> dict
     return {joint: path or common for joint, path in zip(joints, paths, strict=True)}
 
 
-def declare(node: Node, make: type[P]) -> P:
+def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:
     """Declare the parameters of a dataclass of settings, and return it with the overrides.
 
     Args:
-        node: Node that has declared its overrides, as a `ManagedNode` has; those that the dataclass
-            lacks are unknown.
+        node: The node.
         make: The frozen dataclass.
+        given: Values of the overrides by their names.
 
     Raises:
         ParameterError: An override has the wrong type, breaks a rule, or the values contradict
             each other.
     """
     schema = schema_of(make)
-    entries = schema.entries
-    given = {
-        name: each.value
-        for name, each in node.get_parameters_by_prefix("").items()
-        if not name.startswith(_FOREIGN)
-    }
     values = {
         name: entry.converted(given[name]) if name in given else entry.default
-        for name, entry in entries.items()
+        for name, entry in schema.entries.items()
     }
     built: P = schema.build(values)
-    for name in given:
-        node.undeclare_parameter(name)
-    for name, entry in entries.items():
+    for name, entry in schema.entries.items():
         _declare(node, entry, plain(values[name]))
-    if unknown := sorted(given.keys() - entries.keys()):
-        listed = ", ".join(f"'{name}'{meant(name, entries)}" for name in unknown)
-        node.get_logger().warning(printable(f"ignored unknown parameters: {listed}"))
-    text = ", ".join(
-        f"{name}={in_yaml(values[name])}{each.unit and f' {each.unit}'}"
-        for name, each in entries.items()
-    )
+    for name in given:
+        if not (node.has_parameter(name) or name.startswith("qos_overrides.")):
+            text = f"ignored unknown parameter '{name}'{meant(name, schema.entries)}"
+            node.get_logger().warning(printable(text))
+    text = ", ".join(f"{name}={in_yaml(value)}" for name, value in values.items())
     node.get_logger().debug(printable(f"parameters: {text}"))
     return built
 
@@ -180,14 +167,13 @@ def _descriptor(entry: Setting) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=entry.description, read_only=not entry.live)
     if entry.is_array or entry.choices:  # ROS ranges bind scalars only
         each = "each element " if entry.is_array and entry.limits else ""
-        descriptor.additional_constraints = each + " and ".join(entry.limits)
-    elif low is not None or high is not None:
-        if entry.element is int:
-            first = -_MAX_INTEGER if low is None else math.ceil(low)
-            last = _MAX_INTEGER if high is None else math.floor(high)
-            descriptor.integer_range = [IntegerRange(from_value=first, to_value=last)]
-        else:
-            begin = -_MAX_FLOAT if low is None else float(low)
-            end = _MAX_FLOAT if high is None else float(high)
-            descriptor.floating_point_range = [FloatingPointRange(from_value=begin, to_value=end)]
+        descriptor.additional_constraints = each + entry.limits
+    elif entry.limits and entry.type is int:
+        first = -_MAX_INTEGER if low is None else math.ceil(low)
+        last = _MAX_INTEGER if high is None else math.floor(high)
+        descriptor.integer_range = [IntegerRange(from_value=first, to_value=last)]
+    elif entry.limits:
+        begin = -_MAX_FLOAT if low is None else float(low)
+        end = _MAX_FLOAT if high is None else float(high)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=begin, to_value=end)]
     return descriptor

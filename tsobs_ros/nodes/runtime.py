@@ -44,7 +44,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from tsobs_ros.errors import TsobsError, printable
-from tsobs_ros.settings import describe
+from tsobs_ros.settings import described, in_yaml
 from tsobs_ros.stop import StopFlag
 from tsobs_ros.streams import Parser
 
@@ -163,9 +163,10 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
         SystemExit: With 0 after the help, with 2 after an error.
     """
     name, listed = module.__name__.rpartition(".")[2], ["parameters:"]
-    for setting, kind, default, accepted, description in describe(module.Parameters):
-        facts = "; ".join(filter(None, (kind, f"default {default}", accepted)))
-        listed += [f"  {setting} ({facts})", f"      {description}"]
+    for each in described(module.Parameters):
+        facts = [each.kind, f"default {in_yaml(each.default)}", each.limits]
+        facts += [] if each.live else ["read-only"]
+        listed += [f"  {each.name} ({'; '.join(filter(None, facts))})", f"      {each.description}"]
     parser = Parser(
         prog=name,
         usage=f"{name} [--help] [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r OLD:=NEW] …]",

@@ -278,7 +278,7 @@ def test_parameters_are_refused_with_a_reason_or_taken_over_by_all_joints_and_pu
     too_late = {"supervision.gate": 4.0, "fault.hold": 1.0, "coast_after": 10.0}
     for changes, reason in (
         ({"design": "other.yaml"}, "read-only"),
-        ({"when_stale": "loud"}, "must be one of"),
+        ({"when_stale": "loud"}, "expected one of"),
         ({"supervision.gate": 0.5}, "out of range"),
         ({"fault.warn": 0.6}, "'fault.*': disturbance error level: expected at least"),
         (too_late, "coast_after: expected at most stale_after"),

@@ -205,7 +205,7 @@ def test_the_first_messages_are_not_lost_to_a_subscriber_that_is_just_being_disc
     ("parameters", "reason"),
     [
         ({"bag": ""}, "parameter 'bag' must name a bag folder or an .mcap file"),
-        ({"rate": 0.001}, "parameter 'rate' must be at least 0.01"),
+        ({"rate": 0.001}, "parameter 'rate': expected a finite number of at least 0.01"),
         ({"topics": ["/c"]}, "parameter 'topics': no topic /c; the bag has /a, /b"),
         ({"exclude_regex": "."}, "the parameters leave no topic to play; the bag has /a, /b"),
         ({"start_offset": 0.05}, "'start_offset' must be at most 0.04 s, the bag's length"),
