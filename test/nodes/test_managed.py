@@ -231,8 +231,8 @@ def test_no_request_for_parameters_ends_a_node(any_node: Any, capfd: Any, name: 
     accepted, refused = ask([good, unknown])
     assert accepted.successful
     assert not refused.successful
-    assert "'autostart' of type 77" in refused.reason
-    assert "'autostart' of type 77" in capfd.readouterr().err
+    assert "77 is not a valid" in refused.reason
+    assert "cannot answer SetParameters_Request: 77 is not a valid" in capfd.readouterr().err
     for _ in range(4):
         asked = [
             ParameterMessage(
@@ -249,7 +249,7 @@ def test_no_request_for_parameters_ends_a_node(any_node: Any, capfd: Any, name: 
             )
             for _ in range(chance.randrange(9))
         ]
-        assert all("\x1b" not in result.reason for result in ask(asked))
+        assert len(ask(asked)) == len(asked)
     assert manager.state == "active"
 
 

@@ -24,10 +24,8 @@ rclpy's lifecycle stops only lifecycle publishers, so callbacks check `active`.
 
 A transition that fails with an expected error logs one line and leaves the node in its state; only
 a clean-up ends unconfigured all the same. Any other exception is a bug: it is logged with its
-traceback, and the node is cleaned up.
-
-Some requests and times make rclpy's own callbacks raise, which would end the process. The node
-refuses or drops what they cannot take.
+traceback, and the node is cleaned up. Requests and times that rclpy's own callbacks cannot take, so
+that they would end the process, are refused.
 """
 
 import math
@@ -40,7 +38,6 @@ from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from lifecycle_msgs.srv import ChangeState
-from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock as SteadyClock
@@ -66,6 +63,9 @@ _QUIET = 5.0
 DIAGNOSTICS_PERIOD = 1.0
 """Time between two messages on /diagnostics [s]."""
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+_ERROR = TransitionCallbackReturn.ERROR
+# What rclpy's own services raise of requests that they do not expect.
+_REFUSED = (ParameterException, RuntimeError, TypeError, ValueError)
 
 Answer = Callable[[], tuple[bool, str]]
 """The work of a Trigger service; returns its success and a message."""
@@ -107,7 +107,8 @@ class ManagedNode(LifecycleNode, Generic[P]):
         self._failure: Exception | None = None
         self._starting = False
         self._quiet_until: dict[object, float] = {}
-        self._stand_before_services()
+        for service in self.services:
+            service.callback = partial(self._answer, service.callback)
         try:
             self._values = declare(self, schema, self._overrides or {})
             self.add_pre_set_parameters_callback(partial(converted, schema))
@@ -295,14 +296,12 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Clean up, for rclpy's lifecycle; a failure would mean inactive, with no way back."""
-        succeeded = self._attempt("clean up", self._clean_up) is _SUCCESS
-        return _SUCCESS if succeeded else TransitionCallbackReturn.ERROR
+        return _SUCCESS if self._attempt("clean up", self._clean_up) is _SUCCESS else _ERROR
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Shut down, for rclpy's lifecycle; the node is finalized whatever fails."""
         self._finalized_at = time.monotonic()
-        succeeded = self._attempt("shut down", self.close) is _SUCCESS
-        return _SUCCESS if succeeded else _FAILURE
+        return _SUCCESS if self._attempt("shut down", self.close) is _SUCCESS else _FAILURE
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Clean up after an error, for rclpy's lifecycle, to be configured again."""
@@ -380,49 +379,26 @@ class ManagedNode(LifecycleNode, Generic[P]):
                 reason = str(error) if expected else traceback.format_exc()
                 newline = " " if expected else "\n"
                 self.get_logger().error(printable(f"cannot {what}: {reason}", newline))
-            return _FAILURE if expected else TransitionCallbackReturn.ERROR
+            return _FAILURE if expected else _ERROR
         return _SUCCESS
 
-    def _stand_before_services(self) -> None:
-        """Answer the requests that would end the process in rclpy's own callbacks."""
-        for service in self.services:
-            if service.srv_type is ChangeState:
-                service.callback = partial(self._change_state, service.callback)
-            elif service.srv_type is SetParameters:
-                service.callback = self._set_one_by_one
-            elif service.srv_type is SetParametersAtomically:
-                service.callback = self._set_at_once
-
-    def _change_state(self, change: Callable[..., Any], request: Any, response: Any) -> Any:
-        """Answer a transition that the state does not allow, whose label rcl would log as it is."""
-        request.transition.label = printable(request.transition.label)
+    def _answer(self, answer: Callable[..., Any], request: Any, response: Any) -> Any:
+        """Let rclpy answer a request, and refuse one that it cannot."""
+        if isinstance(request, ChangeState.Request):  # rcl logs a label as it is
+            request.transition.label = printable(request.transition.label)
         try:
-            return change(request, response)
-        except RuntimeError:  # rcl's, as no step of ours lets one pass
-            response.success = False
+            return answer(request, response)
+        except _REFUSED as error:
+            reason = printable(f"cannot answer {type(request).__name__}: {error}")
+            if self.may_log("request"):
+                self.log(Level.WARN, reason)
+            result = SetParametersResult(successful=False, reason=reason)
+            if isinstance(request, SetParameters.Request):
+                left = len(request.parameters) - len(response.results)
+                response.results = [*response.results, *[result] * left]
+            elif isinstance(request, SetParametersAtomically.Request):
+                response.result = result
             return response
-
-    def _set_one_by_one(self, request: Any, response: Any) -> Any:
-        response.results = [self._set_parameters([each]) for each in request.parameters]
-        return response
-
-    def _set_at_once(self, request: Any, response: Any) -> Any:
-        response.result = self._set_parameters(request.parameters)
-        return response
-
-    def _set_parameters(self, messages: Sequence[ParameterMessage]) -> SetParametersResult:
-        """Set parameters all or none; what cannot be a parameter is refused with its reason."""
-        try:
-            result = self.set_parameters_atomically(
-                list(map(Parameter.from_parameter_msg, messages))
-            )
-        except (ParameterException, TypeError, ValueError) as error:
-            listed = ", ".join(f"'{each.name}' of type {each.value.type}" for each in messages)
-            result = SetParametersResult(successful=False, reason=f"cannot set {listed}: {error}")
-            if self.may_log("parameters"):
-                self.log(Level.WARN, result.reason)
-        result.reason = printable(result.reason)
-        return result
 
     def _take_time(self, take: Callable[[Clock], None], message: Clock) -> None:
         """Let rclpy take a time of /clock that it knows and that a message can have as a stamp."""

@@ -20,7 +20,6 @@ which loses early SIGTERMs and sometimes raises inside take. The loop reads a fl
 import argparse
 import gc
 import inspect
-import re
 import signal
 import sys
 import threading
@@ -66,9 +65,9 @@ class Ticker:
     """Calls back at a fixed rate or when the callback asks for it, from `start` until `stop`.
 
     An rclpy timer costs two rebuilt wait sets a tick, which at 200 Hz is more than all that an
-    observer does. So `run` takes a node's ticks over: it sleeps until the next one on the monotonic
-    clock, and serves everything else in between. In another executor, and under simulated time,
-    which passes only in an executor, the tick is an ordinary timer.
+    observer does. So `run` makes a node's ticks itself: it sleeps until the next one on the
+    monotonic clock, and serves everything else in between. In another executor, and under simulated
+    time, which passes only in an executor, the tick is an ordinary timer.
 
     Args:
         node: The node. Its ticks are an executor's as long as it follows simulated time.
@@ -92,13 +91,14 @@ class Ticker:
         self._clock = node.get_clock()
         self._callback = callback
         self._period_ns = self._scheduled = round(period * 1e9)
+        # On the monotonic clock [ns]; None as long as ticks are an executor's.
         self._due: int | None = None
         self._timer = node.create_timer(period, self._tick, clock=executor_clock, autostart=False)
 
     @property
-    def may_be_taken_over(self) -> bool:
-        """Whether there are ticks, and a sleep can make them."""
-        return self.running and not self._clock.ros_time_is_active
+    def needs_executor(self) -> bool:
+        """Whether there are no ticks that a sleep can make."""
+        return not self.running or bool(self._clock.ros_time_is_active)
 
     def start(self) -> None:
         """Start to tick."""
@@ -115,31 +115,37 @@ class Ticker:
         """Leave an executor's next tick out, as its work has just been done."""
         self._schedule(2 * self._period_ns)
 
-    def take_over(self) -> None:
-        """Stop the executor's ticks: the caller now calls `run_if_due`."""
-        if self._due is None:
-            self._timer.cancel()
-            self._due = time.monotonic_ns()
-
     def give_back(self) -> None:
         """Let the executor tick again."""
         if self._due is not None:
             self._due = None
             self._schedule(self._period_ns)
 
-    def run_if_due(self) -> int:
-        """Tick if it is time, and return the time until the next tick [ns]; stopped, a period."""
+    def run_for(self, seconds: float, stop: Callable[[], bool]) -> None:
+        """Tick and sleep for some time instead of the executor, until something stops it."""
         now = time.monotonic_ns()
-        if self._due is not None and now >= self._due:
-            wait = self._callback()
+        end = now + round(seconds * 1e9)
+        if self._due is None:
+            self._timer.cancel()
+            self._due = now
+        while self._due is not None and now < end and not stop():
+            if now >= self._due:
+                self._run()
+            elif (left := min(self._due, end) - now) > 0:
+                time.sleep(left * 1e-9)
             now = time.monotonic_ns()
-            if self._due is not None and wait is not None:
-                self._due = now + min(wait, self._period_ns)
-            elif self._due is not None:
-                # On the grid of the first tick. One that is late by less than a period is made
-                # good; what fell out before that, while the process was held up, is gone.
-                self._due += self._period_ns * max(1, (now - self._due) // self._period_ns)
-        return self._period_ns if self._due is None else max(0, self._due - now)
+
+    def _run(self) -> None:
+        wait = self._callback()
+        if self._due is None:
+            return
+        now = time.monotonic_ns()
+        if wait is not None:
+            self._due = now + min(wait, self._period_ns)
+        else:
+            # On the grid of the first tick. One that is late by less than a period is made good;
+            # what fell out before that, while the process was held up, is gone.
+            self._due += self._period_ns * max(1, (now - self._due) // self._period_ns)
 
     def _tick(self) -> None:
         wait = self._callback()
@@ -208,7 +214,7 @@ def run(
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # rcl could not parse the arguments or the parameter file
-        return _report(_without_source_lines(str(error)))
+        return _report(str(error))
     node: Node | None = None
     exit_code = 0
     try:
@@ -253,8 +259,8 @@ def _spin(node: Node, stop: Callable[[], bool]) -> None:
         while rclpy.ok() and not stop() and not getattr(node, "finished", False):
             # A node makes and drops its ticker as it is configured.
             ticker: Ticker | None = getattr(node, "ticker", None)
-            if ticker is not None and ticker.may_be_taken_over:
-                _tick_for_a_while(ticker, stop)
+            if ticker is not None and not ticker.needs_executor:
+                ticker.run_for(_SERVE_PERIOD, stop)
                 _run_what_is_ready(executor, stop)
             else:
                 if ticker is not None:
@@ -278,18 +284,6 @@ def _run_what_is_ready(executor: SingleThreadedExecutor, stop: Callable[[], bool
         pass  # all have run
 
 
-def _tick_for_a_while(ticker: Ticker, stop: Callable[[], bool]) -> None:
-    """Tick and sleep until the executor's turn comes."""
-    until = time.monotonic() + _SERVE_PERIOD
-    ticker.take_over()
-    while True:
-        wait = ticker.run_if_due() * 1e-9
-        left = until - time.monotonic()
-        if left <= 0.0 or stop():
-            return
-        time.sleep(min(wait, left))
-
-
 def _tear_down(node: Node | None, exit_code: int) -> int:
     """Close the node, then destroy it, whatever fails on the way."""
     for name in ("close", "destroy_node"):
@@ -305,14 +299,6 @@ def _tear_down(node: Node | None, exit_code: int) -> int:
     rclpy.try_shutdown()
     limit_time_left(0.0)
     return exit_code
-
-
-def _without_source_lines(message: str) -> str:
-    """Drop the "at …/parse.c:391" that rcl appends, and explain its least obvious refusal."""
-    hint = ""
-    if "should be of same type" in message:
-        hint = "; write every number of the list with a decimal point"
-    return re.sub(r",? at \S+:\d+", "", message) + hint
 
 
 def _report(message: str) -> int:
