@@ -102,7 +102,8 @@ def _run(design: Design, case: _Case, seed: int, duration: float) -> _Run:
         std = np.sqrt(correction.innovation_covariance[0])
         stamp = 1_000_000_000 + round(float(sample.times) * 1e9)
         started = time.thread_time_ns()
-        monitor.measured([stamp], [sample.measurements], used, [correction.innovation], [std])
+        given = [sample.measurements], used, [correction.innovation], [std]
+        monitor.measured([stamp], *given, state.repeats)
         monitor.estimated(stamp, known.disturbance, known.disturbance_bound)
         kinds.append(monitor.sensors[0].fault.kind)
         costs.append(time.thread_time_ns() - started)

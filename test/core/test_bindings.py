@@ -16,7 +16,6 @@ from tsobs_ros import core
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.records import REASONS
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
@@ -80,15 +79,6 @@ def calls() -> dict[str, dict[str, Any]]:
         "history_offer": {**memories, **given, "now": 10**18, **results},
         "history_estimate": {**memories, "stamp": 10**9, "row": zeros(width)},
         "history_advance": {**memories, **given, **results, **ticks},
-        "faults_add_samples": {
-            "watches": numbers(FaultMonitor([0.1, 0.2]).watches), "stamps": stamps,
-            "y": zeros(2, COUNT), "codes": zeros(2, COUNT, kind=int),
-            "innovations": zeros(2, COUNT), "expected_std": zeros(2, COUNT),
-        },
-        "faults_add_estimates": {
-            "watches": numbers(FaultMonitor([0.1]).watches), "stamp": 1, "disturbances": zeros(1),
-            "bounds": zeros(1),
-        },
         "flow_over": {
             "series": zeros(4, 10), "terms": 4, "reach": 1.0, "duration": 1.0, "phi": zeros(4),
             "gamma": zeros(2), "noise": zeros(4), "scratch": zeros(20), "n": 2, "m": 1,
@@ -115,7 +105,7 @@ CASES = [
     for function, arguments in calls().items()
     for name, argument in arguments.items()
     if isinstance(argument, np.ndarray) and argument.size and name not in COUNTING
-    and (function, name) != ("simulate_systems", "states") and name != "watches"
+    and (function, name) != ("simulate_systems", "states")
 ]  # fmt: skip
 
 

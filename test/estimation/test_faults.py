@@ -11,11 +11,12 @@ import pytest
 from numpy.typing import NDArray
 
 from tsobs_ros.design.file import load_design
+from tsobs_ros.estimation.baselines import extended_kalman
 from tsobs_ros.estimation.fault_shapes import Fault, FaultKind, shape_of
 from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.methods import ObserverSettings, make_tracker
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Mismatch, Scenario
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.sensor import Sensor
@@ -41,10 +42,12 @@ def swing(time: float) -> float:
     return 0.3 * math.sin(time)
 
 
-def add(monitor: FaultMonitor, stamp: int, y: float, innovation: float, w: float) -> Fault:
+def add(
+    monitor: FaultMonitor, stamp: int, y: float, innovation: float, w: float, repeats: int = 0
+) -> Fault:
     """Take in a sample and the estimate after it, and return the fault."""
     used = np.zeros((1, 1), np.int64)
-    monitor.measured([stamp], [[y]], used, [[innovation]], [[STD]])
+    monitor.measured([stamp], [[y]], used, [[innovation]], [[STD]], [repeats])
     monitor.estimated(stamp, np.array([w]), np.array([BOUND]))
     return monitor.sensors[0].fault
 
@@ -121,11 +124,11 @@ def test_large_innovations_with_a_colour_are_unknown_and_nothing_is_bounded() ->
 
 
 def stick(monitor: FaultMonitor, begin: float, seconds: float) -> list[Fault]:
-    """Feed samples that stay close to each other."""
+    """Feed samples that repeat."""
     faults = []
     for k in range(round(200 * seconds)):
         stamp = round(begin * SECOND) + k * PERIOD
-        faults.append(add(monitor, stamp, 0.2 + (k % 2) * 0.01 * STD, 0.0, 0.0))
+        faults.append(add(monitor, stamp, 0.2, 0.0, 0.0, k))
     return faults
 
 
@@ -170,7 +173,7 @@ def test_frequent_outliers_are_noise_and_the_steps_of_an_encoder_are_not(
     for k, (y, u) in enumerate(zip(run.measurements[0], run.torques[0], strict=False)):
         stamp = SECOND + k * PERIOD
         outcomes = tracker.offer_many([stamp], [y], [u], stamp)
-        monitor.measured([stamp], [y], *outcomes[1:])
+        monitor.measured([stamp], [y], *outcomes[1:], tracker.repeats)
         known = tracker.estimate(stamp)
         assert known is not None
         monitor.estimated(stamp, known.disturbance, known.disturbance_bound)
@@ -214,12 +217,16 @@ def coarse(angle: NDArray[np.float64]) -> NDArray[np.float64]:
 def test_a_sensor_is_stuck_if_its_noise_is_gone_or_its_arm_moves(
     reading: NDArray[np.float64], predicted: NDArray[np.float64], stuck_after: float | None
 ) -> None:
-    monitor, seen = FaultMonitor([STD]), []
-    for time, y, innovation in zip(TIMES, reading, reading - predicted, strict=True):
-        stamp = SECOND + round(time * SECOND)
-        used = np.zeros((1, 1), np.int64)
-        monitor.measured([stamp], [[y]], used, [[innovation]], [[1.05 * STD]])
-        seen.append(bool(monitor.watches[0].stuck))
+    flow = load_design(config_path(FIXED_DESIGN)).request.flow
+    x, spread = np.zeros(flow.state_count), 1e-9 * np.eye(flow.state_count)
+    spread[0, 0] = 0.1 * STD**2
+    observer = extended_kalman(flow, np.array([[STD**2]]), spread, gate=math.inf)
+    monitor, seen, state = FaultMonitor([STD]), [], observer.initial()
+    for time, y, expected in zip(TIMES, reading, predicted, strict=True):
+        stamp, x[0] = SECOND + round(time * SECOND), expected
+        state, _ = observer.correct(state.changed(x=x, covariance=spread), [y])
+        fault = add(monitor, stamp, y, y - expected, 0.0, int(state.repeats.item()))
+        seen.append(fault.kind is FaultKind.STUCK)
     if stuck_after is None:
         assert not any(seen)
     else:

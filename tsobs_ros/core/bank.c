@@ -14,8 +14,6 @@
 
 #include <string.h>
 
-#include "repeats.h"
-
 /* Median of a normal variable's size. */
 #define MEDIAN 0.6745
 
@@ -296,13 +294,55 @@ static void scale_noise(const model *m, sensor *of, double innovation, double va
     *of->paired = kind;
 }
 
+/* Learn a sensor's step, as the smallest difference of successive values, and its noise, as the running
+ * median of those of innovations, which the motion is not in. What is learnt grows by a fiftieth at
+ * most, so that a single odd value is forgotten. */
+static void learn_step(const sensor *of, double difference, double change)
+{
+    const double rate = 1.02;
+    if (!isfinite(difference) || !isfinite(change)) {
+        return;
+    }
+    if (*of->step == 0.0) {
+        *of->step = difference;
+        *of->rough = change;
+        return;
+    }
+    *of->step = minimum(difference, rate * *of->step);
+    *of->rough = change > *of->rough ? *of->rough * rate : *of->rough / rate;
+}
+
+/* Count a repetition of a value if it speaks for a stuck sensor.
+ *
+ * If noise hides the sensor's steps, each does. Else a value repeats whenever the arm rests or moves by
+ * less than a step, so that a repetition counts only once the prediction has left the value: once the
+ * innovation exceeds the least that it has been by more than a step and the prediction's own sigma. */
+static void count_repeats(
+    const sensor *of, double y, double innovation, double variance, double noise)
+{
+    const double hidden = 3.0;
+    const double distance = fabs(innovation), difference = fabs(y - *of->value);
+    if (difference == 0.0) {
+        const double own = sqrt(larger(variance - noise, 0.0));
+        const double step = *of->step > 0.0 ? *of->step : sqrt(noise);
+        *of->nearest = minimum(*of->nearest, distance);
+        *of->repeats += *of->rough > hidden * step || distance > *of->nearest + step + own;
+    } else {
+        learn_step(of, difference, fabs(innovation - *of->before));
+        *of->value = y;
+        *of->nearest = distance;
+        *of->repeats = 0;
+    }
+    *of->before = innovation;
+}
+
 static int is_stuck(const model *m, const sensor *of)
 {
     return 0 < *m->stuck_samples && *m->stuck_samples <= *of->repeats;
 }
 
-/* Look at the samples as the best hypothesis expects them: leave out those of stuck sensors, and
- * follow the noise. */
+/* Look at the samples as the best hypothesis expects them: count repetitions, and under supervision
+ * leave out those of stuck sensors, and follow the noise. */
 static void examine(const model *m, state *at, correction *effect)
 {
     double scale = -INFINITY;
@@ -311,8 +351,10 @@ static void examine(const model *m, state *at, correction *effect)
         const double innovation = effect->innovations[i];
         if (effect->weight[i] > 0.0) {
             count_repeats(
-                REPETITION_OF(&of), at->y[i], innovation, effect->variances[i],
-                m->R[i * m->s.p + i], 0.0);
+                &of, at->y[i], innovation, effect->variances[i], m->R[i * m->s.p + i]);
+            if (*m->supervised == 0) {
+                continue;
+            }
             *of.pull = *of.repeats > 0 ? *of.pull + innovation : 0.0;
             if (is_stuck(m, &of)) {
                 effect->weight[i] = 0.0;
@@ -745,6 +787,7 @@ static void correct_alone(const model *m, state *at, correction *effect)
     hypothesis h = hypothesis_of(m, at, 0);
     int there = 0, used = 0;
     weigh(m, at, &h, effect);
+    examine(m, at, effect);
     report(m, &h, effect);
     correct_hypothesis(m, at, &h, moves(m, at, &h), effect);
     for (long i = 0; i < m->s.p; i++) {

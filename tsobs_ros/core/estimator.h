@@ -18,7 +18,6 @@
 #include <string.h>
 
 #include "flow.h"
-#include "repeats.h"
 
 /* Gains: none, as the observer is integrated, that of Riccati, or the certified one. */
 enum { GAIN_OPEN, GAIN_RICCATI, GAIN_CERTIFIED };
@@ -143,8 +142,13 @@ int sizes_are_sound(const int64_t *numbers);
     F(COUNT, paired, 1, 1)       /* and its kind */                                       \
     F(NUMBER, since, 1, 1)       /* time since the last sample [s] */                     \
     F(MATRIX, tones, TONES, 2)   /* the innovations' cosine and sine of each frequency */ \
-    F(NUMBER, pull, 1, 1)        /* sum of the innovations since the value repeats */     \
-    REPETITION_FIELDS(F, s)                                                               \
+    F(NUMBER, value, 1, 1)       /* latest sample, NaN before the first */                \
+    F(NUMBER, step, 1, 1)        /* of the sensor, 0 before the first, */                 \
+    F(NUMBER, rough, 1, 1)       /* and of its innovations' differences */                \
+    F(NUMBER, before, 1, 1)      /* innovation of the sample before */                    \
+    F(NUMBER, nearest, 1, 1)     /* least size of an innovation of the value */           \
+    F(COUNT, repeats, 1, 1)      /* repetitions of the value that count, */               \
+    F(NUMBER, pull, 1, 1)        /* and the sum of the innovations since */               \
     F(COUNT, gated, 1, 1)        /* counts of samples that were not used, */              \
     F(COUNT, missing, 1, 1)      /* and of samples without this output */
 LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)

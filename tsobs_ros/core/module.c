@@ -14,7 +14,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "faults.h"
 #include "matrices.h"
 #include "simulate.h"
 #include "trigonometry.h"
@@ -204,7 +203,6 @@ BIND(layout, "sd")
         }
         const flow_sizes model = {n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7]};
         const system_sizes plant = {n[0], n[1], n[2], n[3], n[4], n[5]};
-        RECORD("watch", WATCH_FIELDS, 0, NULL)
         RECORD("history", HISTORY_FIELDS, 0, NULL)
         RECORD("simulated_arm", SIMULATED_ARM_FIELDS, 0, NULL)
         RECORD("simulated_system", SIMULATED_SYSTEM_FIELDS, 6, &plant)
@@ -576,37 +574,6 @@ BIND(history_advance, "dDDD" "ddd" "DDDD" "ddd" "DDD" "i")
     Py_RETURN_NONE;
 }
 
-/* --- the fault monitor's sums --- */
-
-/* Return the number of watches, the first argument. */
-static int64_t count_watches(const argument *t)
-{
-    return t[0].length / (int64_t)watch_size(NULL);
-}
-
-BIND(faults_add_samples, "Dddddd")
-{
-    const int64_t sensors = count_watches(t), numbers = sensors * t[1].length;
-    if (!HAVE(2, numbers, numbers, numbers, numbers)) {
-        return NULL;
-    }
-    const sensor_samples samples = {
-        sensors, t[1].length, t[1].counts, t[3].counts, t[2].numbers, t[4].numbers, t[5].numbers,
-    };
-    add_samples(t[0].numbers, &samples);
-    Py_RETURN_NONE;
-}
-
-BIND(faults_add_estimates, "Didd")
-{
-    const int64_t sensors = count_watches(t);
-    if (!HAVE(2, sensors, sensors)) {
-        return NULL;
-    }
-    return PyBool_FromLong(
-        add_estimates(t[0].numbers, sensors, t[1].integer, t[2].numbers, t[3].numbers));
-}
-
 /* --- exported designs --- */
 
 BIND(exported_seal, "D")
@@ -703,8 +670,6 @@ static PyMethodDef methods[] = {
     METHOD(history_offer),
     METHOD(history_estimate),
     METHOD(history_advance),
-    METHOD(faults_add_samples),
-    METHOD(faults_add_estimates),
     METHOD(exported_seal),
     METHOD(exported_open),
     METHOD(messages_split),

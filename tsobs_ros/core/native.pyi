@@ -62,14 +62,6 @@ def history_estimate(*arguments: Any) -> bool:
 def history_advance(*arguments: Any) -> None:
     """Offer measurements and estimate at ticks; see `advance` in history.h."""
 
-def faults_add_samples(*arguments: Any) -> None:
-    """See `estimation.faults.add_samples`."""
-
-def faults_add_estimates(
-    watches: Numbers, stamp: int, disturbances: Numbers, bounds: Numbers, /
-) -> bool:
-    """See `estimation.faults.add_estimates`."""
-
 def bank_constants() -> list[tuple[str, float, str]]:
     """Return name, value and meaning of each constant of the bank."""
 

@@ -8,32 +8,35 @@ too many of them are: it is noise if they are white; if not, the model does not 
 disturbance has no bound. The last seconds of the estimated disturbance have a shape, see
 `fault_shapes`. A level is about size, a kind about shape; both must last to be reported.
 
-What is added up at each sample and estimate is a record for core/faults.c, one a sensor; the rest
-is done ten times a second.
+Samples and estimates are added up as they come; the faults are judged ten times a second.
 """
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, positive
-from tsobs_ros.core import native
-from tsobs_ros.core.records import record_type
 from tsobs_ros.estimation.fault_shapes import Fault, FaultKind, shape_of
 from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level, Status, duration_text
+from tsobs_ros.estimation.records import CORRECTING, GATED, NON_FINITE
+from tsobs_ros.series import NANOSECONDS
 
-_MEMORY = 1.0
-_LARGE = 2.0
+_MEMORY, _OUTLIER_MEMORY = 1.0, 5.0
+_CLIP, _LARGE = 5.0, 2.0
 _MANY_OUTLIERS, _FEW_OUTLIERS = 0.03, 0.02
 _COLOURED = 0.3
 
 _SURE = (FaultKind.STUCK, FaultKind.MISSING)
-"""Kinds that are reported at once."""
+"""Kinds that are reported at once, if they last for `_BLOCK`."""
 
-_LEAST_BLOCKS = 10
+_BLOCK, _LONGEST_GAP = NANOSECONDS // 10, NANOSECONDS
+_BLOCKS, _LEAST_BLOCKS, _RECOVERY_BLOCKS = 150, 10, 100
+"""Tenths of a second that are remembered, and needed to judge: at first, after a stuck sensor."""
+
+_STUCK_SAMPLES = 10
 _EVERY = 3
 _OPEN = 3.0
 
@@ -47,7 +50,6 @@ class FaultMonitor:
             at any time.
 
     Attributes:
-        watches: What is remembered of the sensors, records that core/faults.h describes.
         sensors: Each sensor, with its present fault.
 
     Raises:
@@ -58,21 +60,10 @@ class FaultMonitor:
         self, measurement_std: Sequence[float], limits: DisturbanceLimits | None = None
     ) -> None:
         self.limits = limits or DisturbanceLimits()
-        self.watches: Any = np.zeros(
-            len(measurement_std), np.dtype((np.record, record_type("watch")))
-        )
-        self.watches["std"] = [positive("measurement_std", std) for std in measurement_std]
-        self.watches["value"], self.watches["square"] = math.nan, 1.0
-        self.watches["least"] = _LEAST_BLOCKS
-        self.sensors = tuple(SensorFaults(watch) for watch in self.watches)
+        self.sensors = tuple(SensorFaults(std) for std in measurement_std)
 
     def measured(
-        self,
-        stamps: ArrayLike,
-        y: ArrayLike,
-        codes: ArrayLike,
-        innovations: ArrayLike,
-        expected_std: ArrayLike,
+        self, stamps: Any, y: Any, codes: Any, innovations: Any, expected_std: Any, repeats: Any
     ) -> None:
         """Take in N samples of p sensors in the order of their stamps.
 
@@ -81,12 +72,17 @@ class FaultMonitor:
             y: Raw values, shape (N, p).
             codes: `Outcomes.output_codes` of a tracker, as are the innovations and 1σ expected of
                 them, shape (N, p).
+            innovations: y − ŷ, shape (N, p).
+            expected_std: Shape (N, p).
+            repeats: `Tracker.repeats` after the samples, shape (p,).
         """
-        columns = [
-            np.ascontiguousarray(np.transpose(each))
-            for each in (y, codes, innovations, expected_std)
-        ]
-        native.faults_add_samples(self.watches.view(np.float64), np.asarray(stamps), *columns)
+        samples = (np.transpose(each).tolist() for each in (y, codes, innovations, expected_std))
+        times = np.asarray(stamps).tolist()
+        for sensor, count, *columns in zip(self.sensors, repeats, *samples, strict=True):
+            for sample in zip(times, *columns, strict=True):
+                sensor.measured(*sample)
+            if times:
+                sensor.repeated(times[-1], count)
 
     def estimated(self, stamp: int, disturbances: Array, bounds: Array) -> None:
         """Take in an estimate; ten times a second the faults are judged.
@@ -96,59 +92,117 @@ class FaultMonitor:
             disturbances: Estimated disturbances, NaN if there is none, shape (p,).
             bounds: Their 1σ bounds, shape (p,), or none.
         """
-        known = bounds if len(bounds) else np.full(len(disturbances), math.inf)
-        watches = self.watches.view(np.float64)
-        if native.faults_add_estimates(watches, stamp, disturbances, known):
-            pairs = zip(disturbances.tolist(), known.tolist(), strict=True)
-            for sensor, (disturbance, bound) in zip(self.sensors, pairs, strict=True):
-                sensor.judge(disturbance, bound, self.limits)
+        known = bounds.tolist() if len(bounds) else [math.inf] * len(disturbances)
+        for sensor, value, bound in zip(self.sensors, disturbances.tolist(), known, strict=True):
+            if sensor.estimated(stamp, value, bound):
+                sensor.judge(value, bound, self.limits)
 
 
 class SensorFaults:
-    """The faults of one sensor.
+    """The faults of one sensor, whose innovations are in sigmas, within ±5.
 
     Attributes:
         fault: The present one.
+        square: Average over a second of the normalised innovation squared, 1 if the model fits.
+            Each is clipped, so that a lone outlier cannot hide in it.
     """
 
-    def __init__(self, watch: Any) -> None:
-        self.fault = Fault()
-        self._watch = watch
-        self._shape = Fault()
+    def __init__(self, std: float) -> None:
+        self.fault, self.square = Fault(), 1.0
+        self._std = positive("measurement_std", std)
+        # Of innovations that were used: stamp, value, period, average product of neighbours.
+        self._stamp, self._before, self._period, self._product = 0, 0.0, 0.0, 0.0
+        # Of all that have a value: stamp, value, share of outliers.
+        self._seen, self._last, self._outliers = 0, 0.0, 0.0
+        self._lacking, self._missing = 0, False
+        self._value, self._since, self._stuck = math.nan, 0, False
+        self._predicted, self._estimated = 0.0, 0
+        self._renew(FaultKind.NONE, _LEAST_BLOCKS)
         self._kind, self._level = Debounce(FaultKind.NONE), Debounce(Level.OK)
         self._wrong = Debounce(False)
         self._many_outliers = False
         self._candidates: dict[FaultKind, Fault] = {}
 
-    @property
-    def square(self) -> float:
-        """Average over a second of the normalised innovation squared, 1 if the model fits.
+    def _renew(self, kind: FaultKind, least: int) -> None:
+        """Forget the history of the disturbance."""
+        self._begun, self._block, self._complete = 0, 0, False
+        self._sums, self._in_block = [0.0, 0.0, 0.0], 0
+        self._blocks: deque[Any] = deque(maxlen=_BLOCKS)
+        self._shape, self._least = Fault(kind), least
 
-        Each innovation is clipped at 5σ, so that a lone outlier cannot hide in it.
-        """
-        return float(self._watch.square)
+    def measured(
+        self, stamp: int, y: float, code: int, innovation: float, expected_std: float
+    ) -> None:
+        """Take in one sample, used, gated or without a value; late ones are in no average."""
+        if code == NON_FINITE and stamp > 0:
+            self._lacking = self._lacking or stamp
+            self._missing = stamp - self._lacking >= _BLOCK
+        if code != GATED and code not in CORRECTING:
+            return
+        self._lacking, self._missing = 0, False
+        if y != self._value:
+            self._value, self._since = y, stamp
+        value = max(-_CLIP, min(_CLIP, innovation / expected_std))
+        if stamp > self._seen:
+            # Far off, and not as those of a jump all are.
+            outlier = abs(value) == _CLIP and value != self._last
+            if self._seen:
+                share = min(1.0, 1e-9 * (stamp - self._seen) / _OUTLIER_MEMORY)
+                self._outliers += share * (outlier - self._outliers)
+            self._seen, self._last = stamp, value
+        if code == GATED:
+            return
+        self._predicted = y - innovation
+        if stamp > self._stamp:
+            if self._stamp:
+                self._period = 1e-9 * (stamp - self._stamp)
+                share = min(1.0, self._period / _MEMORY)
+                self.square += share * (value * value - self.square)
+                self._product += share * (value * self._before - self._product)
+            self._stamp, self._before = stamp, value
+
+    def repeated(self, stamp: int, repeats: int) -> None:
+        """Take in how often the latest value has repeated, in a way that counts."""
+        was_stuck = self._stuck
+        self._stuck = repeats >= _STUCK_SAMPLES and stamp - self._since >= _BLOCK
+        if was_stuck and not self._stuck:
+            # The past is no guide to the future: the estimate was led astray.
+            self._renew(FaultKind.UNKNOWN, _RECOVERY_BLOCKS)
+
+    def estimated(self, stamp: int, disturbance: float, bound: float) -> bool:
+        """Take in an estimate; return whether there is something to judge."""
+        self._complete = False
+        if math.isnan(disturbance) or stamp <= self._estimated:
+            return False
+        if self._begun and stamp - self._estimated > _LONGEST_GAP:
+            self._renew(FaultKind.NONE, _LEAST_BLOCKS)
+        self._estimated, self._begun = stamp, self._begun or stamp
+        new = disturbance, self._predicted - disturbance, bound
+        self._sums = [total + each for total, each in zip(self._sums, new, strict=True)]
+        self._in_block += 1
+        elapsed = stamp - self._begun
+        if elapsed >= (self._block + 1) * _BLOCK:
+            self._blocks.append((1e-9 * elapsed, *(each / self._in_block for each in self._sums)))
+            self._sums, self._in_block = [0.0, 0.0, 0.0], 0
+            self._block, self._complete = elapsed // _BLOCK, True
+        return self._complete or self._stuck or self._missing
 
     @property
     def _white(self) -> bool:
-        return bool(abs(self._watch.product) <= _COLOURED * self.square)
+        return bool(abs(self._product) <= _COLOURED * self.square)
 
     def judge(self, disturbance: float, bound: float, limits: DisturbanceLimits) -> None:
         """Find the present fault, if the latest estimate and its 1σ bound give occasion to."""
-        watch = self._watch
         # White noise that is larger than the design's widens the bound.
         widening = math.sqrt(max(1.0, self.square)) if self._white else 1.0
-        if watch.renewed:
-            self._shape = Fault(FaultKind.UNKNOWN if watch.renewed == 2 else FaultKind.NONE)
-            watch.renewed = 0
-        if watch.complete:
-            if watch.count >= watch.least and watch.block % _EVERY == 0:
+        if self._complete:
+            if len(self._blocks) >= self._least and self._block % _EVERY == 0:
                 self._look(widening)
-        elif not (watch.stuck or watch.missing) or self.fault.kind in _SURE:
+        elif self.fault.kind in _SURE:
             return
-        watch.complete = 0
         now = self._candidate(abs(disturbance), bound * widening, limits)
         self._candidates[now.kind] = now
-        stamp, hold = int(watch.estimated), 0.0 if now.kind in _SURE else limits.hold
+        stamp, hold = self._estimated, 0.0 if now.kind in _SURE else limits.hold
         kind = self._kind.update(stamp, now.kind, hold)
         level = self._level.update(stamp, now.level, hold)
         wrong = self._wrong.update(stamp, now.kind is not FaultKind.NONE, hold)
@@ -162,7 +216,7 @@ class SensorFaults:
 
     def _look(self, widening: float) -> None:
         """See the shape since the bound was last wide open, if that is long enough ago."""
-        blocks = self._watch.blocks[: self._watch.count]
+        blocks = np.array(self._blocks)
         bound = float(blocks[-1, 3])
         opened = np.flatnonzero(blocks[:, 3] > _OPEN * bound)
         times, values, motion, _ = (blocks[opened[-1] + 1 :] if len(opened) else blocks).T
@@ -171,20 +225,20 @@ class SensorFaults:
 
     def _candidate(self, disturbance: float, bound: float, limits: DisturbanceLimits) -> Fault:
         """Return the fault as it looks at the moment."""
-        watch, shape, white = self._watch, self._shape, self._white
+        shape, white = self._shape, self._white
         large = self.square > _LARGE
-        if watch.missing or watch.stuck:
-            kind = FaultKind.MISSING if watch.missing else FaultKind.STUCK
+        if self._missing or self._stuck:
+            kind = FaultKind.MISSING if self._missing else FaultKind.STUCK
             return Fault(kind, disturbance, level=Level.ERROR)
         certain = bound if white or not large else math.inf
         if shape.kind not in (FaultKind.NONE, FaultKind.UNKNOWN):
             return shape._replace(level=limits.level_of(shape.magnitude), bound=certain)
         limit = _FEW_OUTLIERS if self._many_outliers else _MANY_OUTLIERS
-        self._many_outliers = bool(watch.outliers > limit)
+        self._many_outliers = bool(self._outliers > limit)
         if white and (large or self._many_outliers):
-            std = math.sqrt(self.square) * float(watch["std"])
+            std = math.sqrt(self.square) * self._std
             # 2·`_MEMORY` of samples are in the average.
-            relative_error = math.sqrt(0.25 * watch.period / _MEMORY)
+            relative_error = math.sqrt(0.25 * self._period / _MEMORY)
             return Fault(FaultKind.NOISE, std, std * relative_error, Level.WARN)
         if large or shape.kind is FaultKind.UNKNOWN:
             magnitude = max(shape.magnitude, disturbance)

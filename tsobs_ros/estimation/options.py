@@ -52,7 +52,7 @@ class SupervisionOptions:
     """When samples are not used.
 
     σ is times the noise's scale; a disturbance beyond π and the arm and its sensor turned together
-    look the same; core/repeats.h counts repetitions.
+    look the same; core/bank.c counts repetitions.
     """
 
     gate: float = live_setting(

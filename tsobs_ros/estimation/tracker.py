@@ -194,6 +194,13 @@ class Tracker:
         return {} if state is None else self.estimator.events(state)
 
     @property
+    def repeats(self) -> list[int]:
+        """How often each output's newest value has repeated, in a way that speaks for a fault."""
+        last, p = self._last, self.estimator.shape.p
+        counts: list[int] = [0] * p if last is None else last["sensors"]["repeats"][0].tolist()
+        return counts
+
+    @property
     def output_counts(self) -> tuple[dict[str, int], ...]:
         """Numbers of samples of each output that were gated, and that were missing."""
         names, last = ("gated", "missing"), self._last

@@ -207,7 +207,7 @@ class ObservedJoint:
     def _use(self, stamps: Stamps, y: Array, u: Array, now: int) -> tuple[Stamps, Array]:
         """Return the outcomes of samples and their innovations."""
         codes, output_codes, innovations, std = self.tracker.offer_many(stamps, y, u, now)
-        self.faults.measured(stamps, y, output_codes, innovations, std)
+        self.faults.measured(stamps, y, output_codes, innovations, std, self.tracker.repeats)
         # Of several outputs one may be missing from a sample that is used.
         innovations[output_codes != USED] = math.nan
         return codes, innovations
