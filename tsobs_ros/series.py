@@ -51,8 +51,8 @@ class Series(NamedTuple):
 class Spool:
     """Records that grow in a temporary file, so that long recordings need little memory.
 
-    Args:
-        type_: Of a record.
+    Attributes:
+        type: Of a record.
 
     >>> spool = Spool(np.dtype(np.int64))
     >>> spool.add(np.arange(2))
@@ -62,7 +62,7 @@ class Spool:
     """
 
     def __init__(self, type_: np.dtype[Any]) -> None:
-        self._type = type_
+        self.type = type_
         self._file = TemporaryFile()  # noqa: SIM115
         finalize(self, self._file.close)
 
@@ -74,5 +74,5 @@ class Spool:
         """Return all records, which are paged in as they are used, shape (n,)."""
         self._file.flush()
         size = self._file.tell()  # of nothing there is no map
-        found = np.memmap(self._file, self._type, "r+") if size else np.zeros(0, self._type)
-        return found.view(np.recarray) if self._type.names else found
+        found = np.memmap(self._file, self.type, "r+") if size else np.zeros(0, self.type)
+        return found.view(np.recarray) if self.type.names else found

@@ -19,8 +19,9 @@ from tsobs_ros.campaign.folder import PART, CampaignFolder, run_campaign
 from tsobs_ros.campaign.rerun import rerun
 from tsobs_ros.campaign.summary import summarise
 from tsobs_ros.cli.main import main
+from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.metrics import measure
-from tsobs_ros.report.run import FoundObserver
+from tsobs_ros.report.run import read_run
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN
 
 
@@ -180,8 +181,7 @@ def test_a_run_is_made_again_as_a_bag_with_the_same_errors(
     asked = load_campaign(write(design=design, runs=3, duration=8.0, scenarios=scenarios))
     row = compute(asked, 2, 3)
     bag = rerun(asked, 2, tmp_path / "again")
-    found = FoundObserver(bag)
-    run = found.run(found.choose(None), asked.file.design.request)
+    run = read_run(BagSource(bag), asked.file.design.request)
     measured = measure(run, settle_time=0.3)
     assert measured.normalised_rmse == pytest.approx(row["normalised_rmse"][0], rel=1e-9)
     for one in measured.quantities:

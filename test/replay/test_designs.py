@@ -105,8 +105,8 @@ def test_a_report_is_of_one_joint_and_names_those_there_are(
     command = ["report", live, "--output", str(tmp_path / "report"), "--json"]
 
     for options, error in (
-        ((), "estimates of several joints, choose one of: elbow, wrist"),
-        (("--joint", "knee"), "no estimate of joint 'knee'"),
+        ((), "several joints, choose one of elbow, wrist"),
+        (("--joint", "knee"), "ran no design for knee, but for elbow, wrist"),
     ):
         assert main([*command, *options]) == 1
         assert error in capsys.readouterr().err

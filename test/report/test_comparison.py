@@ -18,7 +18,7 @@ from tsobs_ros.report.comparison import (
     render_comparison,
 )
 from tsobs_ros.report.metrics import innovation_std, measure
-from tsobs_ros.report.run import FoundObserver
+from tsobs_ros.report.run import read_run
 
 
 def test_each_is_measured_as_if_it_had_been_recorded(
@@ -36,9 +36,9 @@ def test_each_is_measured_as_if_it_had_been_recorded(
 
     std = innovation_std(design)
     for one in errors[:2]:
-        found = FoundObserver(tmp_path / "new", observer=one.observer)
-        recorded = found.run(one.joint, design.request)
-        assert one.metrics == measure(recorded, std)
+        recorded = BagSource(tmp_path / "new")
+        run = read_run(recorded, design.request, observer=one.observer)
+        assert one.metrics == measure(run, std)
     assert errors[2].metrics["link_angle"].rmse > errors[0].metrics["link_angle"].rmse
     assert errors[2].metrics["disturbance"].rmse is None
     lines = {line.split("  ")[0]: line.split() for line in render_comparison(errors).splitlines()}

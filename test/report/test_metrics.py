@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from tsobs_ros.report.comparison import (
-    EkfComparison,
     ObserverErrors,
+    Rival,
+    metrics_cells,
     render_comparison,
-    render_metrics,
 )
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.series import Series
@@ -75,34 +75,15 @@ def test_inside_counts_three_sigma_and_the_normalised_error_weighs_the_states(ex
     assert measure(run).normalised_rmse == pytest.approx(0.01)
 
 
-def test_settling_is_timed_from_the_start_and_from_each_jump(exact) -> None:
-    run = with_error(exact, 0.0, 1.5, 0.4)
-    run = with_error(run, 1.9, 2.0, 0.4, column=3)  # quiet for less than the hold time before
-    run = with_error(run, 20.0, 22.25, -0.4, column=1)
-
-    # A bound that is wide at the start does not make the start settled.
-    bounds = np.where(exact.times[:, np.newaxis] < 1.0, 5.0, exact.state_bound)
-    start, jump = measure(replace(run, state_bound=bounds)).events
-
-    assert (start.what, start.time, start.size) == ("start", 0.0, 0.0)
-    assert start.settled_after == pytest.approx(2.0)
-    assert (jump.what, jump.time) == ("jump", 20.0)
-    assert jump.size == pytest.approx(0.1)
-    assert jump.settled_after == pytest.approx(2.25)
-    start, jump = measure(with_error(exact, 0.0, 30.0, 0.4)).events
-    assert start.settled_after is None
-    assert jump.settled_after == pytest.approx(10.0)
-
-
 def test_small_steps_of_the_disturbance_are_no_jumps(exact) -> None:
     stamps, values = exact.true_disturbance
     ramp = Series(stamps, 0.2 * np.sin(3.0 * exact.times)[:, np.newaxis])
     chatter = values.copy()
     chatter[4001:4010:2] = 0.0
 
-    assert len(measure(replace(exact, true_disturbance=ramp)).events) == 1
-    events = measure(replace(exact, true_disturbance=Series(stamps, chatter))).events
-    assert [event.time for event in events] == [0.0, 20.0]
+    assert measure(replace(exact, true_disturbance=ramp)).jumps == ()
+    (jump,) = measure(replace(exact, true_disturbance=Series(stamps, chatter))).jumps
+    assert jump == (20.0, pytest.approx(0.1), "disturbance")
 
 
 def test_without_truth_there_are_bounds_but_no_errors(exact) -> None:
@@ -112,8 +93,6 @@ def test_without_truth_there_are_bounds_but_no_errors(exact) -> None:
     assert metrics["link_angle"].bound == pytest.approx(BOUND)
     assert all(one.rmse is one.ratio is one.inside is None for one in metrics.quantities)
     assert metrics.normalised_rmse is None
-    assert metrics.events[0].settled_after is None
-    assert "settling" not in render_metrics(metrics)
 
 
 def test_lost_truth_and_bounds_are_left_out(exact) -> None:
@@ -153,25 +132,26 @@ def test_a_diverged_observer_is_called_so_and_stays_plain_data(exact, size) -> N
     for name in ("link angle", "all states, normalised", "innovation", "innovation² / expected"):
         assert lines[name] == "diverged"
     assert lines["link velocity"] == "0.00"
-    assert "diverged" in render_metrics(metrics)
+    assert "diverged" in metrics_cells(metrics)[1]
 
 
 def test_the_table_says_what_the_metrics_say(simulated) -> None:
-    metrics = measure(simulated)
-    worse = replace(simulated, state=1.5 * simulated.state)
-    comparison = EkfComparison(metrics, measure(worse), "ekf_augmented", 2)
+    metrics, worse = measure(simulated), replace(simulated, state=1.5 * simulated.state)
+    rival = Rival("ekf_augmented", measure(worse), worse)
 
-    lines = render_metrics(metrics, comparison).splitlines()
+    head, *rows = metrics_cells(metrics, rival.metrics)
 
-    row = next(line for line in lines if line.startswith("motor velocity")).split()
-    one, other = metrics["motor_velocity"], comparison.ekf["motor_velocity"]
-    assert row[2:5] == ["rad/s", f"{one.rmse:#.3g}", f"{one.bound:#.3g}"]
-    assert row[5:8] == [f"{one.ratio:.2f}", f"{100.0 * one.inside:.1f}", "%"]
-    assert row[8:] == [f"{other.rmse:#.3g}", f"{one.rmse / other.rmse:.2f}"]
-    table = lines[2:10]
-    assert len({len(line) for line in table[1:]}) == 1, "columns are not aligned"
-    assert "gated at 5σ; ekf_augmented has the uncertain parameters as states" in lines[-1]
-    mapping = comparison.as_mapping()
+    one, other = metrics["motor_velocity"], rival.metrics["motor_velocity"]
+    assert dict(zip(head, rows[3], strict=True)) == {
+        "": "motor velocity",
+        "unit": "rad/s",
+        "RMSE": f"{one.rmse:#.3g}",
+        "bound (1σ)": f"{one.bound:#.3g}",
+        "RMSE/bound": f"{one.ratio:.2f}",
+        "inside 3σ": f"{100.0 * one.inside:.1f} %",
+        "EKF RMSE": f"{other.rmse:#.3g}",
+        "RMSE/EKF": f"{one.rmse / other.rmse:.2f}",
+    }
+    mapping = rival.as_mapping(metrics)
     assert mapping["ratio"]["motor_velocity"] == one.rmse / other.rmse
     assert mapping["method"] == "ekf_augmented"
-    assert any(line.startswith("jump of +0.1 rad at 8.00 s: errors settled") for line in lines)

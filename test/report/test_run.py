@@ -9,19 +9,20 @@ import numpy as np
 import pytest
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
-from tsobs_ros.report.run import FoundObserver, RecordedRun, hold, interpolate
+from tsobs_ros.replay.source import BagSource
+from tsobs_ros.report import run as runs
+from tsobs_ros.report.run import RecordedRun, hold, interpolate
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.series import Series
 
 SECOND = 1_000_000_000
 
 
-def read_run(bag: Path, namespace: str | None = None) -> RecordedRun:
-    found = FoundObserver(bag, namespace=namespace)
-    return found.run(found.choose(None), load_design(config_path(SHIPPED_DESIGN)).request)
+def read_run(bag: Path, topic: str | None = None) -> RecordedRun:
+    request = load_design(config_path(SHIPPED_DESIGN)).request
+    return runs.read_run(BagSource(bag, topic=topic, joints=["elastic_joint"]), request)
 
 
 @pytest.mark.parametrize("namespace", ["", "/lab/left"])
@@ -90,13 +91,13 @@ def test_missing_topics_are_named_and_of_two_arms_one_is_chosen(
     other = replace(short, state=short.state + 1.0)
     bag = write_bag({**messages_of(short, "/left"), **messages_of(other, "/right")})
 
-    with pytest.raises(BagReadError, match=r"several topics end in joint_measurements: /left/"):
+    with pytest.raises(BagReadError, match=r"several topics end in joint_measurements, choose"):
         read_run(bag)
-    np.testing.assert_array_equal(read_run(bag, namespace="/right").state, other.state)
-    np.testing.assert_array_equal(read_run(bag, namespace="left/").state, short.state)
-    missing = "bag: no topic ends in joint_measurements, observer/joint_states, .*; topics: /left/"
-    with pytest.raises(BagReadError, match=missing):
-        FoundObserver(bag, namespace="/nowhere").run("elbow", ArmRequest())
+    for name, run in (("left", short), ("right", other)):
+        found = read_run(bag, f"/{name}/joint_measurements")
+        np.testing.assert_array_equal(found.state, run.state)
+    with pytest.raises(BagReadError, match="no topic /nowhere/joint_measurements; topics: /left/"):
+        read_run(bag, "/nowhere/joint_measurements")
 
 
 def test_joints_efforts_and_messages_that_are_missing_leave_gaps(

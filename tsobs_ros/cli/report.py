@@ -21,7 +21,7 @@ def add_parser(commands: Commands) -> None:
     add("bag", type=Path)
     add("--output", type=Path, help="folder for the report (default: by the bag)")
     add("--joint", metavar="NAME", help="joint to report on, if there are several")
-    add("--namespace", metavar="NS", help="namespace of its topics, if there are several arms")
+    add("--topic", metavar="NAME", help="its measurements, if there are several arms")
     add(
         "--design", metavar="FILE",
         help="the observer's design (default: what the bag's observer ran, else the shipped one)",

@@ -3,7 +3,7 @@
 """The report on a bag: a table, a figure, an interactive page, and the same numbers as JSON."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec
@@ -15,9 +15,8 @@ import numpy as np
 
 from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile
-from tsobs_ros.errors import TsobsError, missing_library, printable
+from tsobs_ros.errors import BagReadError, TsobsError, missing_library, printable
 from tsobs_ros.files import require_new, written_whole
-from tsobs_ros.replay.designs import choose_designs
 from tsobs_ros.replay.health import (
     Health,
     JointEvent,
@@ -26,16 +25,12 @@ from tsobs_ros.replay.health import (
     list_events,
     map_events,
 )
-from tsobs_ros.report.comparison import (
-    EkfComparison,
-    compare_with_ekf,
-    metrics_cells,
-    render_metrics,
-)
+from tsobs_ros.replay.source import BagSource
+from tsobs_ros.report.comparison import Rival, about_ekfs, aligned, best_ekf, metrics_cells
 from tsobs_ros.report.diagnosed import Diagnosed, diagnose
 from tsobs_ros.report.metrics import RunMetrics, innovation_std, measure
-from tsobs_ros.report.panels import TimingSummary, picture
-from tsobs_ros.report.run import FoundObserver, RecordedRun
+from tsobs_ros.report.panels import Picture, picture
+from tsobs_ros.report.run import RecordedRun, diagnostics, read_run
 from tsobs_ros.report.summary import About, Summary, Table, summarise
 from tsobs_ros.series import NANOSECONDS
 
@@ -55,9 +50,9 @@ class BagReport:
         metrics: Of the recorded estimates.
         health: Of the estimates, None if it was not recorded.
         events: Changes of their health, in order.
-        comparison: With an EKF on the same measurements, if asked for.
+        ekf: An EKF on the same measurements, if asked for.
         diagnosed: Faults and rejects, as the recorded diagnostics have them.
-        timing: How regular the measurements came.
+        shown: What its figure and its page show.
         facts: Names and values of what it was made with.
         files: The files that were written, in order of interest.
         remarks: Limits of the report itself.
@@ -69,9 +64,9 @@ class BagReport:
     metrics: RunMetrics
     health: Health | None
     events: Sequence[JointEvent]
-    comparison: EkfComparison | None
+    ekf: Rival | None
     diagnosed: Diagnosed
-    timing: TimingSummary
+    shown: Picture
     facts: Sequence[tuple[str, str]]
     files: Sequence[Path]
     remarks: Sequence[str]
@@ -80,21 +75,31 @@ class BagReport:
     def summary(self) -> Summary:
         """How the run went, in words."""
         until = int(self.run.measurements.stamps.max())
-        known = self.metrics, self.health, self.diagnosed, self.timing
+        known = self.metrics, self.health, self.diagnosed, self.shown.timing
         return summarise(*known, self.events, until)
+
+    @property
+    def _cells(self) -> list[list[str]]:
+        return metrics_cells(self.metrics, self.ekf and self.ekf.metrics)
+
+    @property
+    def _note(self) -> str:
+        """The line on what the errors are of."""
+        note = f"Errors over the {self.metrics.settled_time:.1f} s that count as settled."
+        return note + (f" {about_ekfs([self.ekf.method], self.ekf.metrics)}." if self.ekf else "")
 
     def text(self) -> str:
         """Return the report for a terminal."""
         what = f"{self.run.joint}, design {self.design.name} ({self.design.identity})"
-        parts = [f"{printable(f'{self.bag}: {what}')}\n{printable(self.summary.text)}"]
-        parts.append(render_metrics(self.metrics, self.comparison))
-        if self.health is not None:
-            events = list_events(self.events, self.run.origin)
-            parts.append("\n".join(map(printable, [*self.health.lines(), *events])))
-        if self.remarks:
-            parts.append("\n".join(map(printable, self.remarks)))
-        parts.append("\n".join(printable(f"wrote {path}") for path in self.files))
-        return "\n\n".join(parts)
+        parts = [
+            [f"{self.bag}: {what}", self.summary.text, self.shown.headline],
+            aligned(self._cells),
+            [self._note, *(() if self.health is None else self.health.lines())],
+            list_events(self.events, self.run.origin),
+            self.remarks,
+            [f"wrote {path}" for path in self.files],
+        ]
+        return "\n\n".join("\n".join(map(printable, part)) for part in parts if part)
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the report as plain data that JSON can hold."""
@@ -110,9 +115,9 @@ class BagReport:
             "summary": {"level": self.summary.level.name, "text": self.summary.text},
             **self.metrics.as_mapping(),
             "health": health,
-            "timing": self.timing._asdict(),
+            "timing": self.shown.timing._asdict(),
             "diagnostics": self.diagnosed.as_mapping(),
-            "ekf": None if self.comparison is None else self.comparison.as_mapping(),
+            "ekf": self.ekf and self.ekf.as_mapping(self.metrics),
             "files": [str(path) for path in self.files],
             "remarks": list(self.remarks),
         }
@@ -120,10 +125,7 @@ class BagReport:
     @property
     def about(self) -> About:
         """What its page has beside the panels."""
-        head, *rows = metrics_cells(self.metrics, self.comparison)
-        note = f"Over the {self.metrics.settled_time:.1f} s that count as settled."
-        if self.comparison is not None:
-            note += f" {self.comparison.note}."
+        head, *rows = self._cells
         faults = [
             (
                 one.output or self.run.joint,
@@ -135,15 +137,14 @@ class BagReport:
             )
             for one in self.diagnosed.faults
         ]
-        begin = self.run.origin
         events = [
-            (f"{(one.log_time - begin) / NANOSECONDS:.1f}", one.event.level.name, one.event.text)
-            for one in self.events
+            (f"{(time - self.run.origin) / NANOSECONDS:.1f}", event.level.name, event.text)
+            for _, time, event in self.events
         ]
         rejected = [(reason, str(count)) for reason, count in self.diagnosed.rejected.items()]
         columns = ("sensor", "fault", "level", "since [s]", "until [s]", "size")
         tables = [
-            Table("Errors and bounds", head, rows, 2, note),
+            Table("Errors and bounds", head, rows, 2, self._note),
             Table("Faults of sensors", columns, faults, 3),
             Table("Events", ("time [s]", "level", "what"), events, 3),
             Table("Rejected measurements", ("reason", "number"), rejected),
@@ -161,7 +162,7 @@ def make_bag_report(
     ekf: bool = True,
     html: bool = True,
     joint: str | None = None,
-    namespace: str | None = None,
+    topic: str | None = None,
     force: bool = False,
     notes: Mapping[str, str] = MappingProxyType({}),
 ) -> BagReport:
@@ -176,7 +177,7 @@ def make_bag_report(
         ekf: Whether to run EKFs over the same measurements.
         html: Whether to write the page too; it is left out, with a remark, without plotly.
         joint: Name of the joint in the bag; None if there is one only.
-        namespace: Namespace of the topics, for a bag with several arms.
+        topic: Name of the measurements' topic, for a bag with several arms.
         force: Whether to replace files of these names.
         notes: What else is known of the run's origin, such as a seed, by name.
 
@@ -189,61 +190,32 @@ def make_bag_report(
     """
     page = html and find_spec("plotly") is not None
     names = ["report.png", *(["report.html"] if page else []), "report.json"]
-    written = tuple(output / name for name in names)
-    require_new(written, force=force)
-    found = FoundObserver(bag, namespace=namespace)
-    joint, ran = found.choose(joint), found.ran
+    files = tuple(output / name for name in names)
+    require_new(files, force=force)
+    source = BagSource(bag, topic=topic, joints=[joint] if joint else ())
     given = [] if design is None else [design]
-    joints = tuple(one for one in found.joints if one in ran.designs) or (joint,)
-    # Only the design of the joint that the report is on is in question.
-    named = [f"{joint}={path}" for path in given]
-    ((*chosen,),) = choose_designs(bag, ran, joints, named, other_design).values()
-    files = dict(zip(joints, chosen, strict=True))
-    file = files[joint]
-    run = found.run(joint, file.design.request)
-    expected = innovation_std(file.design)
+    ((file, *others),) = source.choose_designs(given, others_allowed=other_design).values()
+    if others:
+        raise BagReadError(f"{bag}: several joints, choose one of {', '.join(source.joints)}")
+    run, expected = read_run(source, file.design.request), innovation_std(file.design)
     metrics = measure(run, expected)
     health, events = None, list[JointEvent]()
     if run.health is not None:
         stamps, values = run.health
         health = health_of(values)
-        events = find_events([joint], run.topic, stamps, stamps, values[:, np.newaxis])
-    diagnosed = diagnose(found.statuses(joint), run.origin, metrics.last)
-    comparison, rival = None, None
-    remarks = [*ran.doubt(given), *ran.remarks]
+        events = find_events([run.joint], run.topic, stamps, stamps, values[:, np.newaxis])
+        events.sort(key=lambda one: one.log_time)
+    diagnosed = diagnose(diagnostics(source), run.origin, metrics.last)
+    rival = None
     if ekf and run.true_state is not None:
-        comparison, rival = compare_with_ekf(run, metrics, bag, files, ran.settings())
-    if run.true_state is None:
-        remarks.append("note: the bag has no ground truth, so there are bounds but no errors")
-    if run.passes > 1:
-        often = "once" if run.passes == 2 else f"{run.passes - 1} times"
-        remarks.append(f"note: time restarted {often}; this is the longest pass")
-    if not metrics.windows:
-        remarks.append("note: the run is too short to have a settled part, so there are no errors")
-    if not diagnosed.count:
-        remarks.append(
-            "note: the bag has no diagnostics of the observer, so there are no faults, rejects and "
-            "ticks"
-        )
+        rival = best_ekf(source, file, source.ran.settings())
+    shown = picture(run, metrics, expected, diagnosed=diagnosed, rival=rival and rival.run)
+    remarks = [*source.ran.doubt(given), *source.ran.remarks, *_limits(run, metrics, diagnosed)]
     if html and not page:
         remarks.append(f"note: no report.html: {missing_library('plotly')}")
-    margin, solver = file.design.certificate.worst.margin, file.design.solver
-    parameters = ", ".join(f"{name} = {value}" for name, value in ran.parameters.items())
-    facts = (
-        ("bag", str(bag)),
-        ("joint", joint),
-        ("design", f"{file.name}, SHA-256 {file.sha256}"),
-        ("certificate", f"holds, checked now; smallest margin {margin:.3g} 1/s"),
-        ("rate of the design", f"{run.request.rate:g} Hz"),
-        ("solver", f"{solver.name} {solver.version}, {solver.status}"),
-        ("parameters of the observer", parameters or "not recorded"),
-        *notes.items(),
-        ("version of this report", f"tsobs_ros {__version__}"),
-    )
-    shown = picture(run, metrics, expected, diagnosed=diagnosed, rival=rival)
-    ordered = sorted(events, key=lambda one: one.log_time)
-    known = file, run, metrics, health, ordered, comparison, diagnosed, shown.timing
-    report = BagReport(bag, *known, facts, written, remarks)
+    facts = [*_facts(bag, source, file), *notes.items()]
+    known = metrics, health, events, rival, diagnosed, shown
+    report = BagReport(bag, file, run, *known, facts, files, remarks)
     with written_whole(output, ReportError, force=force) as folder:
         # Here, so that matplotlib and plotly are needed only for what they draw.
         from tsobs_ros.report.figures import draw_run
@@ -256,3 +228,27 @@ def make_bag_report(
         text = json.dumps(report.as_mapping(), indent=2, allow_nan=False)
         (folder / names[-1]).write_text(text + "\n", encoding="utf-8")
     return report
+
+
+def _limits(run: RecordedRun, metrics: RunMetrics, diagnosed: Diagnosed) -> Iterator[str]:
+    if run.true_state is None:
+        yield "note: the bag has no ground truth, so there are bounds but no errors"
+    if run.passes > 1:
+        yield f"note: this is the longest of {run.passes} passes of time"
+    if not metrics.windows:
+        yield "note: the run is too short to have a settled part, so there are no errors"
+    if not diagnosed.count:
+        yield "note: the bag has no diagnostics of the observer: no faults, rejects and ticks"
+
+
+def _facts(bag: Path, source: BagSource, file: DesignFile) -> Iterator[tuple[str, str]]:
+    margin, solver = file.design.certificate.worst.margin, file.design.solver
+    values = ", ".join(f"{name} = {value}" for name, value in source.ran.parameters.items())
+    yield "bag", str(bag)
+    yield "joint", source.joints[0]
+    yield "design", f"{file.name}, SHA-256 {file.sha256}"
+    yield "certificate", f"holds, checked now; smallest margin {margin:.3g} 1/s"
+    yield "rate of the design", f"{file.design.request.rate:g} Hz"
+    yield "solver", f"{solver.name} {solver.version}, {solver.status}"
+    yield "parameters of the observer", values or "not recorded"
+    yield "version of this report", f"tsobs_ros {__version__}"

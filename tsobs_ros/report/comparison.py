@@ -9,11 +9,10 @@ one is the better rival: one keeps the nominal parameters, the other has them as
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from operator import attrgetter
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,21 +23,18 @@ from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import EKFS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
-from tsobs_ros.replay.places import places_of
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.report.held_out import HeldOutErrors, HeldOutSensor
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics, innovation_std, measure, root_mean
 from tsobs_ros.report.quantities import QUANTITIES, outputs_of
 from tsobs_ros.report.run import (
     ESTIMATED,
-    TRUE,
-    Asked,
     RecordedRun,
-    Rows,
-    read_rows,
+    measured,
     row_type,
     rows_of,
     run_of,
+    true_parts,
 )
 from tsobs_ros.series import Spool
 
@@ -58,49 +54,6 @@ _EKFS = {
     "ekf": "the nominal parameters",
     "ekf_augmented": "the uncertain parameters as states",
 }
-
-
-class EkfComparison(NamedTuple):
-    """Errors of a run's observer next to an EKF's on the same data and windows.
-
-    Attributes:
-        observer: Metrics of the recorded estimates.
-        ekf: Metrics of the EKF.
-        method: Its name, one of `methods.EKFS`.
-        rivals: How many there were to choose the best from.
-    """
-
-    observer: RunMetrics
-    ekf: RunMetrics
-    method: str = EKFS[0]
-    rivals: int = 1
-
-    @property
-    def ratios(self) -> dict[str, float | None]:
-        """RMSE of the observer over that of the EKF, by quantity; None without truth."""
-        pairs = zip(self.observer.quantities, self.ekf.quantities, strict=True)
-        return {ours.key: _ratio(ours.rmse, theirs.rmse) for ours, theirs in pairs}
-
-    @property
-    def normalised_ratio(self) -> float | None:
-        """Normalised RMSE of the observer over that of the EKF; None without truth."""
-        return _ratio(self.observer.normalised_rmse, self.ekf.normalised_rmse)
-
-    @property
-    def note(self) -> str:
-        """The line on what the EKF has in common with ours, and in what it differs."""
-        better = ", the better one of ekf and ekf_augmented" if self.rivals > 1 else ""
-        return f"{_about_ekfs([self.method], self.ekf)}{better}"
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return the EKF's errors and the ratios as plain data."""
-        return {
-            "method": self.method,
-            "rmse": {one.key: one.rmse for one in self.ekf.quantities},
-            "normalised_rmse": self.ekf.normalised_rmse,
-            "ratio": self.ratios,
-            "normalised_ratio": self.normalised_ratio,
-        }
 
 
 class ObserverErrors(NamedTuple):
@@ -142,37 +95,43 @@ class ObserverErrors(NamedTuple):
         }
 
 
-def compare_with_ekf(
-    run: RecordedRun,
-    metrics: RunMetrics,
-    bag: Path,
-    files: Mapping[str, DesignFile],
-    settings: ObserverSettings,
-) -> tuple[EkfComparison, RecordedRun]:
-    """Return a comparison with an EKF over the measurements of a recorded run, and the EKF's run.
+class Rival(NamedTuple):
+    """An EKF over the measurements of a recorded run: its name, its errors and its run."""
 
-    If ours learns parameters, there are two EKFs: one with the nominal parameters, and one that has
-    those as states. The comparison is with the better one.
+    method: str
+    metrics: RunMetrics
+    run: RecordedRun
+
+    def as_mapping(self, ours: RunMetrics) -> dict[str, Any]:
+        """Return its errors, and what ours are of them, as plain data."""
+        pairs = list(zip(ours.quantities, self.metrics.quantities, strict=True))
+        return {
+            "method": self.method,
+            "rmse": {theirs.key: theirs.rmse for _, theirs in pairs},
+            "normalised_rmse": self.metrics.normalised_rmse,
+            "ratio": {theirs.key: _ratio(one.rmse, theirs.rmse) for one, theirs in pairs},
+            "normalised_ratio": _ratio(ours.normalised_rmse, self.metrics.normalised_rmse),
+        }
+
+
+def best_ekf(source: BagSource, file: DesignFile, settings: ObserverSettings) -> Rival:
+    """Return the EKF with the smallest errors over the only joint of a bag.
+
+    If ours learns parameters, there are two: one with the nominal parameters, and one that has
+    those as states.
 
     Args:
-        run: The recorded run.
-        metrics: Its metrics.
-        bag: The bag that it is from.
-        files: Design file of each joint that the observer observed.
+        source: The bag.
+        file: Design that ours ran.
         settings: Those that it ran with.
     """
-    source = BagSource(bag, topic=run.topic, joints=tuple(files))
-    learns = settings.learnt(files[run.joint].design)
-    observers = [
-        Observer(method, replace(settings, method=method), tuple(files.values()))
-        for method in (EKFS if learns else EKFS[:1])
-    ]
-    results = _scores(source, without_misfits(observers)[0]).results()
-    own = [one for one in results if one[0].joint == run.joint]
-    best, theirs = min(own, key=lambda one: one[0].normalised_rmse)
-    if best.metrics is None or theirs is None:
-        raise BagReadError(f"{bag}: no EKF could be run over the measurements of {run.joint}")
-    return EkfComparison(metrics, best.metrics, best.observer, len(own)), theirs
+    methods = EKFS if settings.learnt(file.design) else EKFS[:1]
+    observers = [Observer(name, replace(settings, method=name), (file,)) for name in methods]
+    scores = _scores(source, without_misfits(observers)[0])
+    best, run = min(scores.results(), key=lambda one: one[0].normalised_rmse)
+    if best.metrics is None or run is None:
+        raise BagReadError(f"{source.path}: no EKF could be run over the measurements")
+    return Rival(best.observer, best.metrics, run)
 
 
 def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer], list[str]]:
@@ -228,7 +187,7 @@ def _scores(
 class RunScores:
     """Measures runs over the same measurements; if time restarted, the longest pass.
 
-    Their estimates are kept in temporary files, 0.2 kB for each.
+    Their estimates are kept in temporary files.
 
     Args:
         source: The measurements.
@@ -243,34 +202,23 @@ class RunScores:
         sensors: Sequence[HeldOutSensor] = (),
     ) -> None:
         self._source, self._sensors = source, sensors
-        self._measured = [
-            Spool(row_type(len(own.outputs) + len(own.inputs))) for own in source.signals
-        ]
-        self._kept: list[tuple[Run, int, dict[str, Spool]]] = []
+        self._kept: list[tuple[int, Run, Spool, Spool]] = []
         for joint, run in product(range(len(source.joints)), runs):
-            own = run.signals[joint]
-            p, plant, t = len(own.outputs), len(own.states), len(own.torques)
-            widths = dict(zip(ESTIMATED, (plant, plant, p, p, t, t), strict=True))
-            widths |= {"innovation": p} | ({"health": len(HEALTH)} if sensors else {})
-            kept = {key: Spool(row_type(width)) for key, width in widths.items()}
-            self._kept.append((run, joint, kept))
+            of = run.trackers[joint].estimator.row_type
+            estimates = np.dtype([("stamps", np.int64), ("log_times", np.int64), ("of", of)])
+            innovations = row_type(len(run.signals[joint].outputs))
+            self._kept.append((joint, run, Spool(estimates), Spool(innovations)))
 
     def add(self) -> None:
-        """Add a window's measurements, and what the runs have made of it."""
-        samples = self._kept[0][0].window.samples
-        for joint, measured in enumerate(self._measured):
-            own, places = samples[samples.complete[:, joint]], self._source.signals[joint]
-            y, u = own.y[:, joint, : len(places.outputs)], own.u[:, joint, : len(places.inputs)]
-            measured.add(rows_of(own, np.hstack([y, u])))
-        for run, joint, kept in self._kept:
-            innovations = run.innovations[joint]
-            there = np.flatnonzero(np.isfinite(run.values(joint, "state")[:, 0]))
-            used = np.flatnonzero(np.isfinite(innovations).any(axis=1))
-            kept["innovation"].add(rows_of(run.window.samples[used], innovations[used]))
-            for key in kept.keys() - {"innovation"}:
-                found = run.values(joint, *(HEALTH if key == "health" else (key,)))[there]
-                if found.shape[1]:
-                    kept[key].add(rows_of(run.window.ticks[there], found))
+        """Add what the runs have made of a window."""
+        for joint, run, estimates, innovations in self._kept:
+            rows, errors = run.rows[joint], run.innovations[joint]
+            used = np.isfinite(errors).any(axis=1)
+            innovations.add(rows_of(run.window.samples[used], errors[used]))
+            there = np.isfinite(rows["state"][:, 0])
+            ticks = run.window.ticks[there]
+            columns = [ticks.stamps, ticks.log_times, rows[there]]
+            estimates.add(np.rec.fromarrays(columns, estimates.type))
 
     def errors(self) -> list[ObserverErrors]:
         """Return the errors of all observers, joint by joint.
@@ -282,16 +230,19 @@ class RunScores:
 
     def results(self) -> Iterator[tuple[ObserverErrors, RecordedRun | None]]:
         """Yield the errors of each observer with its run, None if it made no estimate."""
-        truth = self._truth()
-        for one, joint, kept in self._kept:
+        truth = [true_parts(self._source, joint) for joint in range(len(self._source.joints))]
+        for joint, one, estimates, innovations in self._kept:
             name, method = self._source.joints[joint], one.observer.name
             design = one.observer.designs[joint]
-            found = {key: spool.read() for key, spool in kept.items()}
+            made, found = estimates.read(), {"innovation": innovations.read()}
             rms = tuple(map(root_mean, found["innovation"].values.T))
             run = metrics = held_out = None
-            if len(found["state"]):
-                found |= truth[joint] | {"measurements": self._measured[joint].read()}
+            if len(made):
+                found |= truth[joint] | {"measurements": measured(self._source, joint)}
+                there = [key for key in ESTIMATED if made.of[key].shape[1]]
+                found |= {key: rows_of(made, made.of[key]) for key in there}
                 if self._sensors:
+                    found["health"] = rows_of(made, np.stack([made.of[k] for k in HEALTH], axis=1))
                     found["held_out"] = self._sensors[joint].rows
                 run = run_of(found, method, name, design.request)
                 metrics = measure(run, innovation_std(design))
@@ -299,22 +250,6 @@ class RunScores:
                     held_out = self._sensors[joint].errors(run, metrics.windows)
             outputs = tuple(outputs_of(design.request))
             yield ObserverErrors(method, name, rms, metrics, outputs, held_out), run
-
-    def _truth(self) -> list[dict[str, Rows]]:
-        """Return the recorded truth of each joint."""
-        source, found = self._source, [dict[str, Rows]() for _ in self._source.joints]
-        if isinstance(source, BagSource):
-            each = zip(source.joints, source.signals, strict=True)
-            places = [places_of(name, own, alone=source.alone) for name, own in each]
-            asked = {
-                (joint, key): Asked(source.truth[topic], [own[topic]])
-                for joint, own in enumerate(places)
-                for key, topic in TRUE.items()
-                if topic in source.truth
-            }
-            for (joint, key), rows in read_rows(source.reader, asked, source.damaged).items():
-                found[joint][key] = rows
-        return found
 
 
 def render_comparison(rows: Sequence[ObserverErrors]) -> str:
@@ -327,13 +262,13 @@ def render_comparison(rows: Sequence[ObserverErrors]) -> str:
         title = [printable(joint)] if len(joints) > 1 else []
         note = [_note(first)]
         if first is not None and (ekfs := [r.observer for r in own if r.observer in _EKFS]):
-            note.append(_about_ekfs(ekfs, first))
+            note.append(about_ekfs(ekfs, first))
         note += dict.fromkeys(row.held_out.sensor.note for row in own if row.held_out)
         parts.append("\n".join([*title, *aligned(_cells(own, first)), "", *note]))
     return "\n\n".join(parts)
 
 
-def _about_ekfs(methods: Sequence[str], metrics: RunMetrics) -> str:
+def about_ekfs(methods: Sequence[str], metrics: RunMetrics) -> str:
     """Return the line on what EKFs have in common with ours, and in what they differ."""
     of_arm = metrics.quantities[0].quantity in QUANTITIES
     known = ", ".join(f"{name} has {_EKFS[name]}" for name in methods)
@@ -373,48 +308,22 @@ def _note(metrics: RunMetrics | None) -> str:
     return f"errors over the {metrics.settled_time:.1f} s that count as settled"
 
 
-def render_metrics(metrics: RunMetrics, comparison: EkfComparison | None = None) -> str:
-    """Return the metrics as a table with a line on the run above and on its events below.
-
-    Args:
-        metrics: Of the recorded estimates.
-        comparison: With an EKF on the same data; adds two columns.
-    """
-    above = (
-        f"{metrics.measurements} measurements, {metrics.estimates} estimates in "
-        f"{metrics.duration:.1f} s; errors over the {metrics.settled_time:.1f} s that count as "
-        "settled"
-    )
-    below = []
-    for event in metrics.events if metrics.has_truth else ():
-        unit = {"start": "", "jump": "rad", "step": "N m"}[event.what]
-        what = f"{event.what} of {event.size:+.3g} {unit}" if unit else event.what
-        settled = "settling not seen"
-        if event.settled_after is not None:
-            settled = f"errors settled after {event.settled_after:.2f} s"
-        below.append(f"{what} at {event.time:.2f} s: {settled}")
-    if metrics.nis is not None:
-        below.append(f"innovations: mean square {metrics.nis:.3g} × what the design expects")
-    if comparison is not None:
-        below.append(comparison.note)
-    return "\n".join([above, "", *aligned(metrics_cells(metrics, comparison)), "", *below])
-
-
-def metrics_cells(metrics: RunMetrics, comparison: EkfComparison | None = None) -> list[list[str]]:
-    """Return the cells of the same table, its head first."""
+def metrics_cells(metrics: RunMetrics, ekf: RunMetrics | None = None) -> list[list[str]]:
+    """Return the cells of a table of a run's metrics, its head first; an EKF adds two columns."""
     rows = [["", "unit", "RMSE", "bound (1σ)", "RMSE/bound", f"inside {SIGMAS:g}σ"]]
     for one in metrics.quantities:
         sizes = [number_text(one.rmse), number_text(one.bound)]
         numbers = [*sizes, _quotient(one.ratio), _share(one.inside)]
         rows.append([one.quantity.name, one.quantity.unit, *numbers])
     rows.append(["all states, normalised", "", number_text(metrics.normalised_rmse), "", "", ""])
-    if comparison is not None:
-        rmse = [one.rmse for one in comparison.ekf.quantities]
-        errors = [*rmse, comparison.ekf.normalised_rmse]
-        ratios = [*comparison.ratios.values(), comparison.normalised_ratio]
+    if ekf is not None:
         rows[0] += ["EKF RMSE", "RMSE/EKF"]
-        for row, error, ratio in zip(rows[1:], errors, ratios, strict=True):
-            row += [number_text(error), _quotient(ratio)]
+        ours, theirs = (
+            [*(one.rmse for one in each.quantities), each.normalised_rmse]
+            for each in (metrics, ekf)
+        )
+        for row, own, error in zip(rows[1:], ours, theirs, strict=True):
+            row += [number_text(error), _quotient(_ratio(own, error))]
     return rows
 
 

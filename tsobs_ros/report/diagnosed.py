@@ -25,7 +25,6 @@ _TIMING = (
 )
 # A fault that the next status does not repeat has ended by then; they are a second apart.
 _APART = 2.5
-_NUMBERS = {*(f"{_REJECTED}{reason.value}" for reason in RejectReason), *_TIMING, _MISSED}
 _MAX_KIND = 40
 
 
@@ -38,10 +37,9 @@ class FaultSpan:
         kind: What it looks like.
         level: The worst level.
         begin: Seconds since the run's origin.
-        end: The same of its last report.
+        end: The same of its last report, or of the first one without it.
         magnitude: The largest one.
         unit: Its unit, empty if it is not known.
-        over: Whether a status without it has followed.
     """
 
     output: str
@@ -51,13 +49,6 @@ class FaultSpan:
     end: float
     magnitude: float
     unit: str = ""
-    over: bool = False
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return it as plain data."""
-        data = {**asdict(self), "level": self.level.name}
-        del data["over"]
-        return data
 
 
 @dataclass
@@ -65,12 +56,12 @@ class Diagnosed:
     """What the diagnostics of an observer have of a joint.
 
     Attributes:
-        count: Number of arrays.
+        count: Number of statuses.
         faults: In order.
         rejected: Number of rejected measurements by reason, without those that are zero.
         reject_rates: Times [s] and rejects a second of the same reasons.
         missed: Number of missed ticks.
-        timing: Times [s] and values of the node's timing, by name with the unit.
+        timing: Times [s] and values of the node's timing [ms], by name.
     """
 
     count: int = 0
@@ -80,10 +71,10 @@ class Diagnosed:
     missed: int = 0
     timing: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
-    def as_mapping(self) -> dict[str, object]:
+    def as_mapping(self) -> dict[str, Any]:
         """Return it as plain data, without the curves."""
         return {
-            "faults": [one.as_mapping() for one in self.faults],
+            "faults": [{**asdict(one), "level": one.level.name} for one in self.faults],
             "rejected": self.rejected,
             "missed_ticks": self.missed,
         }
@@ -97,53 +88,55 @@ def diagnose(statuses: Iterable[RecordedStatus], origin: int, until: float) -> D
         origin: Stamp that times count from [ns].
         until: End of the run [s]; what is later is left out.
     """
-    found, last = Diagnosed(), -math.inf
+    found, running = Diagnosed(), dict[str, FaultSpan]()
+    reasons = {f"{_REJECTED}{reason.value}": reason.value for reason in RejectReason}
     numbers: dict[str, list[tuple[float, float]]] = {}
     for status in statuses:
         time = (status.stamp - origin) / NANOSECONDS
         if not 0.0 <= time <= until + 1.0:
             continue
-        found.count += time != last
-        last = time
+        found.count += 1
         if status.name[-1].startswith(_FAULT):
-            _note_fault(found.faults, time, status)
+            _note_fault(found.faults, running, time, status)
             continue
-        for key, text in status.values.items():
-            if key in _NUMBERS:
-                numbers.setdefault(key, []).append((time, _number(text)))
-    for key, pairs in numbers.items():
-        times, values = np.array(pairs).T
+        for key in status.values.keys() & {*reasons, *_TIMING, _MISSED}:
+            numbers.setdefault(key, []).append((time, _number(status.values[key])))
+    for key in (_MISSED, *_TIMING, *reasons):
+        if key not in numbers:
+            continue
+        times, values = np.array(numbers[key]).T
         if key == _MISSED:
-            found.missed = int(values.max(initial=0.0))
+            found.missed = int(values.max())
         elif key in _TIMING:
-            found.timing[key] = (times, values)
+            found.timing[key.removesuffix(" [ms]")] = (times, values)
         else:
             grown = np.maximum(np.diff(values, prepend=0.0), 0.0)
             lengths = np.maximum(np.diff(times, prepend=times[0] - 1.0), 0.1)
             if total := int(grown.sum()):
-                reason = key.removeprefix(_REJECTED)
-                found.rejected[reason] = total
-                found.reject_rates[reason] = (times, grown / lengths)
+                found.rejected[reasons[key]] = total
+                found.reject_rates[reasons[key]] = (times, grown / lengths)
     return found
 
 
-def _note_fault(faults: list[FaultSpan], time: float, status: RecordedStatus) -> None:
-    """Begin a fault, or prolong the one that the output has."""
+def _note_fault(
+    faults: list[FaultSpan], running: dict[str, FaultSpan], time: float, status: RecordedStatus
+) -> None:
+    """Begin a fault, or prolong the one that the output has; the next status ends it."""
     output = status.name[-1].removeprefix(_FAULT).removeprefix(" of ")
     kind = status.values.get("kind", "")[:_MAX_KIND]
-    known = next((one for one in reversed(faults) if one.output == output), None)
     level, (size, unit) = Level(min(status.level, Level.STALE)), _size(status)
-    if known is not None and not known.over and time - known.end < _APART:
+    known = running.pop(output, None)
+    if known is not None and time - known.end < _APART:
         known.end = time
-        if kind == known.kind:
+        if known.kind == kind:
             known.level, known.magnitude = max(known.level, level), max(known.magnitude, size)
+            running[output] = known
             return
-    if known is not None:
-        known.over = True
     if kind not in ("", "none"):
         lasted = re.search(r"[\d.]+", status.values.get("since", ""))
         begin = time - (_number(lasted.group()) if lasted else 0.0)
-        faults.append(FaultSpan(output, kind, level, max(0.0, begin), time, size, unit))
+        running[output] = FaultSpan(output, kind, level, max(0.0, begin), time, size, unit)
+        faults.append(running[output])
 
 
 def _size(status: RecordedStatus) -> tuple[float, str]:

@@ -52,8 +52,7 @@ def _figure(picture: Picture) -> Figure:
     """Return the figure: values and errors side by side, then two plots a row."""
     pairs = [plot for row in picture.rows if len(row) == 2 for plot in row]
     singles = [row[0] for row in picture.rows if len(row) == 1]
-    # Those of another axis than time below the others.
-    plots = [*pairs, *sorted(singles, key=lambda plot: plot.axis != TIME)]
+    plots = [*pairs, *singles]
     rows = -(-len(plots) // 2)
     figure = Figure(figsize=(_WIDTH, _ROW * rows + _HEAD), layout="constrained")
     FigureCanvasAgg(figure)
@@ -62,16 +61,11 @@ def _figure(picture: Picture) -> Figure:
     for place, plot in enumerate(plots):
         row, column = divmod(place, 2)
         alone = column == 0 and plot is plots[-1]
-        follows = made[0] if made and plot.axis == TIME else None
-        made.append(
-            figure.add_subplot(grid[row, :] if alone else grid[row, column], sharex=follows)
-        )
+        where = grid[row, :] if alone else grid[row, column]
+        made.append(figure.add_subplot(where, sharex=made[0] if made else None))
         _draw(made[-1], plot, picture)
-        below = plots[place + 2 : place + 3] or (
-            [plots[-1]] if len(plots) % 2 and not alone else []
-        )
-        if plot.axis != TIME or not below or below[0].axis != TIME:
-            made[-1].set_xlabel(plot.axis)
+        if row == rows - 1:
+            made[-1].set_xlabel(TIME)
         else:
             made[-1].tick_params(labelbottom=False)
     made[0].xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10]))
@@ -137,14 +131,12 @@ def _draw(axes: Axes, plot: Plot, picture: Picture) -> None:
     if plot.level is not None:
         for sign in (-1.0, 1.0):
             axes.axhline(sign * plot.level, color=MUTED, lw=0.9, ls=(0, (5, 3)))
-    if plot.axis == TIME:
-        _mark(axes, picture.unsettled, color=SETTLING_COLOUR, zorder=0)
-        _mark(axes, plot.spans, color=EVENT_COLOUR, alpha=_FAINT)
-        jumps = [time for time, _ in picture.jumps]
-        whole = axes.get_xaxis_transform()
-        axes.vlines(
-            jumps, 0.0, 1.0, transform=whole, color=EVENT_COLOUR, lw=1.0, ls=(0, (2, 2)), zorder=6
-        )
+    _mark(axes, picture.unsettled, color=SETTLING_COLOUR, zorder=0)
+    _mark(axes, plot.spans, color=EVENT_COLOUR, alpha=_FAINT)
+    jumps, whole = [time for time, _ in picture.jumps], axes.get_xaxis_transform()
+    axes.vlines(
+        jumps, 0.0, 1.0, transform=whole, color=EVENT_COLOUR, lw=1.0, ls=(0, (2, 2)), zorder=6
+    )
 
 
 def _mark(axes: Axes, spans: Sequence[tuple[float, float]], **style: Any) -> None:

@@ -19,7 +19,7 @@ from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.report.metrics import QuantityMetrics, Windows, inside_windows, quantity_metrics
 from tsobs_ros.report.quantities import QUANTITIES, Quantity
-from tsobs_ros.report.run import Asked, RecordedRun, Rows, align, read_rows, rows_of
+from tsobs_ros.report.run import RecordedRun, Rows, align, read_rows, rows_of
 from tsobs_ros.series import Stamps
 
 _ARM = {one.key: one for one in QUANTITIES[:4]}
@@ -61,7 +61,7 @@ class HeldOut(NamedTuple):
             ModelError: An observer measures the quantity or is of no arm, or one place is named for
                 several joints.
             BagReadError: The bag does not have the sensor.
-            LogError: The log does not, or readings are too few or seem to be in degrees.
+            LogError: The log does not, or readings are too few.
         """
         quantity, requests = _ARM[self.quantity], [d.request for d in observers[0].designs]
         source.observe(requests)
@@ -80,28 +80,13 @@ class HeldOut(NamedTuple):
             sensor, titles = source.sensor(self.quantity, self.place)
             each = zip(titles, sensor.samples.y.swapaxes(0, 1), strict=True)
             read = {f"column {title!r}": rows_of(sensor.samples, y) for title, y in each}
-        return [
-            self._checked(quantity, where, rows, arm)
-            for arm, (where, rows) in zip(arms, read.items(), strict=True)
-        ]
+        return [self._sensor(quantity, where, rows) for where, rows in read.items()]
 
-    def _checked(
-        self, quantity: Quantity, where: str, rows: Rows, arm: ArmRequest
-    ) -> "HeldOutSensor":
-        """Return a joint's sensor with its noise; refuse too few readings, and degrees."""
+    def _sensor(self, quantity: Quantity, where: str, rows: Rows) -> "HeldOutSensor":
         found = rows[:_MAX_READINGS]
         found = found[np.isfinite(found.values[:, 0])]
         _require_enough(len(found), quantity, where)
-        values = found.values[:, 0]
-        low, high = np.percentile(values, [1.0, 99.0]).tolist()
-        reach, bounded = float(arm.reach[quantity.column]), math.isfinite(arm.max_angle)
-        if bounded and 3.0 * reach < (high - low) / 2.0 <= math.degrees(reach):
-            raise LogError(
-                f"held-out {quantity.key}, {where}: it seems to be in degrees, {low:.3g} to "
-                f"{high:.3g} where the design is for ±{reach:.3g} {quantity.unit}; in a log, "
-                f"write the unit into the title: {quantity.key} [deg{quantity.unit[3:]}]"
-            )
-        std = self.std or _noise_std(found.stamps, values)
+        std = self.std or _noise_std(found.stamps, found.values[:, 0])
         return HeldOutSensor(quantity, where, std, self.std is None, rows)
 
     def _read_bag(self, bag: BagSource, arms: Sequence[ArmRequest]) -> dict[str, Rows]:
@@ -120,8 +105,8 @@ class HeldOut(NamedTuple):
             where = f"{field} of {' or '.join(names)} on {topic}"
             if topic == bag.topic and groups[0][0] in own.outputs:
                 raise BagReadError(f"{bag.path}: {where} is what the observer measures")
-            asked[where] = Asked(topic, groups, len(groups) > 1)
-        return read_rows(bag.reader, asked, bag.damaged)
+            asked[where] = topic, groups
+        return read_rows(bag, asked)
 
 
 class HeldOutSensor(NamedTuple):

@@ -10,14 +10,14 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import TSRequest
-from tsobs_ros.report.quantities import Quantity
+from tsobs_ros.report.quantities import Kind, Quantity
 from tsobs_ros.report.run import RecordedRun
 
 SIGMAS = 3.0
@@ -35,11 +35,8 @@ JUMP = 0.03
 It is about 1σ of the sensor's noise, and several times what a fault of 0.4 rad at 3 rad/s moves in
 a sample at 200 Hz."""
 
-# Time that errors must stay inside their bound to have settled [s].
-_HOLD_TIME = 1.0
 # A fault that chatters is one event: jumps this close to the one before are no others [s].
 _SAME_JUMP = 0.1
-_JUMPS = {"disturbance": "jump", "torque_disturbance": "step"}
 
 
 @dataclass(frozen=True)
@@ -74,22 +71,12 @@ Windows = tuple[tuple[float, float], ...]
 """Parts of a run as (begin, end) in seconds since its origin."""
 
 
-@dataclass(frozen=True)
-class Event:
-    """A start or a jump, after which errors have to settle.
+class Jump(NamedTuple):
+    """A jump of a true disturbance: seconds since the run's origin, its size, and of what it is."""
 
-    Attributes:
-        what: "start", "jump" of an output's disturbance, or "step" of a torque disturbance.
-        time: Seconds since the run's origin.
-        size: Change of the true disturbance, in its unit; 0 for the start.
-        settled_after: Seconds until all errors are inside their settled bounds and stay there for
-            the hold time; None if they never are before the next event, or without truth.
-    """
-
-    what: str
     time: float
     size: float
-    settled_after: float | None
+    kind: Kind
 
 
 @dataclass(frozen=True)
@@ -102,10 +89,11 @@ class RunMetrics:
         nis: Mean normalised innovation squared over the settled parts, 1 if the innovations are
             as large as the design expects; None if that is not known.
         output_nis: The same of each output.
-        events: The start and the jumps, in order.
+        jumps: Jumps of the true disturbances, in order.
         windows: Settled parts as (begin, end) in seconds since the run's origin.
         settled_time: Their total length [s].
-        duration: From the first estimate to the last [s].
+        first: Time of the first estimate since the run's origin [s].
+        duration: From there to the last estimate [s].
         estimates: Number of estimates.
         measurements: Number of measurements.
     """
@@ -114,9 +102,10 @@ class RunMetrics:
     normalised_rmse: float | None
     nis: float | None
     output_nis: tuple[float | None, ...]
-    events: tuple[Event, ...]
+    jumps: tuple[Jump, ...]
     windows: Windows
     settled_time: float
+    first: float
     duration: float
     estimates: int
     measurements: int
@@ -129,7 +118,7 @@ class RunMetrics:
     @property
     def last(self) -> float:
         """Time of the last estimate since the run's origin [s]."""
-        return self.events[0].time + self.duration
+        return self.first + self.duration
 
     def __getitem__(self, key: str) -> QuantityMetrics:
         """Return the metrics of one quantity, else raise `KeyError`."""
@@ -137,10 +126,12 @@ class RunMetrics:
 
     def as_mapping(self) -> dict[str, Any]:
         """Return everything as plain data that JSON can hold."""
-        data = asdict(self)
-        data["quantities"] = {one.key: one.as_mapping() for one in self.quantities}
-        data["windows"] = [list(window) for window in self.windows]
-        data["events"] = list(data["events"])
+        data = {
+            **asdict(self),
+            "quantities": {one.key: one.as_mapping() for one in self.quantities},
+            "jumps": [one._asdict() for one in self.jumps],
+            "windows": [list(window) for window in self.windows],
+        }
         if len(self.output_nis) <= 1:
             del data["output_nis"]
         return data
@@ -168,48 +159,33 @@ def measure(
     if isinstance(run.request, TSRequest):  # their sizes before any measurement
         scale = tuple(np.asarray(run.request.initial_std).tolist())
     measured = run.measurements.seconds(run.origin)
-    jumps = _jumps(run)
-    windows = _settled_windows(
-        float(times[0]),
-        min(float(times[-1]), float(measured.max(initial=-math.inf))),
-        [time for time, _, _ in jumps],
-        settle_time,
-    )
+    jumps, first, last = _jumps(run), float(times[0]), float(times[-1])
+    # Predictions of an observer that is left running after the last measurement do not count.
+    end = min(last, float(measured.max(initial=-math.inf)))
+    # A jump during the start does not end the start, hence the running maximum.
+    edges = [one.time for one in jumps]
+    begins = np.maximum.accumulate([first, *edges]) + settle_time
+    windows = tuple((a, b) for a, b in zip(begins.tolist(), [*edges, end], strict=True) if a < b)
     settled = inside_windows(times, windows)
-    quantities, has_truth = [], False
-    outside = np.zeros(len(times), np.bool_)
+    quantities = []
     for quantity in run.quantities:
         one = run.of(quantity)
-        error, known = one.error, np.isfinite(one.bounds)
-        has_truth |= one.truth is not None
-        quantities.append(quantity_metrics(quantity, error[settled], one.bounds[settled]))
-        # The limit is the smallest of the run, as the bound is wide while an estimate settles.
-        if known.any() and np.isfinite(error).any():
-            # "Not inside" rather than "outside", so that an unknown error is not taken for small.
-            outside |= ~(np.abs(error) <= SIGMAS * one.bounds[known].min())
+        quantities.append(quantity_metrics(quantity, one.error[settled], one.bounds[settled]))
     nis, output_nis = _innovations(run, windows, innovation_std)
     normalised, rmse = None, [one.rmse for one in quantities[: len(scale)]]
     if None not in rmse:
         shares = [(error or 0.0) / size for error, size in zip(rmse, scale, strict=True)]
         normalised = _bounded(math.sqrt(sum(one * one for one in shares) / len(shares)))
-    begins = [float(times[0]), *(time for time, _, _ in jumps)]
-    edges = [*np.searchsorted(times, begins).tolist(), len(times)]
-    after = [
-        _settled_after(times[a:b], outside[a:b], begin) if has_truth else None
-        for begin, a, b in zip(begins, edges, edges[1:], strict=False)
-    ]
-    events = [Event("start", begins[0], 0.0, after[0])]
-    for (time, size, kind), settling in zip(jumps, after[1:], strict=True):
-        events.append(Event(_JUMPS[kind], time, size, settling))
     return RunMetrics(
         quantities=tuple(quantities),
         normalised_rmse=normalised,
         nis=nis,
         output_nis=output_nis,
-        events=tuple(events),
+        jumps=tuple(jumps),
         windows=windows,
         settled_time=sum(end - begin for begin, end in windows),
-        duration=float(times[-1] - times[0]),
+        first=first,
+        duration=last - first,
         estimates=len(times),
         measurements=len(measured),
     )
@@ -251,9 +227,9 @@ def _bounded(value: float) -> float:
     return min(value, sys.float_info.max)
 
 
-def _jumps(run: RecordedRun) -> list[tuple[float, float, str]]:
-    """Return time [s], size and kind of the jumps of the true disturbances during the estimates."""
-    found: list[tuple[float, float, str]] = []
+def _jumps(run: RecordedRun) -> list[Jump]:
+    """Return the jumps of the true disturbances during the estimates."""
+    found: list[Jump] = []
     for quantity in run.quantities:
         limit = JUMP if quantity.jump is None else quantity.jump
         truth = run.of(quantity).truth if limit < math.inf else None
@@ -262,27 +238,14 @@ def _jumps(run: RecordedRun) -> list[tuple[float, float, str]]:
         steps, times = np.diff(truth.values[:, 0]), truth.seconds(run.origin)[1:]
         large = np.abs(steps) > limit
         each = zip(times[large].tolist(), steps[large].tolist(), strict=True)
-        found += [(time, size, quantity.kind) for time, size in each]
-    found.sort(key=lambda jump: jump[0])
-    before = [-math.inf, *(time for time, _, _ in found)]
+        found += [Jump(time, size, quantity.kind) for time, size in each]
+    found.sort(key=lambda jump: jump.time)
+    before = [-math.inf, *(one.time for one in found)]
     return [
         jump
         for jump, last in zip(found, before, strict=False)
-        if run.times[0] < jump[0] <= run.times[-1] and jump[0] - last > _SAME_JUMP
+        if run.times[0] < jump.time <= run.times[-1] and jump.time - last > _SAME_JUMP
     ]
-
-
-def _settled_windows(
-    first: float, last: float, jumps: Sequence[float], settle_time: float
-) -> Windows:
-    """Return the parts of a run without the times [s] after its start and after each jump.
-
-    The run ends with its last measurement: predictions of an observer that is left running are no
-    measure of it.
-    """
-    # A jump during the start does not end the start, hence the running maximum.
-    begins = np.maximum.accumulate([first, *jumps]) + settle_time
-    return tuple((a, b) for a, b in zip(begins.tolist(), [*jumps, last], strict=True) if a < b)
 
 
 def inside_windows(times: Array, windows: Windows) -> Flags:
@@ -290,16 +253,3 @@ def inside_windows(times: Array, windows: Windows) -> Flags:
     # They neither overlap nor touch.
     edges = np.array(windows).reshape(-1)
     return np.asarray(np.searchsorted(edges, times, side="right") % 2 == 1)
-
-
-def _settled_after(times: Array, outside: Flags, begin: float) -> float | None:
-    """Return the time after an event [s] until errors have come to stay small; None if not seen.
-
-    `times` are those from the event to the next one, `outside` is whether an error is too large.
-    """
-    # Quiet spells lie between neighbouring errors that are too large, and at both ends.
-    borders = np.concatenate([[-1], np.flatnonzero(outside), [len(times)]])
-    (spells,) = np.nonzero(np.diff(borders) > 1)
-    since, until = times[borders[spells] + 1], times[borders[spells + 1] - 1]
-    long = since[until - since >= _HOLD_TIME]
-    return float(long[0]) - begin if len(long) else None

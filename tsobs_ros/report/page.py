@@ -178,11 +178,6 @@ def _drawn(plot: Plot, picture: Picture, identity: str) -> dict[str, Any]:
         "yaxis": axis | {"range": list(plot.limits), "nticks": 5},
         "shapes": list(_shapes(plot, picture)),
     }
-    for which in plot.logarithmic:
-        own = layout[f"{which}axis"]
-        own |= {"type": "log", "dtick": 1, "exponentformat": "none"}
-        if "range" in own:
-            own["range"] = np.log10(own["range"]).tolist()
     if plot.rows:
         ticks = {"tickvals": [*range(len(plot.rows))], "ticktext": [*map(escape, plot.rows)]}
         layout["yaxis"] |= ticks | {"automargin": True, "ticklabelstandoff": 4}

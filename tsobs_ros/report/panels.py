@@ -15,7 +15,7 @@ from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.replay.health import CLAIMED, HYPOTHESIS
 from tsobs_ros.report.diagnosed import Diagnosed, FaultSpan
-from tsobs_ros.report.metrics import SIGMAS, Event, RunMetrics, inside_windows
+from tsobs_ros.report.metrics import SIGMAS, RunMetrics, inside_windows
 from tsobs_ros.report.quantities import Quantity, inputs_of, measured_states, outputs_of
 from tsobs_ros.report.run import MAX_GAP, RecordedRun, align
 from tsobs_ros.series import NANOSECONDS, Series
@@ -32,11 +32,9 @@ _LEVEL_COLOURS = {Level.OK: "#56B4E9", Level.WARN: ORANGE}
 _MAX_AHEAD = 4.0
 # Errors after a jump may leave the picture, so that the bound keeps a tenth of its height.
 _MAX_TRANSIENT = 10.0
-# Autocorrelation is of so many samples, and its white band is of so many standard deviations.
-_MAX_LAG, _WHITE = 40, 2.0
 # Of what is published ten times a second, a longer silence is a gap [s].
 _SLOW_GAP = 1.0
-_JUMPS = {"jump": "fault {:+.2g} rad", "step": "torque {:+.2g} N m"}
+_JUMPS = {"disturbance": "fault {:+.2g} rad", "torque_disturbance": "torque {:+.2g} N m"}
 
 
 class Style(NamedTuple):
@@ -102,7 +100,6 @@ class Plot(NamedTuple):
         spans: Parts of the time that are marked, (begin, end) in seconds.
         level: Size of a constant ± line, e.g. of what is expected of noise.
         axis: Label of the horizontal axis; another one than `TIME` does not follow the others.
-        logarithmic: Axes that are logarithmic on a page: some of "xy".
     """
 
     label: str
@@ -115,7 +112,6 @@ class Plot(NamedTuple):
     spans: tuple[tuple[float, float], ...] = ()
     level: float | None = None
     axis: str = TIME
-    logarithmic: str = ""
 
     @property
     def title(self) -> str:
@@ -211,20 +207,14 @@ def picture(
             singles.append(lines(name, unit, {"applied": (times, values)}, MAX_GAP))
     if diagnosed.faults:
         singles.append(_faults(diagnosed.faults))
-    singles += _innovations(run, metrics, innovation_std, outputs, period)
+    singles += _innovations(run, metrics, innovation_std, outputs)
     if run.health is not None and len(run.health.stamps):
         singles.append(_health(run.health.seconds(run.origin), run.health.values))
     singles += _learnt(run)
     if timing.rate is not None:
         singles.append(_intervals(times, timing))
-    for what in ("latency", "tick time"):
-        found = {
-            name.removeprefix(f"{what} ").removesuffix(" [ms]"): values
-            for name, values in diagnosed.timing.items()
-            if name.startswith(what)
-        }
-        if found:
-            singles.append(lines(f"{what} of the node", "ms", found))
+    if diagnosed.timing:
+        singles.append(lines("node's latency and tick time", "ms", diagnosed.timing))
     if diagnosed.reject_rates:
         singles.append(lines("rejected", "1/s", diagnosed.reject_rates))
     measured = float(run.measurements.seconds(run.origin).max(initial=0.0))
@@ -242,15 +232,9 @@ def picture(
         unsettled=tuple(
             span for span in zip(edges[::2], edges[1::2], strict=True) if span[0] < span[1]
         ),
-        jumps=tuple(map(_jump, metrics.events[1:])),
+        jumps=tuple((one.time, _JUMPS[one.kind].format(one.size)) for one in metrics.jumps),
         timing=timing,
     )
-
-
-def _jump(event: Event) -> tuple[float, str]:
-    after = event.settled_after
-    settled = "" if after is None else f", settled after {after:.2g} s"
-    return event.time, f"{_JUMPS[event.what].format(event.size)}{settled}"
 
 
 def _headline(metrics: RunMetrics, run: RecordedRun) -> str:
@@ -453,12 +437,10 @@ def _innovations(
     metrics: RunMetrics,
     stds: Sequence[float],
     outputs: Sequence[tuple[str, str]],
-    period: float,
 ) -> Iterator[Plot]:
     if run.innovation is None or not len(run.innovation.stamps):
         return
     times = run.innovation.seconds(run.origin)
-    settled = inside_windows(times, metrics.windows)
     columns = run.innovation.values.T
     for place, ((name, unit), values) in enumerate(zip(outputs, columns, strict=True)):
         there = np.isfinite(values)
@@ -473,32 +455,6 @@ def _innovations(
         curve = thinned_curve("measured", times[there], values[there])._replace(name="innovation")
         level = SIGMAS * std or None
         yield Plot(label, unit, (-size, size), (curve,), tuple(remark), level=level)
-        yield from _autocorrelation(label, np.where(settled, values, np.nan), period)
-
-
-def _autocorrelation(label: str, values: Array, period: float) -> Iterator[Plot]:
-    """Yield the plot of settled innovations some samples apart, none without enough of them."""
-    known = np.isfinite(values)
-    filled, count = np.where(known, values, 0.0), int(known.sum())
-    if count <= _MAX_LAG or not filled.any():
-        return
-    lags = np.arange(_MAX_LAG + 1)
-    # Not by BLAS, whose threads cost more than so few numbers.
-    counts, sums = (
-        np.array([np.einsum("i,i", one[lag:], one[: len(one) - lag]) for lag in lags])
-        for one in (known.astype(np.float64), filled)
-    )
-    mean = sums / np.maximum(counts, 1.0)
-    shares = (mean / mean[0])[1:]
-    band = _WHITE / math.sqrt(count)
-    outside = int((np.abs(shares) > band).sum())
-    remark = (f"– – ±{_WHITE:g}σ of white noise", f"{outside} of {_MAX_LAG} lags outside")
-    size = 1.2 * max(float(np.abs(shares).max()), 2.0 * band)
-    curve = Curve("autocorrelation", np.multiply(lags[1:], period), shares, _OTHERS[0])
-    yield Plot(
-        f"autocorrelation of {label}", "", (-size, size), (curve,), remark, level=band,
-        axis="lag [s]",
-    )  # fmt: skip
 
 
 def _learnt(run: RecordedRun) -> Iterator[Plot]:

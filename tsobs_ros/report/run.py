@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One recorded run of the observer as stamped series of numbers, read from a bag."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
@@ -14,16 +13,12 @@ import numpy as np
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import DIAGNOSTICS, RecordedStatus, read_statuses
 from tsobs_ros.bag.joint_series import Place, Wanted, read_blocks
-from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
-from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.request import ArmRequest, TSRequest
-from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
 from tsobs_ros.replay.health import as_of_now
 from tsobs_ros.replay.places import ESTIMATES, places_of
-from tsobs_ros.replay.source import MEASUREMENTS, UNNAMED_SYSTEM, passes
+from tsobs_ros.replay.source import BagSource, Source, passes
 from tsobs_ros.report.quantities import QUANTITIES, Quantity, quantities_of
 from tsobs_ros.series import NANOSECONDS, Series, Spool, Stamps
 
@@ -32,8 +27,6 @@ MAX_GAP = 0.1
 
 BLOCK = 2**17
 """Number of messages that are read at once, of all topics: some 80 s at 200 Hz."""
-
-_FIRST_MESSAGES = 1000
 
 ESTIMATED = (
     "state",
@@ -54,9 +47,6 @@ TRUE = {
 
 _OWN = {fields[0]: topic for topic, fields in ESTIMATES.items() if topic != topics.HEALTH}
 _OWN |= {"health": topics.HEALTH, "innovation": topics.INNOVATION}
-_REQUIRED = ("measurements", *ESTIMATED[:4])
-# Numbers of a joint that is alone, and those of one among several, are in entries of other names.
-_TWICE = ("health", "parameters", "parameter_bound")
 
 Key = TypeVar("Key")
 
@@ -195,179 +185,123 @@ class RecordedRun:
         )
 
 
-class Asked(NamedTuple):
-    """What to read of a topic of JointStates.
-
-    Attributes:
-        topic: Its full name.
-        groups: Places of numbers; a message counts if it has any entry of the first group.
-        either: Whether each message has one of two groups, instead of all side by side.
-    """
-
-    topic: str
-    groups: Wanted
-    either: bool = False
-
-
-def read_rows(
-    reader: BagReader,
-    asked: Mapping[Key, Asked],
-    on_damage: Callable[[BagReadError], None] | None = None,
-) -> dict[Key, Rows]:
-    """Read numbers of a bag, all in one pass.
+def read_rows(source: BagSource, asked: Mapping[Key, tuple[str, Wanted]]) -> dict[Key, Rows]:
+    """Read numbers of topics of JointStates, all in one pass and up to any damage.
 
     Args:
-        reader: The bag.
-        asked: What to read.
-        on_damage: Called with damage to the bag, up to which everything is returned; else it is
-            raised.
+        source: The bag.
+        asked: Full names of topics, each with groups of places; of each message the last group is
+            read of which it has any entry. Messages without any do not count.
 
     Raises:
-        BagReadError: The bag has no such topic, a topic is of another type, or it is damaged.
+        BagReadError: The bag has no such topic, or a topic is of another type.
     """
     wanted: dict[str, list[Sequence[Place]]] = {}
-    spools: dict[Key, Spool] = {}
-    places: dict[Key, slice] = {}
-    for key, one in asked.items():
-        spools[key] = Spool(row_type(sum(map(len, one.groups[: 1 if one.either else None]))))
-        groups = wanted.setdefault(one.topic, [])
-        places[key] = slice(len(groups), len(groups) + len(one.groups))
-        groups += one.groups
-    for block in read_blocks(reader, wanted, BLOCK, on_damage=on_damage):
-        for key, one in asked.items():
-            series, own = block.series[one.topic], places[key]
-            named: Flags = series.named[:, own]
-            parts = series.values[:, own].swapaxes(0, 1)
-            values = [part[:, : len(group)] for part, group in zip(parts, one.groups, strict=True)]
-            if one.either:
-                values = [np.where(named[:, 1:], values[1], values[0])]
-            there = named.any(axis=1) if one.either else named[:, 0]
-            spools[key].add(rows_of(series, np.hstack(values))[there])
+    spools = {key: Spool(row_type(len(groups[0]))) for key, (_, groups) in asked.items()}
+    places: dict[Key, range] = {}
+    for key, (topic, groups) in asked.items():
+        all_of_topic = wanted.setdefault(topic, [])
+        places[key] = range(len(all_of_topic), len(all_of_topic) + len(groups))
+        all_of_topic += groups
+    for block in read_blocks(source.reader, wanted, BLOCK, on_damage=source.damaged):
+        for key, (topic, groups) in asked.items():
+            series, width = block.series[topic], len(groups[0])
+            values: Array = np.full((series.count, width), np.nan)
+            for place in places[key]:
+                named: Flags = series.named[:, place]
+                values[named] = series.values[named, place, :width]
+            there = series.named[:, places[key]].any(axis=1)
+            spools[key].add(rows_of(series, values)[there])
     return {key: spool.read() for key, spool in spools.items()}
 
 
-class FoundObserver:
-    """A recorded observer, found in a bag by how the names of its topics end.
+def recorded_parts(
+    source: BagSource, place: int, parts: Mapping[str, str], learnt: tuple[str, ...] = ()
+) -> dict[str, Rows]:
+    """Return what a bag has of a joint.
 
     Args:
-        bag: Bag folder or MCAP file.
-        namespace: Namespace of all topics, for a bag with several arms.
-        observer: Name of the observer node.
+        source: The bag; its designs are known.
+        place: Of the joint.
+        parts: Full names of topics by the parts of a run; those that the bag lacks are left out.
+        learnt: Names of the parameters that are learnt.
+    """
+    joint, own = source.joints[place], source.signals[place]
+    # Health and parameters of a joint that is alone are in entries of other names.
+    each = [
+        places_of(joint, own, alone=alone, learnt=learnt, rated=False) for alone in (True, False)
+    ]
+    ends = TRUE | _OWN
+    asked = {
+        key: (topic, [one[ends[key]] for one in each])
+        for key, topic in parts.items()
+        if topic in source.reader.topics and each[0][ends[key]]
+    }
+    return read_rows(source, asked)
 
-    Attributes:
-        ran: What it ran, as far as the bag has it.
-        joints: All that there are estimates of.
+
+def measured(source: Source, place: int) -> Rows:
+    """Return the measurements of a joint in the order of recording: outputs, then inputs."""
+    samples, own = source.samples, source.signals[place]
+    y, u = samples.y[:, place, : len(own.outputs)], samples.u[:, place, : len(own.inputs)]
+    there = samples.complete[:, place] | np.isfinite(y).any(axis=1)
+    return rows_of(samples, np.hstack([y, u]))[there]
+
+
+def true_parts(source: Source, place: int) -> dict[str, Rows]:
+    """Return the recorded truth of a joint by the parts of a run; nothing if there is none."""
+    if not isinstance(source, BagSource):
+        return {}
+    there = {key: source.truth[topic] for key, topic in TRUE.items() if topic in source.truth}
+    return recorded_parts(source, place, there)
+
+
+def read_run(
+    source: BagSource, request: ArmRequest | TSRequest, *, observer: str = "observer"
+) -> RecordedRun:
+    """Return the recorded estimates of the only joint of a source.
+
+    If the recorded time restarts, as in a looped bag, the pass with the longest estimates is read.
+
+    Args:
+        source: A bag.
+        request: Of the joint's design.
+        observer: Name of the node.
 
     Raises:
-        BagReadError: The bag cannot be read, or has several topics that could be meant.
+        BagReadError: The bag has no estimate of the joint, or is damaged.
     """
-
-    def __init__(
-        self, bag: Path, *, namespace: str | None = None, observer: str = "observer"
-    ) -> None:
-        reader = self._reader = BagReader(bag)
-        own = {key: f"{observer}/{topic}" for key, topic in _OWN.items()}
-        self._ends = {"measurements": MEASUREMENTS, **own, **TRUE}
-        names = {key: _find(reader, end, namespace) for key, end in self._ends.items()}
-        self.ran, self._entries, self._names = RecordedObserver(), tuple[str, ...](), names
-        if (states := names["state"]) is not None:
-            self.ran = recorded_observer(reader, states.removesuffix(f"/{topics.STATES}"))
-            info = reader.topics.get(self.ran.measurements or "")
-            if names["measurements"] is None and info is not None and info.type == JOINT_STATE:
-                names["measurements"] = info.name
-            messages = islice(reader.messages([states]), _FIRST_MESSAGES)
-            self._entries = joint_names(message.data for message in messages)
-        entries, designs = self._entries, self.ran.designs
-        self._named = {one.partition("/")[0] for one in entries if "/" in one}
-        links = [one.removesuffix("_link") for one in entries if one.endswith("_link")]
-        arms = [joint for joint in links if topics.sides(joint)[1] in entries]
-        systems = [one for one in designs if one in self._named or (entries and len(designs) == 1)]
-        self.joints = tuple(dict.fromkeys([*arms, *systems]))
-        if entries and not self.joints:
-            self.joints = (UNNAMED_SYSTEM,)
-
-    def choose(self, joint: str | None) -> str:
-        """Return the joint of a name, the only one if it is None.
-
-        Raises:
-            BagReadError: There are no estimates of such a joint, or of several.
-        """
-        path = self._reader.path
-        self._require(["state"])
-        if not self._entries:
-            made = self._reader.topics.get(self._names["measurements"] or "")
-            of = "" if made is None else f" of {made.count} measurements on {made.name}"
-            raise BagReadError(
-                f"{path}: the observer made no estimate{of}; its design may be of another arm or "
-                "system, and its log and /diagnostics say why measurements were rejected"
-            )
-        if joint in self.joints or (joint is None and len(self.joints) == 1):
-            return joint or self.joints[0]
-        has = ", ".join(self.joints)
-        if joint is None:
-            raise BagReadError(f"{path}: estimates of several joints, choose one of: {has}")
-        raise BagReadError(f"{path}: no estimate of joint '{joint}'; joints: {has}")
-
-    def run(self, joint: str, request: ArmRequest | TSRequest) -> RecordedRun:
-        """Return the estimates of a joint.
-
-        If the recorded time restarts, as in a looped bag, the pass with the longest estimates is
-        read.
-
-        Args:
-            joint: The joint.
-            request: Of its design.
-
-        Raises:
-            BagReadError: The bag lacks a topic that is needed, or messages of the joint on it.
-        """
-        self._require(_REQUIRED)
-        own = signals(request, joint, joint not in self._named)
-        found = read_rows(self._reader, self._asked(joint, own, request.uncertainty_model.names))
-        if empty := [str(self._names[key]) for key in _REQUIRED if not len(found[key])]:
-            raise BagReadError(
-                f"{self._reader.path}: no message about joint '{joint}' on {', '.join(empty)}"
-            )
-        parts = [part for part in Path(self._reader.path).absolute().parts if part != "bag"]
-        name = f"{joint}, {parts[-1]}" if len(parts) > 1 else joint
-        return run_of(found, name, joint, request, str(self._names["measurements"]))
-
-    def _asked(self, joint: str, own: Signals, learnt: tuple[str, ...]) -> dict[str, Asked]:
-        """Return for each part of a run that there is what to read."""
-        alone, named = (
-            places_of(joint, own, alone=alone, learnt=learnt, rated=False)
-            for alone in (True, False)
+    source.observe([request])
+    (joint,), path = source.joints, Path(source.path)
+    prefix = f"{source.namespace}/{observer}/"
+    parts = {key: prefix + topic for key, topic in _OWN.items()}
+    found = recorded_parts(source, 0, parts, request.uncertainty_model.names)
+    if source.damage is not None:
+        raise source.damage
+    if "state" not in found or not len(found["state"]):
+        raise BagReadError(
+            f"{path}: no estimate of {joint} from {source.count} measurements on {source.topic}; "
+            f"expected some on {prefix}{topics.STATES}. The observer's log and /diagnostics say "
+            f"why it rejects measurements. Topics: {', '.join(source.reader.topics)}"
         )
-        groups: dict[str, Wanted] = {
-            key: [alone[topic], named[topic]] if key in _TWICE else [alone[topic]]
-            for key, topic in (_OWN | TRUE).items()
-        }
-        groups["measurements"] = [own.outputs, own.inputs]
-        return {
-            key: Asked(name, groups[key], key in _TWICE)
-            for key, name in self._names.items()
-            if name is not None and any(groups[key])
-        }
+    found |= true_parts(source, 0) | {"measurements": measured(source, 0)}
+    folders = [part for part in path.absolute().parts if part != "bag"]
+    name = f"{joint}, {folders[-1]}" if len(folders) > 1 else joint
+    return run_of(found, name, joint, request, source.topic)
 
-    def statuses(self, joint: str) -> Iterator[RecordedStatus]:
-        """Yield the recorded statuses of the observer that are of a joint, or of all joints."""
-        topic = self._reader.topics.get("/diagnostics")
-        node = str(self._names["state"]).removesuffix(f"/{topics.STATES}").strip("/")
-        if topic is None or topic.type != DIAGNOSTICS:
-            return
-        mark = f"{node}: ".encode()
-        for message in self._reader.messages([topic.name]):
-            for status in read_statuses(message.data) if mark in message.data else ():
-                of_all = status.name[-1] == "timing" or len(self.joints) == 1
-                if status.name[0] == node and (of_all or status.hardware == joint):
-                    yield status
 
-    def _require(self, keys: Sequence[str]) -> None:
-        if missing := [self._ends[key] for key in keys if self._names[key] is None]:
-            has = ", ".join(self._reader.topics) or "none"
-            raise BagReadError(
-                f"{self._reader.path}: no topic ends in {', '.join(missing)}; topics: {has}"
-            )
+def diagnostics(source: BagSource) -> Iterator[RecordedStatus]:
+    """Yield the recorded statuses of the observer that are of a source's only joint, or of all."""
+    topic = source.reader.topics.get("/diagnostics")
+    node = f"{source.namespace}/observer".strip("/")
+    if topic is None or topic.type != DIAGNOSTICS:
+        return
+    mark = f"{node}: ".encode()
+    for message in source.reader.messages([topic.name]):
+        for status in read_statuses(message.data) if mark in message.data else ():
+            of_all = status.name[-1] == "timing" or len(source.ran.designs) <= 1
+            if status.name[0] == node and (of_all or status.hardware in source.joints):
+                yield status
 
 
 def run_of(
@@ -401,10 +335,14 @@ def run_of(
     }
     series: dict[str, Any] = {key: Series(one.stamps, one.values) for key, one in near.items()}
     measurements, (stamps, state) = series.pop("measurements"), series.pop("state").ordered()
+    widths = {
+        "state": state.shape[1],
+        "disturbance": len(request.output_names),
+        "torque_disturbance": len(request.torque_sides),
+    }
     parts: dict[str, Any] = {}
     for key in ESTIMATED[1:]:
-        width = found[key].values.shape[1] if key in found else len(request.torque_sides)
-        nothing = Series(stamps[:0], np.zeros((0, width)))
+        nothing = Series(stamps[:0], np.zeros((0, widths[key.removesuffix("_bound")])))
         parts[key] = align(series.pop(key, nothing), stamps)
     if "health" in series:
         series["health"] = series["health"]._replace(values=as_of_now(series["health"].values))
@@ -420,22 +358,6 @@ def run_of(
         **parts,
         **{key: one.ordered() for key, one in series.items()},
     )
-
-
-def _find(reader: BagReader, suffix: str, namespace: str | None) -> str | None:
-    if namespace is None:
-        matches = [name for name in reader.topics if f"/{name}".endswith(f"/{suffix}")]
-    else:
-        exact = f"/{namespace.strip('/')}/{suffix}".replace("//", "/")
-        matches = [name for name in reader.topics if name == exact]
-    if len(matches) > 1:
-        raise BagReadError(
-            f"{reader.path}: several topics end in {suffix}: {', '.join(matches)}; choose one by "
-            "its namespace"
-        )
-    if matches and (type_ := reader.topics[matches[0]].type) != JOINT_STATE:
-        raise BagReadError(f"{reader.path}: {matches[0]} is {type_}, expected {JOINT_STATE}")
-    return matches[0] if matches else None
 
 
 def align(series: Series, stamps: Stamps) -> Array:

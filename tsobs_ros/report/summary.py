@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from tsobs_ros.estimation.health import Level, Phase
-from tsobs_ros.estimation.records import Basis
 from tsobs_ros.replay.health import Health, JointEvent
 from tsobs_ros.report.diagnosed import Diagnosed
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics
@@ -43,12 +42,7 @@ class Summary(NamedTuple):
     """How a run went: how well, and in plain words."""
 
     level: Level = Level.OK
-    sentences: Sequence[str] = ()
-
-    @property
-    def text(self) -> str:
-        """All sentences."""
-        return " ".join(self.sentences)
+    text: str = ""
 
 
 class About(NamedTuple):
@@ -92,91 +86,68 @@ def summarise(
     silences = sum(
         one.event.text.startswith(Phase.COASTING.name) and one.event.stamp < until for one in events
     )
-    often = "once" if silences == 1 else f"{silences} times"
-    parts = [
-        _of_estimates(metrics),
-        _of_bounds(health),
-        _of_faults(diagnosed, metrics),
-        _of_data(metrics, diagnosed, timing),
-        (Level.WARN, f"Measurements stayed away {often}.") if silences else None,
-    ]
-    levels, sentences = zip(*[part for part in parts if part is not None], strict=True)
-    return Summary(max(levels), sentences)
+    parts = [_of_estimates(metrics)]
+    if health is not None:
+        parts.append(_of_bounds(health))
+    if diagnosed.count:
+        parts.append(_of_faults(diagnosed, metrics))
+    parts.append(_of_data(metrics, diagnosed, timing, silences))
+    levels, sentences = zip(*parts, strict=True)
+    return Summary(max(levels), " ".join(sentences))
 
 
 def _of_estimates(metrics: RunMetrics) -> tuple[Level, str]:
     if not metrics.windows:
-        return Level.WARN, (
-            f"The run of {metrics.duration:.1f} s is too short or too eventful to judge: no part "
-            "of it counts as settled."
-        )
+        return Level.WARN, f"No part of the {metrics.duration:.1f} s counts as settled."
     known = [one for one in metrics.quantities if one.inside is not None]
-    inside = [(one.inside or 0.0, one.quantity.name) for one in known]
-    if inside:
-        share, name = min(inside)
-        if share >= _INSIDE:
-            how_many = "All" if share == 1.0 else f"At least {_percent(share)} of the"
-            return Level.OK, (
-                f"{how_many} errors of each estimate are inside its {SIGMAS:g}σ bound, over "
-                f"{metrics.settled_time:.1f} s."
-            )
-        level = Level.WARN if share >= _TOO_FEW else Level.ERROR
+    if known:
+        share, name = min((one.inside or 0.0, one.quantity.name) for one in known)
+        level = Level.OK if share >= _INSIDE else Level.WARN if share >= _TOO_FEW else Level.ERROR
         return level, (
-            f"Only {_percent(share)} of the errors of the {name} are inside their {SIGMAS:g}σ "
-            f"bound, over {metrics.settled_time:.1f} s."
+            f"Errors are inside their {SIGMAS:g}σ bound for {_percent(share)} of "
+            f"{metrics.settled_time:.1f} s (worst estimate: {name})."
         )
     if metrics.nis is None:
         return Level.WARN, "Neither the truth nor the innovations are recorded."
     good = _EXPECTED[0] <= metrics.nis <= _EXPECTED[1]
-    agree = "agree with the design" if good else "do not agree with the design"
     return Level.OK if good else Level.WARN, (
-        f"The measurements {agree}: the mean square of the innovations is {metrics.nis:.2f} times "
-        "the expected one. The truth is not known."
+        f"The truth is not known. The mean square of the innovations is {metrics.nis:.2f} times "
+        "what the design expects."
     )
 
 
-def _of_bounds(health: Health | None) -> tuple[Level, str] | None:
-    if health is None:
-        return None
+def _of_bounds(health: Health) -> tuple[Level, str]:
     if health.misfit:
         return Level.WARN, f"{health.misfit[0].upper()}{health.misfit[1:]}."
-    learnt = health.bases.get(Basis.LEARNT, 0.0)
-    but = ", but for what is uncertain of the learnt parameters," if learnt else ""
-    level, only = (Level.OK, "") if health.claimed >= _CLAIMED else (Level.WARN, "only ")
-    return level, (
-        f"The bounds were claimed to hold for {only}{_percent(health.claimed)} of the time, and "
-        f"proved{but} for {_percent(health.proved)}."
+    return Level.OK if health.claimed >= _CLAIMED else Level.WARN, (
+        f"Bounds were claimed for {_percent(health.claimed)} of the time, and proved, but for "
+        f"what is uncertain of learnt parameters, for {_percent(health.proved)}."
     )
 
 
-def _of_faults(diagnosed: Diagnosed, metrics: RunMetrics) -> tuple[Level, str] | None:
-    if not diagnosed.count:
-        return None
+def _of_faults(diagnosed: Diagnosed, metrics: RunMetrics) -> tuple[Level, str]:
     if not diagnosed.faults:
         return Level.OK, "No fault of a sensor was reported."
     worst = max(diagnosed.faults, key=lambda one: (one.level, one.end - one.begin))
     of = f" of {worst.output}" if worst.output else ""
-    until = "to the end" if worst.end > metrics.last - 2.5 else f"to {worst.end:.1f} s"
-    more = len(diagnosed.faults) - 1
-    also = f", and {more} more" if more else ""
     size = f" of {worst.magnitude:.2g} {worst.unit}".rstrip() if worst.magnitude else ""
+    until = "to the end" if worst.end > metrics.last - 2.5 else f"to {worst.end:.1f} s"
     return min(worst.level, Level.ERROR), (
-        f"A sensor fault was reported: {worst.kind}{of}{size}, from {worst.begin:.1f} s "
-        f"{until}{also}."
+        f"Reported sensor faults: {len(diagnosed.faults)}; worst: {worst.kind}{of}{size}, from "
+        f"{worst.begin:.1f} s {until}."
     )
 
 
 def _of_data(
-    metrics: RunMetrics, diagnosed: Diagnosed, timing: TimingSummary
-) -> tuple[Level, str] | None:
+    metrics: RunMetrics, diagnosed: Diagnosed, timing: TimingSummary, silences: int
+) -> tuple[Level, str]:
     rejected = sum(diagnosed.rejected.values())
-    total = max(metrics.measurements, 1)
-    share = (timing.lost + rejected) / (total + timing.lost)
-    lost = f"{timing.lost} of {total + timing.lost} measurements are missing"
-    level = Level.WARN if share > _MANY_LOST else Level.OK
-    if not timing.lost and not rejected:
-        return level, "No measurement was lost."
-    return level, f"{lost}, {rejected} were rejected."
+    total = max(metrics.measurements, 1) + timing.lost
+    many = timing.lost + rejected > _MANY_LOST * total
+    return Level.WARN if many or silences else Level.OK, (
+        f"Measurements missing: {timing.lost} of {total}; rejected: {rejected}; silences: "
+        f"{silences}."
+    )
 
 
 def _percent(share: float) -> str:
