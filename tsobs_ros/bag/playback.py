@@ -23,9 +23,9 @@ MIN_PASS = 10_000_000
 _OVERHEAD = 300
 _NOT_READ_AHEAD = BagMessage("", "", b"", 0, 0)
 
-Read = Callable[[int, bool], Iterator[BagMessage | None]]
-"""Reads a bag from a bag time on: messages in order, None after the last one, and, if the second
-argument is true, the same from the start again and again. Messages from before are latched ones."""
+Read = Callable[[bool], Iterator[BagMessage | None]]
+"""Reads a bag from where a pass starts: messages in order, None after the last one, and, if the
+argument is true, the same again and again. Messages from before the start are latched ones."""
 
 
 class Event(NamedTuple):
@@ -45,13 +45,15 @@ class Event(NamedTuple):
 class Playback:
     """Returns the messages of a bag, and the clock's stamps, when they are due.
 
-    It is paused at first; `seek` must come before anything else.
+    It is paused at first, as reading the first message may take a while. The clock and what is
+    latched at the start are due at once.
 
     Args:
-        read: Reads the bag; may block, and may raise what reading a bag raises, which `take`,
-            `step` and `position` pass on.
+        read: Reads the bag; may block, and may raise what reading a bag raises, which `take` and
+            `position` pass on.
         start: Bag time at which each pass starts [ns].
         end: Bag time at which a pass ends [ns].
+        now: The steady time [ns].
         rate: Seconds of bag time per second.
         clock_rate: Clock stamps per second of steady time, also in a pause; 0: none.
         loop: Whether to start again at the end.
@@ -67,23 +69,22 @@ class Playback:
         read: Read,
         start: int,
         end: int,
+        now: int,
         *,
         rate: float = 1.0,
         clock_rate: float = 0.0,
         loop: bool = False,
     ) -> None:
         self.loop = loop
-        self.ended = False
-        self.held_back = 0
+        self.ended, self.held_back = False, 0
         self._read = read
         self._start, self._end = start, end
         self._timeline = Timeline(start, rate)
         self._ticks = Ticks(clock_rate)
-        self._messages: Iterator[BagMessage | None] = iter(())
+        self._messages = read(loop)
         self._next: BagMessage | None = None
-        self._is_read = True
-        # The start of the current pass, in bag time and in steady time.
-        self._from, self._began = start, 0
+        self._is_read, self._began = False, now
+        self._start_pass(now)
 
     @property
     def paused(self) -> bool:
@@ -112,17 +113,6 @@ class Playback:
         """Let bag time run at another rate from now on."""
         self._timeline.anchor(self.position(now), now, rate)
 
-    def seek(self, time: int, now: int) -> None:
-        """Go to a bag time between start and end, and pause, as reading there may take a while.
-
-        The clock and what is latched there are due at once.
-        """
-        time = min(max(time, self._start), self._end)
-        self._timeline.paused = True
-        self._messages = self._read(time, self.loop)
-        self._is_read = False
-        self._start_pass(time, now)
-
     def take(self, now: int) -> Event | None:
         """Return the next event if it is due, and go on to the one after."""
         due = min(self._ticks.due, self._message_due())
@@ -135,7 +125,7 @@ class Playback:
             return Event(self._ticks.take(), min(self._timeline.at(due), self._next_time()), None)
         if (message := self._peek()) is not None:
             self._is_read = False
-            return Event(due, max(message.log_time, self._from), message)
+            return Event(due, max(message.log_time, self._start), message)
         if not self.loop:
             self._timeline.anchor(self._end, due)
             self._timeline.paused = self.ended = True
@@ -147,23 +137,6 @@ class Playback:
         """Return the time until the next event is due [ns]; `NEVER` may be far away."""
         return max(0, min(self._ticks.due, self._message_due()) - now)
 
-    def step(self, now: int) -> list[Event]:
-        """Go on to the next message in a pause, and return it, after the clock if there is one.
-
-        At the end of the last pass, and while bag time runs, there is none: the list is empty.
-        """
-        if not self.paused:
-            return []
-        if self._peek() is None and self.loop:
-            self._start_next_pass(now)
-        if (message := self._peek()) is None:
-            return []
-        self._is_read = False
-        time = max(message.log_time, self._from)
-        self._timeline.anchor(time, now)
-        events = [Event(now, time, message)]
-        return events if self._ticks.due == NEVER else [Event(now, time, None), *events]
-
     def _peek(self) -> BagMessage | None:
         """Return the next message, None at the end of a pass."""
         if not self._is_read:
@@ -173,7 +146,7 @@ class Playback:
 
     def _next_time(self) -> int:
         message = self._peek()
-        return self._end if message is None else max(message.log_time, self._from)
+        return self._end if message is None else max(message.log_time, self._start)
 
     def _message_due(self) -> int:
         """Return when the next message, or else the end of the pass, is due."""
@@ -183,14 +156,14 @@ class Playback:
         if message is None:
             due = self._timeline.due(self._end)
             return max(due, self._began + MIN_PASS) if self.loop and due != NEVER else due
-        if message.log_time < self._from:
+        if message.log_time < self._start:
             return self._began
         return self._timeline.due(message.log_time)
 
-    def _start_pass(self, time: int, now: int) -> None:
+    def _start_pass(self, now: int) -> None:
         self.ended = False
-        self._from, self._began = time, now
-        self._timeline.anchor(time, now)
+        self._began = now
+        self._timeline.anchor(self._start, now)
         self._ticks.start(now)
 
     def _start_next_pass(self, now: int) -> None:
@@ -198,8 +171,8 @@ class Playback:
         self._next = next(self._messages, _NOT_READ_AHEAD)
         self._is_read = self._next is not _NOT_READ_AHEAD
         if not self._is_read:
-            self._messages = self._read(self._start, True)
-        self._start_pass(self._start, now)
+            self._messages = self._read(True)
+        self._start_pass(now)
 
     def _hold_back(self, lag: int) -> None:
         if not self.paused:
@@ -237,19 +210,18 @@ class BagSource:
         self._max_batch = read_ahead // 2
         self._stop: Callable[[], None] = lambda: None
 
-    def read(self, time: int, again: bool) -> Iterator[BagMessage | None]:
-        """Read from a log time to the end, and give up what was being read.
+    def read(self, again: bool) -> Iterator[BagMessage | None]:
+        """Read from the start to the end, and give up what was being read.
 
         Args:
-            time: Where to start [ns].
-            again: Whether to go on with pass after pass from the start, without end.
+            again: Whether to go on with pass after pass, without end.
 
         Returns:
-            The messages in order of log time, those latched there first, and None at the end of
-            each pass. The iterator raises a BagReadError where the bag is damaged.
+            The messages in order of log time, those latched at the start first, and None at the end
+            of each pass. The iterator raises a BagReadError where the bag is damaged.
         """
         self.close()
-        batches = _batches(self._passes(time, again), self._max_batch)
+        batches = _batches(self._passes(again), self._max_batch)
         thread = ThreadPoolExecutor(1, thread_name_prefix="read ahead")
         self._stop = thread.shutdown
         return _ahead(batches, thread)
@@ -258,19 +230,18 @@ class BagSource:
         """Stop reading; safe to call twice."""
         self._stop()
 
-    def _passes(self, time: int, again: bool) -> Iterator[BagMessage | None]:
+    def _passes(self, again: bool) -> Iterator[BagMessage | None]:
         while True:
             latched = [
                 message
                 for topic, depth in self._latched.items()
-                for message in self._reader.last_before(time, [topic], depth)
+                for message in self._reader.last_before(self._start, [topic], depth)
             ]
             yield from sorted(latched, key=attrgetter("log_time"))
-            yield from self._reader.messages(self._topics, time, self._end + 1)
+            yield from self._reader.messages(self._topics, self._start, self._end + 1)
             yield None
             if not again:
                 return
-            time = self._start
 
 
 def _ahead(

@@ -10,9 +10,6 @@ topics:
 services, std_srvs/srv/Trigger:
   ~/pause             stop there
   ~/resume            go on
-  ~/toggle_paused     either of them
-  ~/is_paused         `success` is whether it is paused
-  ~/play_next         publish one message in a pause
 """
 
 import sys
@@ -21,12 +18,11 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from tsobs_ros.bag.playback import BagSource, Event, Playback
+from tsobs_ros.bag.playback import BagSource, Playback
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
 from tsobs_ros.errors import BagReadError, ParameterError
 from tsobs_ros.estimation.health import Level, Status
@@ -43,7 +39,7 @@ _SWITCH_INTERVAL = 0.0005
 _MAX_BURST = 5_000_000
 _WAIT_POLL = 10_000_000
 _ACKNOWLEDGE_TIMEOUT = 5_000_000_000
-# Longest wait, after which a change of the position or the rate is noticed [s].
+# Longest wait, after which a change of the rate is noticed [s].
 _MAX_WAIT = 0.02
 # A best-effort subscriber receives nothing before it has matched the publisher too, and others may
 # be discovered at the same time [ns].
@@ -60,7 +56,6 @@ class Player(ManagedNode[PlayerParameters]):
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("player", PlayerParameters, **node_kwargs)
         self._finished = False
-        self._ended: int | None = None
         self.start()
 
     def configure(self) -> None:
@@ -72,18 +67,23 @@ class Player(ManagedNode[PlayerParameters]):
             self.log(Level.WARN, "use_sim_time does not matter: the player makes the time")
         self._reader = reader = BagReader(Path(parameters.bag).expanduser())
         self._warned = False
-        self._bag_start = reader.start_time or 0
-        self._length = (reader.end_time or 0) - self._bag_start
-        self.check(parameters)
-        start, end = parameters.window(self._bag_start, self._bag_start + self._length)
+        self._start = reader.start_time or 0
+        end = reader.end_time or self._start
+        start, length = (
+            self._start + round(parameters.start_offset * 1e9),
+            (end - self._start) * 1e-9,
+        )
+        if start > end:
+            raise ParameterError(
+                f"parameter 'start_offset' must be at most {length:.9g} s, the bag's length, got "
+                f"{parameters.start_offset:g}"
+            )
         selected = [reader.topics[name] for name in parameters.select(reader.topics)]
         self._played = played_topics(self, selected, parameters.queue_depth)
         self._counts = dict.fromkeys(self._played, 0)
         self._clock_publisher: Any = None
         if parameters.clock:
             self._clock_publisher = self.create_publisher(ClockMessage, CLOCK, 10)
-        self._lags: list[int] = []
-        self._held_back_before = 0
         latched = {
             name: each.qos_profile.depth
             for name, each in self._played.items()
@@ -94,31 +94,24 @@ class Player(ManagedNode[PlayerParameters]):
         self.at_cleanup(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_INTERVAL)
         self._playback = Playback(
-            lambda time, again: self._until_damage(source.read(time, again)),
+            lambda again: self._until_damage(source.read(again)),
             start,
             end,
+            time.monotonic_ns(),
             rate=parameters.rate,
             clock_rate=parameters.clock,
             loop=parameters.loop,
         )
-        self._paused = parameters.start_paused
-        self._seek(parameters.position)
+        self._paused, self._finished = parameters.start_paused, False
+        self._ended: int | None = None
         self.offer_diagnostics(str(reader.path), self._statuses)
-        self.offer_triggers(
-            {
-                "pause": lambda: self._pause(True),
-                "resume": lambda: self._pause(False),
-                "toggle_paused": lambda: self._pause(not self._paused),
-                "is_paused": lambda: (self._paused, self._state_text),
-                "play_next": self.step,
-            }
-        )
+        self.offer_triggers({"pause": self._pause, "resume": self._resume})
         self._ticker = Ticker(self, _MAX_WAIT, self._play, executor_clock=self.steady)
         self.ticker = self._ticker
         self.log(
             Level.OK,
             f"opened {reader.path}: {sum(t.count for t in selected)} messages of "
-            f"{len(selected)} topics, {self._length * 1e-9:.3f} s",
+            f"{len(selected)} topics, {length:.3f} s",
         )
 
     def _until_damage(self, messages: Iterator[BagMessage | None]) -> Iterator[BagMessage | None]:
@@ -146,19 +139,10 @@ class Player(ManagedNode[PlayerParameters]):
         self._warn_of_unchecked()
         self.log(Level.OK, f"played {self.messages} messages of {len(self._counts)} topics")
 
-    def check(self, parameters: PlayerParameters) -> None:
-        """Refuse a position beyond the bag's end."""
-        if self.configured and parameters.position > (length := self._length * 1e-9):
-            raise ParameterError(
-                f"parameter 'position' must be at most {length:.9g} s, the bag's length"
-            )
-
     def retune(self, parameters: PlayerParameters, names: Collection[str]) -> None:
-        """Play at another rate, with or without a loop; go to a position, even to the same."""
+        """Play at another rate, with or without a loop."""
         self._playback.set_rate(parameters.rate, time.monotonic_ns())
         self._playback.loop = parameters.loop
-        if "position" in names:
-            self._seek(parameters.position)
 
     @property
     def finished(self) -> bool:
@@ -173,7 +157,7 @@ class Player(ManagedNode[PlayerParameters]):
     @property
     def position(self) -> float:
         """The present position, from the bag's start [s]."""
-        return (self._playback.position(time.monotonic_ns()) - self._bag_start) * 1e-9
+        return (self._playback.position(time.monotonic_ns()) - self._start) * 1e-9
 
     @property
     def doing(self) -> str:
@@ -186,32 +170,25 @@ class Player(ManagedNode[PlayerParameters]):
             return "waiting for subscribers"
         return "ended" if self._playback.ended else "playing"
 
-    def step(self) -> tuple[bool, str]:
-        """Publish the next message, in a pause; return whether there was one, and which or why."""
-        if not (self.active and self._paused):
-            return False, f"only a paused player steps; it is {self.doing}"
-        self._play()  # what is latched here is no step
-        events = self._playback.step(time.monotonic_ns())
-        for event in events:
-            self._publish(event)
-        if not events or (message := events[-1].message) is None:
-            return False, "the bag has ended"
-        return True, f"{message.topic} at {self.position:.3f} s"
-
     def _play(self) -> int:
         """Publish what is due; return the time until more is [ns]."""
         playback, now = self._playback, time.monotonic_ns()
         if playback.paused and not (self._paused or playback.ended):
             if not self._may_start(now):
                 return _WAIT_POLL
-            playback.position(now)  # reads the first message, which may take a while after a seek
+            playback.position(now)  # reads the first message, which may take a while
             now = time.monotonic_ns()
             playback.resume(now)
         burst_end = now + _MAX_BURST
         held_back = playback.held_back
         while now < burst_end and (event := playback.take(now)) is not None:
-            self._lags.append(now - event.due)
-            self._publish(event)
+            if event.message is not None:
+                self._played[event.message.topic].publish(event.message.data)
+                self._counts[event.message.topic] += 1
+            else:
+                message = ClockMessage()
+                set_stamp(message.clock, event.time)
+                self._clock_publisher.publish(message)
             now = time.monotonic_ns()
         if playback.held_back > held_back and self.may_log("lag"):
             self.log(
@@ -222,15 +199,6 @@ class Player(ManagedNode[PlayerParameters]):
         if playback.ended and not self._finished:
             self._finished = self._has_arrived(now)
         return playback.wait(now)
-
-    def _publish(self, event: Event) -> None:
-        if event.message is not None:
-            self._played[event.message.topic].publish(event.message.data)
-            self._counts[event.message.topic] += 1
-            return
-        message = ClockMessage()
-        set_stamp(message.clock, event.time)
-        self._clock_publisher.publish(message)
 
     def _may_start(self, now: int) -> bool:
         """Return whether enough subscribers are there and settled, or the wait is over."""
@@ -258,22 +226,17 @@ class Player(ManagedNode[PlayerParameters]):
         limit = Duration(nanoseconds=timeout)
         return all(each.wait_for_all_acked(limit) for each in self._played.values())
 
-    def _seek(self, seconds: float) -> None:
-        self._finished = False
-        self._ended = None
-        target = self._bag_start + round(seconds * 1e9)
-        self._playback.seek(target, time.monotonic_ns())
+    def _pause(self) -> tuple[bool, str]:
+        self._paused = True
+        self._playback.pause(time.monotonic_ns())
+        return self._answer()
 
-    @property
-    def _state_text(self) -> str:
-        return f"{self.doing} at {self.position:.3f} s"
+    def _resume(self) -> tuple[bool, str]:
+        self._paused = False
+        return self._answer()
 
-    def _pause(self, paused: bool) -> tuple[bool, str]:
-        """Stand still, or play on; return the answer of a service."""
-        self._paused = paused
-        if paused:
-            self._playback.pause(time.monotonic_ns())
-        return True, self._state_text
+    def _answer(self) -> tuple[bool, str]:
+        return True, f"{self.doing} at {self.position:.3f} s"
 
     def _warn_of_unchecked(self) -> None:
         if self._reader.unchecked and not self._warned:
@@ -282,24 +245,14 @@ class Player(ManagedNode[PlayerParameters]):
 
     def _statuses(self) -> Statuses:
         self._warn_of_unchecked()
-        lags, self._lags = self._lags, []
-        held_back, before = self._playback.held_back, self._held_back_before
-        self._held_back_before = held_back
         values = {
             "position [s]": f"{self.position:.3f}",
-            "length [s]": f"{self._length * 1e-9:.3f}",
             "rate": f"{self.parameters.rate:g}",
-            "paused": str(self._paused).lower(),
-            "held back [s]": f"{held_back * 1e-9:.3f}",
+            "held back [s]": f"{self._playback.held_back * 1e-9:.3f}",
+            "messages": str(self.messages),
+            **{f"messages of {name}": str(count) for name, count in self._counts.items()},
         }
-        if lags:
-            median, high = np.percentile(lags, (50, 99)) * 1e-6
-            values |= {"lag p50 [ms]": f"{median:.3f}", "lag p99 [ms]": f"{high:.3f}"}
-        values["messages"] = str(self.messages)
-        values |= {f"messages of {name}": str(count) for name, count in self._counts.items()}
-        late = held_back > before
-        level, message = (Level.WARN, "too slow for the rate") if late else (Level.OK, self.doing)
-        return [Status("playing", level, message, values)], {}
+        return [Status("playing", Level.OK, self.doing, values)], {}
 
 
 Parameters, create = PlayerParameters, Player

@@ -47,15 +47,6 @@ class PlayerParameters(SelectingParameters):
     start_offset: float = setting(
         0.0, "Start of each pass, from the bag's start", unit="s", minimum=0.0
     )
-    duration: float = setting(
-        0.0, "How much of the bag a pass plays; 0: all that is left", unit="s", minimum=0.0
-    )
-    position: float = live_setting(
-        0.0,
-        "Set it to go there, back or forth, from the bag's start; playing starts there too",
-        unit="s",
-        minimum=0.0,
-    )
     start_paused: bool = setting(False, "Start in a pause")
     clock: float = setting(
         0.0,
@@ -98,20 +89,6 @@ class PlayerParameters(SelectingParameters):
         if there and not selected:
             raise ParameterError(f"the parameters leave no topic to play; {has}")
         return selected
-
-    def window(self, start: int, end: int) -> tuple[int, int]:
-        """Return where a pass of a bag from `start` to `end` starts and ends [ns].
-
-        Raises:
-            ParameterError: The offset is beyond the bag's end.
-        """
-        begin = start + round(self.start_offset * 1e9)
-        if begin > end:
-            raise ParameterError(
-                f"parameter 'start_offset' must be at most {(end - start) * 1e-9:.9g} s, the bag's "
-                f"length, got {self.start_offset:g}"
-            )
-        return begin, min(end, begin + round(self.duration * 1e9)) if self.duration else end
 
 
 def played_topics(
