@@ -229,13 +229,13 @@ class Player(ManagedNode[PlayerParameters]):
     def _pause(self) -> tuple[bool, str]:
         self._paused = True
         self._playback.pause(time.monotonic_ns())
-        return self._answer()
+        return self._state()
 
     def _resume(self) -> tuple[bool, str]:
         self._paused = False
-        return self._answer()
+        return self._state()
 
-    def _answer(self) -> tuple[bool, str]:
+    def _state(self) -> tuple[bool, str]:
         return True, f"{self.doing} at {self.position:.3f} s"
 
     def _warn_of_unchecked(self) -> None:
