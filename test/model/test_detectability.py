@@ -45,5 +45,5 @@ def test_a_hidden_mode_that_decays_is_detectable() -> None:
 
 
 def test_a_mode_is_written_with_its_largest_entry_as_one() -> None:
-    mode = HiddenMode(-1.5j, np.array([0.5, -2j]), 0.0)
+    mode = HiddenMode(-1.5j, np.array([0.5, -2j]))
     assert format_mode(mode, "x") == "0-1.5j with x = [0+0.25j, 1]"

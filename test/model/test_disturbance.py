@@ -89,7 +89,7 @@ TWO = per_channel([bias(), bias()])
     [
         (lambda: TWO.through([[1.0, 2.0], [2.0, 4.0]]), "D_s: expected full column rank"),
         (lambda: bias().through([[1.0, 0.0]]), r"D_s: expected shape \(1, 1\), got \(1, 2\)"),
-        (lambda: bias().through([1.0]), r"D_s: expected a matrix, shape \(p, 1\), got"),
+        (lambda: bias().through([1.0]), r"D_s: expected shape \(0, 1\), got \(1,\)"),
         (lambda: bias() + clean(2), "same number of channels, got 1 and 2"),
         (lambda: per_channel([]), "at least one disturbance model"),
         (lambda: bias(-1e-4), "bias density: expected a finite number of at least 0, got -0.0001"),

@@ -191,13 +191,13 @@ def _kicks(request: ArmRequest, n: int) -> Iterator[Rational]:
     torques = rational([request.flow.motor_torque, request.flow.link_torque])
     linear = [] if covered is None else covered.linear_places
     changes = rational(request.uncertainty_model.directions[linear, 0])
-    for corner in kick_corners(slopes, covered, bounds):
+    for slope, thetas in kick_corners(slopes, covered, bounds):
         kick = identity(n)
-        for theta, change in zip(corner.theta, changes, strict=True):
+        for theta, change in zip(thetas, changes, strict=True):
             kick[:4, :4] += half * theta * change[:, :4]
             kick[:4] += half * theta * (change[:, [TORQUE, EXTERNAL]] @ torques)
         gravity = Fraction(arm.gravity_torque) / Fraction(arm.link_inertia)
-        kick[LINK_VELOCITY, LINK_ANGLE] -= half * gravity * corner.slope
+        kick[LINK_VELOCITY, LINK_ANGLE] -= half * gravity * slope
         yield kick
 
 

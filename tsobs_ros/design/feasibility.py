@@ -209,7 +209,7 @@ def _obstacle(
     unit = shape / np.linalg.norm(shape)
     physical = unit.copy()
     physical[:4] *= request.arm.to_physical(np.ones(4))
-    mode = _mode_text(request, HiddenMode(eigenvalue, physical, 0.0))
+    mode = _mode_text(request, HiddenMode(eigenvalue, physical))
     text = f"{place}: {', '.join(parties[:-1])}{' and ' * (len(parties) > 1)}{parties[-1]} {fault}"
     return Obstacle(slope, eigenvalue, unit, f"{text}: {mode}")
 

@@ -34,7 +34,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.options import TORQUE_RATE, TorqueLimits
 from tsobs_ros.model.arm import LINK_ANGLE, QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
-from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
+from tsobs_ros.model.flow import ArmFlow, ProcessNoise
 from tsobs_ros.model.prediction import VertexSystem
 from tsobs_ros.model.torque_path import DIRECT, TorquePath, require_delay
 from tsobs_ros.model.ts_flow import TSFlow
@@ -339,7 +339,7 @@ class ArmRequest(Request):
     @property
     def slope_range(self) -> tuple[float, float]:
         """Smallest and largest gravity slope (cosine) on the domain; (0, 0) without gravity."""
-        return slope_range(self.x_max) if self.arm.gravity_torque else (0.0, 0.0)
+        return (math.cos(self.x_max), 1.0) if self.arm.gravity_torque else (0.0, 0.0)
 
     @property
     def max_angle(self) -> float:

@@ -188,11 +188,11 @@ def integrated_estimator(
             it is not estimated.
         torque: How the first input reaches an arm's motor.
     """
-    rules, n, p = Y.shape
+    _, n, p = Y.shape
     shape = Shape(n, len(scale), p, U.shape[2])
     base = rule_base or RuleBase(((membership("always"),),))
-    sizes = FlowSizes(n, shape.m, shape.m, p, 0, shape.plant, rules, base.premise_count)
     shapes, parameters = base.coded
+    sizes = FlowSizes(n, shape.m, shape.m, p, 0, shape.plant, *shapes.shape)
     flow = np.zeros(1, flow_type(sizes))
     for name, number in sizes._asdict().items():
         flow[name] = number

@@ -16,7 +16,7 @@ from tsobs_ros.estimation.state import Shape, State, new_model, numbers_of, type
 from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.matrices import congruent, inverse, joseph
-from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix, flow_record
+from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix
 from tsobs_ros.model.uncertainty import Uncertainty
 
 CONSTANTS = {name: place for place, (name, *_) in enumerate(native.bank_constants())}
@@ -291,8 +291,8 @@ def riccati_estimator(
     initial = as_matrix("initial covariance", initial_covariance, (n, n))
     scale = flow.to_physical(np.ones(n))
     shape = Shape(n, len(scale), p, flow.input_count, k, len(flow.torque_map))
-    record = flow_record(flow, uncertainty)
-    model = new_model(shape, flow.period, record, auxiliary=auxiliary, torque=flow.torque_path)
+    record, path = flow.record(uncertainty), flow.torque_path
+    model = new_model(shape, flow.period, record, auxiliary=auxiliary, torque=path)
     one = model[0]
     one["gain_mode"] = native.GAIN_RICCATI
     one["shortest"] = (1.0 - PERIOD_TOLERANCE) * flow.period

@@ -7,6 +7,7 @@ or a history. core/estimator.h lists and explains the fields of all records. Fla
 or 1.
 """
 
+import math
 from dataclasses import asdict
 from functools import cache
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.model.prediction import FlowSizes, Record, scratch_size
+from tsobs_ros.model.prediction import FlowSizes, Record
 from tsobs_ros.model.torque_path import DIRECT, TorquePath
 
 
@@ -144,11 +145,13 @@ def new_model(
         torque: How torques reach the motor of an arm.
     """
     n, plant, p, m, k, t = shape
+    # Torques on their way: one message per output and period, and some more as stamps jitter.
+    late = p * (math.ceil(torque.delay / period) + 1) + 1 if torque.delay else 0
+    scratch = record_type("flow_scratch", [int(flow[name][0]) for name in FlowSizes._fields])
     sizes = (
         n, n + (1 + max(2, p) if auxiliary else 0), plant, p, m, k, t,
-        native.HYPOTHESES if auxiliary else 1, torque.remembered(period, p),
-        flow.dtype.itemsize // 8,
-        scratch_size(FlowSizes(*(int(flow[name][0]) for name in FlowSizes._fields))),
+        native.HYPOTHESES if auxiliary else 1, late,
+        flow.dtype.itemsize // 8, scratch.itemsize // 8,
     )  # fmt: skip
     model = np.zeros(1, types_of(sizes)["model"])
     model["sizes"], model["flow"][0] = sizes, flow.view(np.float64)

@@ -15,35 +15,25 @@ class HiddenMode(NamedTuple):
     Attributes:
         eigenvalue: λ [1/s] (continuous time).
         shape: Unit vector v with A v = λ v and C v = 0, shape (n,), complex.
-        visibility: Smallest singular value of [A − λI; C] over that of its largest; zero to
-            rounding when the mode is truly hidden.
     """
 
     eigenvalue: complex
     shape: "np.ndarray[tuple[int, ...], np.dtype[np.complex128]]"
-    visibility: float
 
 
 def hidden_modes(A: Array, C: Array, tolerance: float = 1e-9) -> list[HiddenMode]:
     """Return a mode of A that C does not see for each eigenvalue with one, by the PBH rank test.
 
     Equal eigenvalues count once: of several hidden directions that share one, the best hidden
-    is returned.
-
-    Args:
-        A: State matrix, shape (n, n).
-        C: Output matrix, shape (p, n).
-        tolerance: Relative singular value below which [A − λI; C] has lost rank.
+    is returned. `tolerance` is the relative singular value below which [A − λI; C] has lost rank.
     """
-    n = A.shape[0]
     modes: list[HiddenMode] = []
     for eigenvalue in np.linalg.eigvals(A):
-        pencil = np.vstack([A - eigenvalue * np.eye(n), C])
+        pencil = np.vstack([A - eigenvalue * np.eye(len(A)), C])
         _, singular, right = np.linalg.svd(pencil)
-        visibility = float(singular[-1] / singular[0])
         already = any(abs(eigenvalue - mode.eigenvalue) < 1e-6 for mode in modes)
-        if visibility < tolerance and not already:
-            modes.append(HiddenMode(complex(eigenvalue), right[-1].conj(), visibility))
+        if singular[-1] / singular[0] < tolerance and not already:
+            modes.append(HiddenMode(complex(eigenvalue), right[-1].conj()))
     return modes
 
 

@@ -8,7 +8,7 @@ a ramp, or a sum of them.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,7 +25,7 @@ class DisturbanceModel:
     """Exosystem of an output disturbance with q states on p channels.
 
     Attributes:
-        label: Its name in reports, e.g. "bias".
+        label: Its name in reports, such as "bias".
         S: Exosystem matrix, shape (q, q) [1/s].
         H: Output map, shape (p, q).
         G: Square root of the driving noise density, shape (q, g) [unit/√s].
@@ -39,14 +39,6 @@ class DisturbanceModel:
     G: Array
     initial_std: Array
     arbitrary: bool = False
-
-    def __post_init__(self) -> None:
-        # A wrong number of axes must fail the check of the shape below, by name.
-        q, p = (np.shape(m)[0] if np.ndim(m) == 2 else 0 for m in (self.S, self.H))
-        g = np.shape(self.G)[-1] if np.ndim(self.G) == 2 else 0
-        for name, shape in (("S", (q, q)), ("H", (p, q)), ("G", (q, g)), ("initial_std", (q,))):
-            checked = as_matrix(f"disturbance {name}", getattr(self, name), shape)
-            object.__setattr__(self, name, checked)
 
     @property
     def state_count(self) -> int:
@@ -76,28 +68,15 @@ class DisturbanceModel:
                 f"got {self.channel_count} and {other.channel_count}"
             )
         labels = [model.label for model in (self, other) if model.state_count or model.arbitrary]
-        return DisturbanceModel(
-            label="+".join(labels) or "clean",
-            S=block_diagonal(self.S, other.S),
-            H=np.hstack([self.H, other.H]),
-            G=block_diagonal(self.G, other.G),
-            initial_std=np.concatenate([self.initial_std, other.initial_std]),
-            arbitrary=self.arbitrary or other.arbitrary,
-        )
+        return _joined("+".join(labels) or "clean", np.hstack([self.H, other.H]), (self, other))
 
     def through(self, D_s: ArrayLike) -> "DisturbanceModel":
         """Return the model acting on the outputs through D_s, shape (p, channels)."""
-        if np.ndim(D_s) != 2:
-            raise ModelError(
-                f"D_s: expected a matrix, shape (p, {self.channel_count}), "
-                f"got shape {np.shape(D_s)}"
-            )
-        mixing = as_matrix("D_s", D_s, (np.shape(D_s)[0], self.channel_count))
+        rows = np.shape(D_s)[0] if np.ndim(D_s) == 2 else 0
+        mixing = as_matrix("D_s", D_s, (rows, self.channel_count))
         if np.linalg.matrix_rank(mixing) < self.channel_count:
             raise ModelError(f"D_s: expected full column rank, got {mixing.tolist()}")
-        return DisturbanceModel(
-            self.label, self.S, product(mixing, self.H), self.G, self.initial_std, self.arbitrary
-        )
+        return replace(self, H=product(mixing, self.H))
 
 
 def clean(channels: int = 1) -> DisturbanceModel:
@@ -118,16 +97,11 @@ def bias(density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
         density: Growth of its variance [rad²/s].
         initial_std: 1σ before any measurement [rad].
     """
-    return _exosystem("bias", [[0.0]], [("density", density)], [("initial_std", initial_std)])
+    return _exosystem("bias", [[0.0]], {"density": density}, {"initial_std": initial_std})
 
 
 def gauss_markov(std: float = 0.1, time_constant: float = 20.0) -> DisturbanceModel:
-    """Return a drift with a bounded variance: ẇ = −w/τ + noise.
-
-    Args:
-        std: Stationary 1σ [rad].
-        time_constant: τ [s].
-    """
+    """Return a drift with a stationary 1σ `std` [rad]: ẇ = −w/τ + noise, τ [s]."""
     tau = positive("gauss_markov time_constant", time_constant)
     root = positive("gauss_markov std", std) * math.sqrt(2.0 / tau)
     matrices = np.array([[-1.0 / tau]]), np.eye(1), np.array([[root]])
@@ -135,16 +109,15 @@ def gauss_markov(std: float = 0.1, time_constant: float = 20.0) -> DisturbanceMo
 
 
 def sinusoid(frequency: float, density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
-    """Return a tone of known frequency and slowly wandering amplitude and phase.
+    """Return a tone of a known frequency and slowly wandering amplitude and phase.
 
     Args:
         frequency: ω₀ [rad/s].
         density: Growth of the variance of each of its two states [rad²/s].
         initial_std: 1σ of each state before any measurement [rad].
     """
-    w0 = positive("sinusoid frequency", frequency)
-    densities, stds = [("density", density)] * 2, [("initial_std", initial_std)] * 2
-    return _exosystem("sinusoid", [[0.0, w0], [-w0, 0.0]], densities, stds)
+    w0, std = positive("sinusoid frequency", frequency), {"initial_std": initial_std}
+    return _exosystem("sinusoid", [[0.0, w0], [-w0, 0.0]], {"density": density}, std)
 
 
 def ramp(
@@ -161,8 +134,8 @@ def ramp(
         initial_std: 1σ of the bias before any measurement [rad].
         initial_rate_std: 1σ of the rate before any measurement [rad/s].
     """
-    densities = [("density", density), ("rate_density", rate_density)]
-    stds = [("initial_std", initial_std), ("initial_rate_std", initial_rate_std)]
+    densities = {"density": density, "rate_density": rate_density}
+    stds = {"initial_std": initial_std, "initial_rate_std": initial_rate_std}
     return _exosystem("ramp", [[0.0, 1.0], [0.0, 0.0]], densities, stds)
 
 
@@ -170,23 +143,31 @@ def per_channel(models: Sequence[DisturbanceModel]) -> DisturbanceModel:
     """Return independent one-channel models side by side, one per output channel."""
     if not models:
         raise ModelError("per_channel: expected at least one disturbance model")
+    label = ", ".join(model.label for model in models)
+    return _joined(label, block_diagonal(*(model.H for model in models)), models)
+
+
+def _joined(label: str, H: Array, models: Sequence[DisturbanceModel]) -> DisturbanceModel:
+    """Return a model with the states of several, which are independent."""
     return DisturbanceModel(
-        label=", ".join(model.label for model in models),
-        S=block_diagonal(*(model.S for model in models)),
-        H=block_diagonal(*(model.H for model in models)),
-        G=block_diagonal(*(model.G for model in models)),
-        initial_std=np.concatenate([model.initial_std for model in models]),
-        arbitrary=any(model.arbitrary for model in models),
+        label,
+        block_diagonal(*(model.S for model in models)),
+        H,
+        block_diagonal(*(model.G for model in models)),
+        np.concatenate([model.initial_std for model in models]),
+        any(model.arbitrary for model in models),
     )
 
 
 def _exosystem(
     label: str,
     S: Sequence[Sequence[float]],
-    densities: Sequence[tuple[str, float]],
-    stds: Sequence[tuple[str, float]],
+    densities: Mapping[str, float],
+    stds: Mapping[str, float],
 ) -> DisturbanceModel:
-    """Return a model of one channel, its first state, driven in each state by noise of its own."""
-    roots = [math.sqrt(non_negative(f"{label} {name}", value)) for name, value in densities]
-    start = np.array([non_negative(f"{label} {name}", value) for name, value in stds])
-    return DisturbanceModel(label, np.array(S), np.eye(1, len(S)), np.diag(roots), start)
+    """Return a model of one channel, its first state, with a noise per state; one may be of all."""
+    density, start = (
+        np.resize([non_negative(f"{label} {name}", each[name]) for name in each], len(S))
+        for each in (densities, stds)
+    )
+    return DisturbanceModel(label, np.array(S), np.eye(1, len(S)), np.diag(np.sqrt(density)), start)

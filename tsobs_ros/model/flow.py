@@ -15,11 +15,10 @@ the domain (mean value theorem), so four vertices describe every error system ex
 the estimate that serves as premise.
 """
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,21 +58,9 @@ class ProcessNoise:
             object.__setattr__(self, name, density)
 
 
-class KickCorner(NamedTuple):
-    """One corner of half a kick, in floats or in fractions.
-
-    Attributes:
-        slope: Gravity slope c, that of uncertain gravity and inertia included.
-        theta: θ of every direction that acts on the state linearly; () without uncertainty.
-    """
-
-    slope: Any
-    theta: tuple[Any, ...]
-
-
 def kick_corners(
     slopes: Sequence[Any], uncertainty: Uncertainty | None, bounds: Sequence[Any] = ()
-) -> Iterator[KickCorner]:
+) -> Iterator[tuple[Any, tuple[Any, ...]]]:
     """Yield the corners of half a kick; of those on one line only its two ends.
 
     Half a kick multiplies the error by I + (T/2)(Σ θ_k ∂a_k/∂x − c mgl/J₁ e₂e₁ᵀ), which is affine
@@ -85,6 +72,10 @@ def kick_corners(
         slopes: Smallest and largest cosine of the domain; any single number without gravity.
         uncertainty: The uncertain parameters, if any are to be covered.
         bounds: Bound of each |θ|, in the order of `uncertainty`.
+
+    Yields:
+        The slope c, that of uncertain gravity and inertia included, and θ of every direction that
+        acts on the state linearly.
     """
     linear, pulls = [], []
     if uncertainty is not None:
@@ -100,9 +91,9 @@ def kick_corners(
             for slope in slopes
             for turn in product((-1, 1), repeat=len(free))
         ]
-        yield KickCorner(min(ends), theta)
+        yield min(ends), theta
         if len(ends) > 1:
-            yield KickCorner(max(ends), theta)
+            yield max(ends), theta
 
 
 class ArmFlow(Flow):
@@ -128,7 +119,6 @@ class ArmFlow(Flow):
     """
 
     kind = native.KIND_ARM
-    directions = (1, 4, EXTERNAL + 1)
 
     def __init__(
         self,
@@ -200,36 +190,31 @@ class ArmFlow(Flow):
             names = [uncertainty.names[k] for k in uncertainty.linear_places]
         slopes = (slope_min, slope_max) if self.arm.gravity_torque else (0.0,)
         corners = [
-            (corner, self._kick_matrix(corner, uncertainty))
+            (corner, self._kick_matrix(*corner, uncertainty))
             for corner in kick_corners(slopes, uncertainty, bounds)
         ]
         systems = []
         for (first, before), (second, after) in product(corners, repeat=2):
-            noise = after @ step.noise @ after.T
-            words = [f"slopes ({first.slope:.4g}, {second.slope:.4g})"]
+            noise, kicks = after @ step.noise @ after.T, (first[0], second[0])
+            words = ["slopes ({:.4g}, {:.4g})".format(*kicks)]
             words = words if self.arm.gravity_torque else ["no gravity"]
-            pairs = zip(names, first.theta, second.theta, strict=True)
+            pairs = zip(names, first[1], second[1], strict=True)
             words += [f"{name} ({one:.4g}, {other:.4g})" for name, one, other in pairs]
-            transition, slopes = after @ step.phi @ before, (first.slope, second.slope)
-            systems.append(
-                VertexSystem(transition, (noise + noise.T) / 2, ", ".join(words), slopes)
-            )
+            transition, noise = after @ step.phi @ before, (noise + noise.T) / 2
+            systems.append(VertexSystem(transition, noise, ", ".join(words), kicks))
         return systems
 
-    def _kick_matrix(self, corner: KickCorner, uncertainty: Uncertainty | None) -> Array:
+    def _kick_matrix(
+        self, slope: float, theta: tuple[float, ...], uncertainty: Uncertainty | None
+    ) -> Array:
         """Return the Jacobian of half a kick at one corner, shape (n, n)."""
         matrix = np.eye(self.state_count)
         if uncertainty is not None:
             change = uncertainty.directions[uncertainty.linear_places, 0]
-            sum_of_changes = 0.5 * self.period * np.tensordot(corner.theta, change, 1)
+            sum_of_changes = 0.5 * self.period * np.tensordot(theta, change, 1)
             matrix[:4, :4] += sum_of_changes[:, :4]
             # Unknown torques meet what known ones do.
             for column, torque in ((TORQUE, self.motor_torque), (EXTERNAL, self.link_torque)):
                 matrix[:4] += np.outer(sum_of_changes[:, column], torque)
-        matrix[LINK_VELOCITY, LINK_ANGLE] -= self.nominal.half_kick * corner.slope
+        matrix[LINK_VELOCITY, LINK_ANGLE] -= self.nominal.half_kick * slope
         return matrix
-
-
-def slope_range(x_max: float) -> tuple[float, float]:
-    """Return the smallest and largest cosine on |q₁| ≤ x_max [rad], x_max at most π."""
-    return math.cos(min(x_max, math.pi)), 1.0

@@ -26,10 +26,9 @@ class Shape(NamedTuple):
     """A kind of membership function of a premise variable z.
 
     Attributes:
-        code: What the compiled core calls it.
-        parameters: Names of its parameters.
-        requirement: What these must obey, in words; "" for nothing.
-        obeys: Whether they do.
+        code: In the compiled core.
+        parameters: Their names.
+        requirement: What `obeys` checks of them, in words.
         encode: The core's parameters, at most four, from these.
     """
 
@@ -156,16 +155,6 @@ class RuleBase:
             raise ModelError(
                 f"rules: expected one membership function per premise variable, got {lengths}"
             )
-
-    @property
-    def rule_count(self) -> int:
-        """Number of rules r."""
-        return len(self.rules)
-
-    @property
-    def premise_count(self) -> int:
-        """Number of premise variables q."""
-        return len(self.rules[0])
 
     @cached_property
     def coded(self) -> tuple[Integers, Array]:

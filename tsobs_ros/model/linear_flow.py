@@ -13,93 +13,42 @@ import math
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.matrices import product
 
 MAX_TERMS = 60
-"""Rows of a series; those behind `LinearFlow.terms` are zero."""
-
-STRETCH = 1.25
-"""A step may be longer than nominal by so much: real stamps jitter about the period."""
-
-_LARGEST_TURN = 2.0**16
-"""Most a mode may turn or decay in one step [rad]; doubling loses a digit for every factor 10."""
+"""Rows of a series."""
 
 
-class LinearFlow:
-    """Φ, Γ and Q of ẋ = A x + B u + noise of density W.
+@np.errstate(all="ignore")
+def taylor_series(A: Array, B: Array, W: Array, reach: float) -> tuple[Array, int]:
+    """Return Taylor coefficients of Φ, Γ and Q, and how many rows are not negligible up to `reach`.
 
-    Args:
-        A: State matrix, shape (n, n) [1/s].
-        B: Input matrix, shape (n, m).
-        W: Density of the white noise, shape (n, n).
-        period: The step that is taken most [s].
-
-    Attributes:
-        series: Taylor coefficients of Φ, Γ and Q side by side, shape (MAX_TERMS, n (2n + m)).
-        terms: Number of rows that are not negligible.
-        reach: Longest step that the series serves without doubling [s].
-
-    Raises:
-        ModelError: An entry or the flow over the period is not finite, or a step is too long
-            for the fastest mode.
+    The coefficients are side by side, shape (MAX_TERMS, n (2n + m)); further rows are zero.
     """
-
-    def __init__(self, A: Array, B: Array, W: Array, period: float) -> None:
-        turn = _norm(A) * period
-        if not turn <= _LARGEST_TURN:
-            raise ModelError(
-                f"period: expected the fastest mode to turn or decay by at most "
-                f"{_LARGEST_TURN:.0f} rad in a step of {period:.4g} s, got {turn:.4g} rad; a "
-                f"higher rate or a softer, heavier or less damped arm is needed"
-            )
-        # The series converges fast for |A|t up to 1; the common step needs no doubling.
-        self.reach = STRETCH * period / max(1.0, STRETCH * turn)
-        self._n, self._m = B.shape
-        self.series = np.zeros((MAX_TERMS, self._n * (2 * self._n + self._m)))
-        self.terms = self._fill(A, B, W)
-        if not all(np.isfinite(part).all() for part in self.over(period)):
-            raise ModelError(
-                f"flow: every entry over a step of {period:.4g} s must be finite; "
-                f"the model's numbers are too large"
-            )
-
-    @np.errstate(all="ignore")
-    def _fill(self, A: Array, B: Array, W: Array) -> int:
-        """Write the series; return the number of rows that are not negligible."""
-        n, m = self._n, self._m
-        row = np.concatenate([np.eye(n), np.zeros((n, n + m))], axis=1)
-        largest, power = np.zeros_like(row), 1.0
-        for order in range(1, MAX_TERMS):
-            size = np.abs(row) * power
-            largest = np.where((size > largest) | np.isnan(size), size, largest)
-            self.series[order - 1] = np.concatenate(
-                [part.ravel() for part in np.split(row, (n, n + m), axis=1)]
-            )
-            # Judged entry by entry: entries differ by ten orders of magnitude.
-            if order > 2 * n and (size <= 1e-3 * np.finfo(float).eps * largest).all():
-                return order
-            power *= self.reach
-            row = product(A, row)
-            row[:, n + m :] += row[:, n + m :].T.copy()
-            if order == 1:
-                row[:, n:] += np.concatenate([B, W], axis=1)
-            row /= order
-        return MAX_TERMS - 1
-
-    def over(self, duration: float) -> tuple[Array, Array, Array]:
-        """Return Φ, Γ and Q over `duration` [s] ≥ 0, shapes (n, n), (n, m) and (n, n)."""
-        n, m = self._n, self._m
-        phi, gamma, noise = np.empty((n, n)), np.empty((n, m)), np.empty((n, n))
-        scratch = np.empty(n * (4 * n + 2 * m))
-        native.flow_over(
-            self.series, self.terms, self.reach, duration, phi, gamma, noise, scratch, n, m
+    n, m = B.shape
+    series = np.zeros((MAX_TERMS, n * (2 * n + m)))
+    row = np.concatenate([np.eye(n), np.zeros((n, n + m))], axis=1)
+    largest, power = np.zeros_like(row), 1.0
+    for order in range(1, MAX_TERMS):
+        size = np.abs(row) * power
+        largest = np.where((size > largest) | np.isnan(size), size, largest)
+        series[order - 1] = np.concatenate(
+            [part.ravel() for part in np.split(row, (n, n + m), axis=1)]
         )
-        return phi, gamma, noise
+        # Judged entry by entry: entries differ by ten orders of magnitude.
+        if order > 2 * n and (size <= 1e-3 * np.finfo(float).eps * largest).all():
+            return series, order
+        power *= reach
+        row = product(A, row)
+        row[:, n + m :] += row[:, n + m :].T.copy()
+        if order == 1:
+            row[:, n:] += np.concatenate([B, W], axis=1)
+        row /= order
+    return series, MAX_TERMS - 1
 
 
-def _norm(A: Array) -> float:
+def norm(A: Array) -> float:
     """Return a norm of A [1/s] in coordinates where it is close to its fastest eigenvalue.
 
     The states' units differ, so rows and columns are balanced by powers of two, which changes no

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, positive
+from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.disturbance import DisturbanceModel, clean
-from tsobs_ros.model.linear_flow import LinearFlow
+from tsobs_ros.model.linear_flow import norm, taylor_series
 from tsobs_ros.model.matrices import block_diagonal
 from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.model.uncertainty import Uncertainty
@@ -30,20 +31,16 @@ Record = np.ndarray[Any, np.dtype[Any]]
 NO_TORQUES = clean(2)
 """The torque disturbance of a plant without: no states."""
 
+STRETCH = 1.25
+"""A step may be longer than nominal by so much: real stamps jitter about the period."""
+
+_LARGEST_TURN = 2.0**16
+"""Most a mode may turn or decay in one step [rad]; doubling loses a digit for every factor 10."""
+
 
 class FlowSizes(NamedTuple):
-    """Sizes of a model's numbers.
-
-    Attributes:
-        n: Augmented states.
-        m: Inputs and scheduled signals.
-        inputs: Inputs, the first of those.
-        p: Outputs.
-        k: Parameters.
-        plant: The plant's own states.
-        rules: Rules.
-        premises: Premise variables.
-    """
+    """Sizes of a model's numbers: augmented states, signals and the inputs among them, outputs,
+    parameters, the plant's own states, rules and premise variables."""
 
     n: int
     m: int
@@ -56,12 +53,12 @@ class FlowSizes(NamedTuple):
 
 
 class VertexSystem(NamedTuple):
-    """The error system e⁺ = transition·e + noise at one vertex.
+    """The error system e⁺ = transition·e + noise at one vertex, which `where` names for reports.
 
     Attributes:
         transition: Shape (n, n).
         noise: Covariance of the noise, shape (n, n).
-        where: The vertex in words, for reports.
+        where: The vertex in words.
         slopes: Gravity slopes of an arm's first and second half kick.
     """
 
@@ -93,7 +90,7 @@ class Flow(ABC):
     """One step of the augmented state and of its error covariance.
 
     Args:
-        plant: A [1/s], B and C of the plant itself.
+        plant: A [1/s], B and C of the plant itself, of an arm without gravity.
         densities: Of white noise on the derivatives of the plant's states, shape (plant_count,).
         disturbance: The exosystem of the outputs, whose states w follow the plant's in x̄.
         period: Nominal step [s]; longer ones are taken in nominal steps and a last one.
@@ -108,11 +105,10 @@ class Flow(ABC):
         input_count: Number m of inputs and scheduled signals.
         scheduled_count: Number of scheduled signals, the last of them.
         rule_counts: Numbers of rules and of premise variables.
-        directions: Shape of each of the uncertain directions that a step can take in.
-        linear: The linear flow, of an arm without gravity.
 
     Raises:
-        ModelError: The disturbance has another number of channels than the plant outputs.
+        ModelError: The disturbance has another number of channels than the plant outputs, an entry
+            is not finite, or a step is too long for the fastest mode.
     """
 
     kind: ClassVar[int]
@@ -121,7 +117,6 @@ class Flow(ABC):
     torque_path: TorquePath = DIRECT
     scheduled_count: int = 0
     rule_counts: tuple[int, int] = (0, 0)
-    directions: tuple[int, ...]
     gravity_gain: float = 0.0
 
     def __init__(
@@ -152,7 +147,22 @@ class Flow(ABC):
         density = block_diagonal(np.diag(densities), *(model.noise_density for model in models))
         inputs = np.zeros((self.state_count, m))
         inputs[:n] = B
-        self.linear = LinearFlow(self._drift, inputs, density, self.linear_share * self.period)
+        step = self.linear_share * self.period
+        turn = norm(self._drift) * step
+        if not turn <= _LARGEST_TURN:
+            raise ModelError(
+                f"period: expected the fastest mode to turn or decay by at most "
+                f"{_LARGEST_TURN:.0f} rad in a step of {step:.4g} s, got {turn:.4g} rad; a "
+                f"higher rate or a softer, heavier or less damped arm is needed"
+            )
+        # The series converges fast for |A|t up to 1; the common step needs no doubling.
+        self._reach = STRETCH * step / max(1.0, STRETCH * turn)
+        self._series, self._terms = taylor_series(self._drift, inputs, density, self._reach)
+        if not all(np.isfinite(part).all() for part in self.nominal[1:4]):
+            raise ModelError(
+                f"flow: every entry over a step of {step:.4g} s must be finite; "
+                f"the model's numbers are too large"
+            )
 
     @property
     def state_count(self) -> int:
@@ -201,12 +211,37 @@ class Flow(ABC):
 
     def transition(self, duration: float) -> Transition:
         """Return the linear flow of a step of a duration [s]."""
-        flow = self.linear.over(self.linear_share * duration)
-        return Transition(duration, *flow, 0.5 * duration * self.gravity_gain)
+        n, m = self.state_count, self.input_count - self.scheduled_count
+        phi, gamma, noise = np.empty((n, n)), np.empty((n, m)), np.empty((n, n))
+        series, scratch = (self._series, self._terms, self._reach), np.empty(n * (4 * n + 2 * m))
+        native.flow_over(*series, self.linear_share * duration, phi, gamma, noise, scratch, n, m)
+        return Transition(duration, phi, gamma, noise, 0.5 * duration * self.gravity_gain)
 
     @abstractmethod
     def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
-        """Return what only this kind of model has in its record, by name; see `flow_record`."""
+        """Return what only this kind of model has in its record, by name."""
+
+    def record(self, uncertainty: Uncertainty | None = None) -> Record:
+        """Return the model for the compiled core, whose step takes in θ if given, shape (1,)."""
+        n, m, p = self.state_count, self.input_count, len(self.output_matrix)
+        k, inputs = 0 if uncertainty is None else uncertainty.count, m - self.scheduled_count
+        sizes = FlowSizes(n, m, inputs, p, k, self.plant_count, *self.rule_counts)
+        record, (_, phi, gamma, noise, _) = np.zeros(1, flow_type(sizes)), self.nominal
+        for name, values in {
+            **sizes._asdict(),
+            "kind": self.kind,
+            "period": self.period,
+            "terms": self._terms,
+            "reach": self._reach,
+            "series": self._series,
+            "phi": phi,
+            "turned": phi.T,
+            "gamma": gamma,
+            "noise": noise,
+            **self.numbers(uncertainty),
+        }.items():
+            fill_matrix(record[name] if np.ndim(values) == 0 else record[name][0], values)
+        return record
 
 
 @cache
@@ -216,60 +251,11 @@ def flow_type(sizes: FlowSizes) -> "np.dtype[Any]":
     return kind
 
 
-@cache
-def scratch_size(sizes: FlowSizes) -> int:
-    """Return the numbers of scratch that a step of a model needs."""
-    return int(record_type("flow_scratch", sizes).itemsize // 8)
-
-
-def flow_record(flow: Flow, uncertainty: Uncertainty | None = None) -> Record:
-    """Return the record of a model for the compiled core, shape (1,).
-
-    Args:
-        flow: The model.
-        uncertainty: Parameters θ that the step takes in.
-
-    Raises:
-        ModelError: The uncertainty is of another model.
-    """
-    if uncertainty is not None and uncertainty.directions.shape[1:] != flow.directions:
-        raise ModelError(
-            f"uncertainty: expected directions of shape {flow.directions} for "
-            f"{type(flow).__name__}, got {uncertainty.directions.shape[1:]}"
-        )
-    n, m, p = flow.state_count, flow.input_count, len(flow.output_matrix)
-    k, inputs = 0 if uncertainty is None else uncertainty.count, m - flow.scheduled_count
-    sizes, linear = FlowSizes(n, m, inputs, p, k, flow.plant_count, *flow.rule_counts), flow.linear
-    phi, gamma, noise = flow.nominal[1:4]
-    record = np.zeros(1, flow_type(sizes))
-    for name, values in {
-        **sizes._asdict(),
-        "kind": flow.kind,
-        "period": flow.period,
-        "terms": linear.terms,
-        "reach": linear.reach,
-        "series": linear.series,
-        "phi": phi,
-        "turned": phi.T,
-        "gamma": gamma,
-        "noise": noise,
-        **flow.numbers(uncertainty),
-    }.items():
-        fill_matrix(record[name] if np.ndim(values) == 0 else record[name][0], values)
-    return record
-
-
 def as_rows(name: str, values: ArrayLike, batch: tuple[int, ...], shape: tuple[int, ...]) -> Array:
-    """Return a batch's numbers one after the other as a new array, by rows whatever came.
-
-    Args:
-        name: Name of the numbers, for errors.
-        values: Shape (*batch, *shape), or what can be repeated to it.
-        batch: Shape of the batch.
-        shape: Shape of each of it.
+    """Return a batch's numbers, shape (*batch, *shape) or what can be repeated to it, as new rows.
 
     Raises:
-        ModelError: The values are of another shape.
+        ModelError: The values, called by the name, are of another shape.
     """
     array = np.asarray(values, np.float64)
     try:

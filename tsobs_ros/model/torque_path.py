@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The path of a torque from a message to an arm's motor: a gain, an offset and a delay."""
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -41,33 +40,15 @@ class TorquePath:
         for name, check in (("gain", positive), ("offset", finite), ("delay", non_negative)):
             object.__setattr__(self, name, check(name, getattr(self, name)))
 
-    def remembered(self, period: float, outputs: int) -> int:
-        """Return how many torques an observer remembers, 0 without a delay.
-
-        That is one message per output and period, and some more as stamps jitter.
-
-        Args:
-            period: Nominal sampling period [s].
-            outputs: Number of outputs, which may be measured at different times.
-        """
-        return outputs * (math.ceil(self.delay / period) + 1) + 1 if self.delay else 0
-
 
 DIRECT = TorquePath()
 """The torque in messages is the one at the motor, at once."""
 
 
 def require_delay(name: str, delay: float, period: float) -> None:
-    """Refuse a delay of more than `MAX_DELAY` periods.
-
-    Raises:
-        ModelError: It is longer.
-    """
+    """Raise `ModelError` for a delay of more than `MAX_DELAY` periods."""
     longest = MAX_DELAY * period
     if delay > longest * (1.0 + 1e-9):
-        hint = (
-            f"; as milliseconds it would be {delay / 1e3:.4g} s" if delay / 1e3 <= longest else ""
-        )
         raise ModelError(
-            f"{name}: expected at most {MAX_DELAY} periods, {longest:.4g} s, got {delay!r} s{hint}"
+            f"{name}: expected at most {MAX_DELAY} periods, {longest:.4g} s, got {delay!r} s"
         )

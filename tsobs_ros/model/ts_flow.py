@@ -71,7 +71,6 @@ class TSFlow(Flow):
         mean = sum(model.rates[1:], start=model.rates[0]) / model.rule_count
         self._mean = mean[:, :n]
         self.deviations = model.rates - mean
-        self.directions = self.deviations.shape
         super().__init__((self._mean, mean[:, n:], model.C), densities, disturbance, period)
 
     def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
@@ -86,13 +85,8 @@ class TSFlow(Flow):
         }
 
     def error_map(self, first: Array, second: Array, step: Transition) -> tuple[Array, Array]:
-        """Return the transition of the error and the covariance of its noise over a step.
-
-        Args:
-            first: N₁ at the start of the step, shape (..., n, n).
-            second: N₂ at its middle, shape (..., n, n).
-            step: From `transition`.
-        """
+        """Return the transition of the error and the covariance of its noise over a step, by N₁ at
+        its start and N₂ at its middle, shapes (..., n, n)."""
         T, phi = step.duration, step.phi
         kick = phi @ (np.eye(self.state_count) + 0.5 * T * first)
         transition = phi @ (phi + T * second @ kick)
@@ -101,12 +95,8 @@ class TSFlow(Flow):
         return transition, 0.5 * (noise + np.swapaxes(noise, -1, -2))
 
     def vertices(self, matrices: ArrayLike, names: Sequence[str]) -> list[VertexSystem]:
-        """Return the vertex error systems of a nominal step: every ordered pair of matrices.
-
-        Args:
-            matrices: Plant matrices whose convex hull covers the error systems, shape (l, n, n).
-            names: Their names, for reports.
-        """
+        """Return the vertex error systems of a nominal step: every ordered pair of plant matrices,
+        whose convex hull covers the error systems, shape (l, n, n); with names for reports."""
         n = self.model.state_count
         stack = as_matrix("vertex matrices", matrices, (len(names), n, n))
         padded = np.zeros((len(names), self.state_count, self.state_count))

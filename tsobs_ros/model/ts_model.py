@@ -49,7 +49,7 @@ class TSModel:
     outputs: Array | None = None
 
     def __post_init__(self) -> None:
-        rules, q = self.rule_base.rule_count, self.rule_base.premise_count
+        rules, q = self.rule_base.coded[0].shape
         n = _length("A", self.A, -1, 3)
         B = self.B if np.ndim(self.B) == 3 else np.repeat([self.B], rules, axis=0)
         schedule = self.schedule if np.size(self.schedule) else np.zeros((q, 0))

@@ -84,8 +84,7 @@ class Uncertainty:
     def linear_places(self) -> list[int]:
         """Places of the directions that act on the state linearly, all but gravity's.
 
-        Raises:
-            ModelError: They are too many for a proof by vertices.
+        Raises `ModelError` if they are too many for a proof by vertices.
         """
         places = [k for k in range(self.count) if self.linear[k].any()]
         if len(places) > _MAX_DIRECTIONS:
@@ -98,12 +97,7 @@ class Uncertainty:
 
 @np.errstate(over="ignore")  # what is not finite is refused by name
 def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncertainty:
-    """Return the uncertainty of an arm's physical parameters.
-
-    Args:
-        arm: The nominal arm.
-        bounds: |θ| at most so much, by a name of `ARM_DIRECTIONS`: relative, or N m s/rad for a
-            damping.
+    """Return the uncertainty of an arm's physical parameters, bounds by `ARM_DIRECTIONS`.
 
     Raises:
         ModelError: A name is unknown or a bound is not above zero.
@@ -143,11 +137,7 @@ class Direction:
 
 
 def system_uncertainty(model: TSModel, directions: Mapping[str, Direction]) -> Uncertainty:
-    """Return the uncertainty of a T–S system's state matrices.
-
-    Args:
-        model: The nominal system.
-        directions: Uncertain directions by name.
+    """Return the uncertainty of a T–S system's state matrices, uncertain directions by name.
 
     Raises:
         ModelError: A direction is zero or of the wrong shape, or a bound is not above zero.

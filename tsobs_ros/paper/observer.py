@@ -119,7 +119,7 @@ class AugmentedObserver:
         r, p, size = aug.rule_count, aug.output_count, aug.size
         count, *batch = y.shape[:-1]
         rule_base = aug.system.rule_base
-        premises = y[..., : rule_base.premise_count] if z is None else z
+        premises = y[..., : rule_base.coded[0].shape[1]] if z is None else z
         weights = rule_base.weights(premises)
         steps = max(1, math.ceil(period / _MAX_STEP - 1e-9))
         rates, offset = self._rates(
