@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
@@ -54,9 +54,6 @@ def add_parser(commands: Commands) -> None:
     add("--seed", type=int, default=1)
     add("--bias", type=float, default=0.1, metavar="RAD", help="size of the sensor's bias step")
     add("--bias-at", type=positive, default=8.0, metavar="S")
-    for name in ("stiffness", "gravity"):
-        what = f"true {name} is 1 + X nominal"
-        add(f"--{name}", type=float, default=0.0, metavar="X", help=what)
     add("--design", type=Path, metavar="FILE", help="design of the observer")
     add(
         "--domain-id", type=int, metavar="N",
@@ -74,7 +71,6 @@ def run(options: argparse.Namespace) -> int:
     if options.domain_id is None:
         # Any domain from 1 to 101 keeps clear of the ports that outgoing connections use.
         options.domain_id = 1 + os.getpid() % 101
-    options.design = options.design or config_path(SHIPPED_DESIGN)
     note(
         f"plant, observer, visualizer and recorder on ROS_DOMAIN_ID={options.domain_id} for "
         f"{options.duration:g} s"
@@ -97,38 +93,24 @@ def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
     """Run the nodes for the demo's duration, in a new folder, and return the closed bag."""
     try:
         output.mkdir(parents=True)
-        (output / "log").mkdir()
     except FileExistsError as error:
         raise NodeError(f"{output}: exists already; choose another --output") from error
     bag = output / "bag"
-    environment = {
-        **os.environ,
-        "ROS_DOMAIN_ID": str(options.domain_id),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_LOG_DIR": str(output / "log"),
-        "PYTHONUNBUFFERED": "1",
-    }
-    environment.pop("ROS_LOCALHOST_ONLY", None)
-
-    def start(name: str, parameters: Mapping[str, object]) -> _NodeProcess:
-        process = _NodeProcess(name, parameters, environment, output / "log" / f"{name}.log")
-        stack.callback(process.stop)
-        return process
-
+    topics = "[" + ", ".join(RECORDED_TOPICS + ADAPTIVE_TOPICS) + "]"
     # The flag outlasts the stack: no signal interrupts the end of the nodes.
     with StopFlag(), ExitStack() as stack:
-        topics = "[" + ", ".join(RECORDED_TOPICS + ADAPTIVE_TOPICS) + "]"
-        observer = start("observer", {"design": options.design.resolve()})
+
+        def start(name: str, parameters: Mapping[str, object]) -> _Node:
+            node = _Node(name, parameters, output / "log", options.domain_id)
+            stack.callback(node.stop)
+            return node
+
+        design = options.design or config_path(SHIPPED_DESIGN)
+        observer = start("observer", {"design": design.resolve()})
         recorder = start("recorder", {"output": bag.resolve(), "topics": topics})
-        drawn = start("visualizer", {})
+        nodes = [recorder, observer, start("visualizer", {})]
         own = [each for each in RECORDED_TOPICS if "/observer/" in each or each == MARKERS]
-        others = [observer, recorder, drawn]
-
-        def is_ready() -> bool:
-            printed = recorder.printed()
-            return all(f"{topic} [" in printed for topic in own)
-
-        _until(is_ready, others, "the recorder to be ready")
+        _wait(lambda: all(f"{topic} [" in recorder.printed() for topic in own), nodes)
         plant = start(
             "plant_simulator",
             {
@@ -138,59 +120,54 @@ def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
                 "disturbance.kind": "bias_step" if options.bias else "none",
                 "disturbance.bias_step.amplitude": options.bias,
                 "disturbance.bias_step.start": options.bias_at,
-                "mismatch.stiffness": options.stiffness,
-                "mismatch.gravity_torque": options.gravity,
             },
         )
-        _until(lambda: "started" in plant.printed(), [*others, plant], "the plant to start")
+        _wait(lambda: "started" in plant.printed(), [*nodes, plant])
         started = time.monotonic()
 
         def has_finished() -> bool:
             bar.update(min(time.monotonic() - started, options.duration) - bar.n)
             return not plant.running
 
-        limit = options.duration + _START_TIMEOUT
-        _until(has_finished, others, "the plant to finish", limit)
-        plant.require_success()
+        _wait(has_finished, nodes, options.duration + _START_TIMEOUT)
         bar.update(options.duration - bar.n)
         # The recorder first, so that it still takes what the others have sent.
-        for process in (recorder, observer, drawn, plant):
-            process.stop()
-            process.require_success()
+        for node in (plant, *nodes):
+            node.stop()
+            node.require_success()
         if signal_came():
             raise KeyboardInterrupt
     return bag
 
 
-class _NodeProcess:
+class _Node:
     """One node executable as a child process, its output in a log file."""
 
     def __init__(
-        self,
-        name: str,
-        parameters: Mapping[str, object],
-        environment: Mapping[str, str],
-        log: Path,
+        self, name: str, parameters: Mapping[str, object], folder: Path, domain_id: int
     ) -> None:
-        self.name, self.log = name, log
-        arguments = [sys.executable, "-m", "tsobs_ros.executables", name, "--ros-args"]
-        for key, value in parameters.items():
-            arguments += ["-p", f"{key}:={value}"]
-        with log.open("wb") as output:
-            # What ends the demo by force closes its end of the pipe, which ends the node.
-            reading, writing = os.pipe()
-            self._held = os.fdopen(writing, "wb")
+        folder.mkdir(exist_ok=True)
+        self.name, self.log = name, folder / f"{name}.log"
+        environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(domain_id),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_LOG_DIR": str(folder),
+            "PYTHONUNBUFFERED": "1",
+            PARENT: "0",  # a kill of the demo closes the pipe, which ends the node
+        }
+        environment.pop("ROS_LOCALHOST_ONLY", None)
+        settings = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
+        with self.log.open("wb") as output:
             self._process = subprocess.Popen(
-                arguments,
-                stdin=subprocess.DEVNULL,
+                [sys.executable, "-m", "tsobs_ros.executables", name, "--ros-args", *settings],
+                stdin=subprocess.PIPE,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                env={**environment, PARENT: str(reading)},
-                pass_fds=[reading],
+                env=environment,
                 # The terminal's Ctrl-C goes to the demo alone, which ends its nodes in order.
                 start_new_session=True,
             )
-            os.close(reading)
 
     @property
     def running(self) -> bool:
@@ -208,33 +185,27 @@ class _NodeProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        self._held.close()
 
     def require_success(self) -> None:
         """Raise `NodeError` with the end of its log unless it ended with exit code 0."""
         if self._process.poll():
-            last = self.printed().strip().splitlines()[-5:]
-            raise NodeError(
-                f"{self.name} ended with exit code {self._process.returncode}: "
-                + " | ".join(last or ["no output"])
-            )
+            last = " | ".join(self.printed().strip().splitlines()[-5:])
+            code = self._process.returncode
+            raise NodeError(f"{self.name} ended with exit code {code}: {last or 'no output'}")
 
 
-def _until(
-    done: Callable[[], bool],
-    needed: Sequence[_NodeProcess],
-    what: str,
-    timeout: float = _START_TIMEOUT,
+def _wait(
+    done: Callable[[], bool], needed: Iterable[_Node], timeout: float = _START_TIMEOUT
 ) -> None:
-    """Wait while the needed processes run."""
+    """Wait while the needed nodes run."""
     deadline = time.monotonic() + timeout
     while not done():
         if signal_came():
             raise KeyboardInterrupt
-        for process in needed:
-            if not process.running:
-                process.require_success()
-                raise NodeError(f"{process.name} ended early; see {process.log}")
-        if time.monotonic() > deadline:
-            raise NodeError(f"waited {timeout:g} s for {what}; see {needed[0].log.parent}")
+        for node in needed:
+            if not node.running:
+                node.require_success()
+                raise NodeError(f"{node.name} ended early; see {node.log}")
+            if time.monotonic() > deadline:
+                raise NodeError(f"waited {timeout:g} s in vain; see {node.log.parent}")
         time.sleep(_POLL)
