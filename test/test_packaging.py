@@ -8,8 +8,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-import sysconfig
-from importlib import metadata
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -206,22 +204,6 @@ def test_a_missing_library_is_advised_on(module: str | None, advice: str | None)
     found = missing_library(module)
 
     assert found is None if advice is None else found.startswith(advice.format(sys.executable))
-
-
-def test_the_advice_fits_a_python_that_pip_must_not_change(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As on Ubuntu with apt's ROS: NumPy is kept, and what is built next runs in the new one."""
-    (tmp_path / "EXTERNALLY-MANAGED").touch()
-    monkeypatch.setattr(sysconfig, "get_path", lambda _: str(tmp_path))
-    monkeypatch.setattr(sys, "base_prefix", sys.prefix)
-    monkeypatch.setattr(metadata, "version", {"numpy": "1.26.4"}.__getitem__)
-
-    assert missing_library("cvxpy") == (
-        f"cvxpy is not installed: in the workspace, {sys.executable} -m venv "
-        "--system-site-packages .venv && .venv/bin/python -m pip install 'numpy<2' "
-        "cvxpy-base clarabel scipy && .venv/bin/python -m colcon build"
-    )
 
 
 def test_colcon_puts_the_command_on_the_path(sources: Path, tmp_path: Path) -> None:

@@ -66,5 +66,5 @@ def test_a_checkout_finds_its_own_files_and_others_those_of_ament(tmp_path: Path
 
 
 def test_a_missing_file_is_an_error_that_names_the_others() -> None:
-    with pytest.raises(ResourceError, match=r"no config file 'none\.yaml' in .*config, which has"):
+    with pytest.raises(ResourceError, match=r"no config file 'none\.yaml' in .*observer\.yaml"):
         config_path("none.yaml")

@@ -74,34 +74,28 @@ if TYPE_CHECKING:
 __version__ = "0.7.0"
 
 # A signal must be caught while the heavy modules load (see executables.py), hence by name only.
-_HOMES = {
-    "ArmRequest": "design.request",
-    "BagReader": "bag.reader",
-    "BagWriter": "bag.writer",
-    "Design": "design.record",
-    "ElasticJointArm": "model.arm",
-    "Estimates": "api",
-    "Measurement": "estimation.records",
-    "ObserverSettings": "methods",
-    "TSModel": "model.ts_model",
-    "Tracker": "estimation.tracker",
-    "TsobsError": "errors",
-    "compare": "api",
-    "estimate": "api",
-    "estimate_bag": "api",
-    "excite": "identification.excitation",
-    "export_c": "exported",
-    "Fit": "identification.result",
-    "fit": "identification.fit",
-    "load_design": "design.file",
-    "load_request": "design.file",
-    "make_tracker": "methods",
-    "save_design": "design.file",
-    "simulate": "api",
-    "synthesise": "design.synthesis",
+_NAMES = {
+    "api": ("Estimates", "compare", "estimate", "estimate_bag", "simulate"),
+    "bag.reader": ("BagReader",),
+    "bag.writer": ("BagWriter",),
+    "design.file": ("load_design", "load_request", "save_design"),
+    "design.record": ("Design",),
+    "design.request": ("ArmRequest",),
+    "design.synthesis": ("synthesise",),
+    "errors": ("TsobsError",),
+    "estimation.records": ("Measurement",),
+    "estimation.tracker": ("Tracker",),
+    "exported": ("export_c",),
+    "identification.excitation": ("excite",),
+    "identification.fit": ("fit",),
+    "identification.result": ("Fit",),
+    "methods": ("ObserverSettings", "make_tracker"),
+    "model.arm": ("ElasticJointArm",),
+    "model.ts_model": ("TSModel",),
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
 
-__all__ = list(_HOMES)
+__all__ = sorted(_HOMES)
 
 
 def __getattr__(name: str) -> Any:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The front door's functions: simulate, estimate and compare, on plain arrays and whole bags."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -15,8 +16,8 @@ from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.estimator import Estimator, Rows
-from tsobs_ros.estimation.records import CORRECTING, REASONS, USED, Basis
+from tsobs_ros.estimation.records import REASONS, Basis, RejectReason
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import CONTENDERS, ObserverSettings, make_tracker
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
@@ -29,12 +30,9 @@ from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import KINDS, Signal, parse_kinds
 
 if TYPE_CHECKING:
-    from tsobs_ros.replay.estimate import Observer, Run
+    from tsobs_ros.replay.estimate import Observer
     from tsobs_ros.replay.source import Source
     from tsobs_ros.report.comparison import ObserverErrors
-
-# So many estimates take some 20 ms, after which a signal is noticed.
-_BLOCK = 10_000
 
 Disturbance = str | Mapping[str, Mapping[str, float]] | Iterable[Signal]
 
@@ -273,29 +271,23 @@ def estimate(
     >>> estimates.used, estimates.rejected
     (401, {})
     """
-    times = _numbers("time", time)
-    flow = design.request.flow
-    outputs = flow.output_matrix.shape[0]
-    y = _columns("angle", angle, len(times), outputs)
-    u = _columns("torque", torque, len(times), len(design.request.input_names))
+    times, request = _numbers("time", time), design.request
+    y = _columns("angle", angle, len(times), len(request.output_names))
+    u = _columns("torque", torque, len(times), len(request.input_names))
     stamps, tracker = _stamps(times), make_tracker(design, settings or ObserverSettings())
     count = len(stamps)
     known, none = np.arange(1, count + 1), np.zeros(count, np.int64)
-    ticks = (stamps, np.maximum.accumulate(stamps), known, none)
-    made = run_tracker(tracker, stamps, y, u, ticks)
-    outputs_shape = y.shape[1:] if np.ndim(angle) == 2 else ()
-    used = np.isin(made.codes, CORRECTING)
-    return Estimates(
-        time=times,
-        innovation=made.innovations[used].reshape(-1, *outputs_shape),
-        innovation_time=times[used],
-        **_columns_of(tracker.estimator.as_rows(made.rows), tracker.estimator, outputs_shape),
-        used=int((made.codes == USED).sum()),
-        rejected={
-            reason.value: count
-            for code, reason in enumerate(REASONS)
-            if reason is not None and (count := int((made.codes == code).sum()))
-        },
+    made = run_tracker(tracker, stamps, y, u, (stamps, np.maximum.accumulate(stamps), known, none))
+    rejected = Counter(reason for code in made.codes.tolist() if (reason := REASONS[code]))
+    several = np.ndim(angle) == 2
+    return _estimates(
+        tracker,
+        times,
+        tracker.estimator.as_rows(made.rows),
+        times,
+        made.innovations,
+        rejected,
+        several,
     )
 
 
@@ -352,9 +344,20 @@ def estimate_bag(
     source, observers = _observers(path, design, settings, (), joints)
     (run,) = runs = make_runs(source, observers, rate=rate, as_live=rate is None, window=None)
     run_all(source, runs, None if output is None else Path(output))
-    agreement = run.agreement()
+    agreement, ticks = run.agreement(), run.window.ticks[run.window.ticks.estimated]
     return BagEstimates(
-        joints={name: _joint(source, run, place) for place, name in enumerate(source.joints)},
+        joints={
+            name: _estimates(
+                run.trackers[joint],
+                ticks.stamps / NANOSECONDS,
+                run.rows[joint][run.window.ticks.estimated],
+                run.window.samples.stamps / NANOSECONDS,
+                run.innovations[joint],
+                run.rejected,
+                several=len(run.signals[joint].outputs) > 1,
+            )
+            for joint, name in enumerate(source.joints)
+        },
         reproduced=agreement.reproduced / agreement.recorded
         if agreement is not None and agreement.recorded
         else None,
@@ -436,23 +439,6 @@ def _observers(
     return source, without_misfits(observers)[0] if len(methods) > 1 else observers
 
 
-def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
-    p = len(run.signals[joint].outputs)
-    estimator = run.trackers[joint].estimator
-    outputs_shape = (p,) if p > 1 else ()
-    innovations = run.innovations[joint]
-    used = np.isfinite(innovations).any(axis=1)
-    estimated = run.window.ticks.estimated
-    return Estimates(
-        time=run.window.ticks.stamps[estimated] / NANOSECONDS,
-        innovation=innovations[used].reshape(-1, *outputs_shape),
-        innovation_time=run.window.samples.stamps[used] / NANOSECONDS,
-        **_columns_of(run.rows[joint][estimated], estimator, outputs_shape),
-        used=int(used.sum()),
-        rejected={reason.value: n for reason, n in run.rejected.items()},
-    )
-
-
 def _outputs(
     outputs: tuple[SimulatedOutput, ...],
     noise_std: float | Sequence[float] | None,
@@ -493,23 +479,41 @@ def _changed(name: str, record: Any, values: Mapping[str, float]) -> Any:
     return replace(record, **values)
 
 
-def _columns_of(rows: Rows, estimator: Estimator, outputs: tuple[int, ...]) -> dict[str, Any]:
-    """Return the fields of `Estimates` that are in rows of estimates."""
-    plant, t, k = (estimator.shape.plant,), (estimator.shape.t,), (estimator.shape.k,)
-    shapes: dict[str, tuple[int, ...]]
-    shapes = {"state": plant, "state_bound": plant, "parameters": k, "parameter_bound": k}
-    shapes |= {"torque_disturbance": t, "torque_disturbance_bound": t}
-    shapes |= {"disturbance": outputs, "disturbance_bound": outputs}
+def _estimates(
+    tracker: Tracker,
+    time: Array,
+    rows: Any,
+    innovation_time: Array,
+    innovations: Array,
+    rejected: Mapping[RejectReason, int],
+    several: bool,
+) -> Estimates:
+    """Return estimates as plain arrays; those of several outputs have a column for each."""
+    estimator, used = tracker.estimator, np.isfinite(innovations).any(axis=1)
+    shape, outputs = estimator.shape, innovations.shape[1:] if several else ()
     columns: dict[str, Any] = {}
-    for name, shape in shapes.items():
-        columns[name] = np.full((len(rows), *shape), np.nan)
-        if name not in estimator.lacking:
-            columns[name][:] = rows[name].reshape(columns[name].shape)
+    for names, width in (
+        (("state", "state_bound"), (shape.plant,)),
+        (("disturbance", "disturbance_bound"), outputs),
+        (("torque_disturbance", "torque_disturbance_bound"), (shape.t,)),
+        (("parameters", "parameter_bound"), (shape.k,)),
+    ):
+        for name in names:
+            columns[name] = np.full((len(rows), *width), np.nan)
+            if name not in estimator.lacking:
+                columns[name][:] = rows[name].reshape(columns[name].shape)
     for name in ("basis", "noise_scale", "coloured_power", "learning", "hypothesis"):
         columns[name] = np.array(rows[name])
     for name in ("claimed", "parameters_valid", "in_domain"):
         columns[name] = np.asarray(rows[name]) == 1.0
-    return columns
+    return Estimates(
+        time=time,
+        innovation=innovations[used].reshape(-1, *outputs),
+        innovation_time=innovation_time[used],
+        **columns,
+        used=int(used.sum()),
+        rejected={reason.value: number for reason, number in rejected.items()},
+    )
 
 
 def _numbers(name: str, value: ArrayLike) -> Array:

@@ -6,11 +6,10 @@ And the advice on missing libraries. Extras of the package ('tsobs_ros[design]')
 those who built it with colcon, so the advice names the libraries.
 """
 
+import shlex
 import sys
-import sysconfig
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 _BASE = ("pyyaml", "msgspec>=0.18.5", "mcap>=1.5", "zstandard", "lz4")
@@ -97,11 +96,8 @@ class NodeError(TsobsError, RuntimeError):
 def printable(text: str, newline: str = r"\n") -> str:
     """Return a text with everything escaped that a terminal would obey instead of showing it.
 
-    Names in bags, messages and files may be anything, and messages to the user repeat them.
-
-    Args:
-        text: The text.
-        newline: What to put between lines; by default they are escaped too, as in a name.
+    Names in bags, messages and files may be anything. `newline` comes between lines; by default it
+    is escaped too, as in a name.
 
     >>> print(printable("joint\\x1b[2J\\nb"))
     joint\\x1b[2J\\nb
@@ -133,16 +129,8 @@ def missing_library(name: str | None) -> str | None:
     with suppress(PackageNotFoundError):
         if version("numpy").startswith("1."):  # that ROS and libraries of the system were built for
             libraries.insert(0, "numpy<2")
-    names = " ".join(f"'{each}'" if set(each) & set("[<>") else each for each in libraries)
-    missing = f"{module} is not installed: " + "source ROS 2 Jazzy, or " * (module == "rclpy")
-    install = f"-m pip install {names}"
-    managed = Path(sysconfig.get_path("stdlib"), "EXTERNALLY-MANAGED").is_file()
-    if not managed or sys.prefix != sys.base_prefix:
-        return f"{missing}{sys.executable} {install}"
-    # Debian and Ubuntu keep pip out of their Python (PEP 668). What a virtual environment's colcon
-    # builds runs in that environment.
-    python = ".venv/bin/python"
+    ros = "source ROS 2 Jazzy, or " if module == "rclpy" else ""
     return (
-        f"{missing}in the workspace, {sys.executable} -m venv --system-site-packages .venv && "
-        f"{python} {install} && {python} -m colcon build"
+        f"{module} is not installed: {ros}{sys.executable} -m pip install {shlex.join(libraries)} "
+        "(the README has the way with Ubuntu's Python)"
     )

@@ -2,10 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find the files installed beside the package, however it was installed and without ROS.
 
-AMENT_PREFIX_PATH is unset in a plain virtual environment, so the ament index cannot be relied on.
-What lies nearest to the running code wins, so that code and files are of one version: the source
-tree it runs from (checkout, editable install), then the prefix it is installed under (colcon,
-pip), then the prefixes of the environment.
+Those nearest to the running code win, so that code and files are of one version: of its source tree
+(checkout, editable install), of the prefix it is installed under (colcon, pip), of the environment.
 """
 
 import os
@@ -40,12 +38,9 @@ def config_path(name: str) -> Path:
     for folder in folders:
         if (folder / name).is_file():
             return folder / name
-    existing = [folder for folder in folders if folder.is_dir()]
-    if existing:
-        known = ", ".join(sorted(path.name for path in existing[0].glob("*.yaml"))) or "nothing"
-        raise ResourceError(f"no config file '{name}' in {existing[0]}, which has {known}")
+    known = sorted(path.name for folder in folders for path in folder.glob("*.yaml"))
     searched = ", ".join(map(str, folders))
-    raise ResourceError(f"no config folder of {_PACKAGE}, looking for '{name}' in {searched}")
+    raise ResourceError(f"no config file '{name}' in {searched}; there are {', '.join(known)}")
 
 
 def _config_folders() -> Iterator[Path]:

@@ -69,11 +69,7 @@ def interrupt() -> None:
 
 
 def ignore_signals() -> None:
-    """Ignore the signals for the rest of the process.
-
-    The interpreter resets Python handlers to the default action as it shuts down, so a signal
-    then would still kill the process; an ignored signal stays ignored.
-    """
+    """Ignore the signals for the rest of the process, also once the interpreter shuts down."""
     for number in _SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
@@ -84,7 +80,7 @@ def signal_came() -> bool:
 
 
 class StopFlag:
-    """Callable that is true once a signal came; a context manager in the main thread.
+    """Callable that is true once a signal came; catches the signals inside a `with` block.
 
     Further signals change nothing, so an impatient second Ctrl-C cannot interrupt the teardown.
 
@@ -95,27 +91,23 @@ class StopFlag:
     last: StopFlag | None = None
 
     def __init__(self) -> None:
-        """Make a lowered flag; no handler is installed yet."""
         self._raised = False
         self._previous: dict[signal.Signals, Any] = {}
 
     def __call__(self) -> bool:
-        """Say whether a signal came."""
         return self._raised
 
     def install(self) -> None:
-        """Catch the signals from here on, for good."""
+        """Catch the signals from here on, for good; only the main thread may."""
         StopFlag.last = self
         for number in _SIGNALS:
             self._previous[number] = signal.signal(number, self._raise)
 
     def __enter__(self) -> StopFlag:
-        """Catch the signals inside the block."""
         self.install()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Restore the handlers found on entry."""
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 
