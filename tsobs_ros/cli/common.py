@@ -9,6 +9,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -127,22 +128,14 @@ def progress(
 ) -> Iterator[Advance]:
     """Show a progress bar while the block runs, if stderr is a terminal and tqdm is installed.
 
-    Args:
-        total: Amount of work.
-        unit: Its unit.
-        scale: Whether to write large amounts with prefixes such as M.
-        quiet: Whether to show nothing.
+    With `scale` large amounts of work are written with prefixes such as M.
     """
-    bar: Any = None
-    if not quiet and sys.stderr.isatty():
-        with suppress(ModuleNotFoundError):  # nothing depends on a bar
-            from tqdm import tqdm
-
-            bar = tqdm(total=total, unit=unit, unit_scale=scale, leave=False)
-    if bar is None:
+    if quiet or not sys.stderr.isatty() or find_spec("tqdm") is None:
         yield lambda _: None
         return
-    with bar:
+    from tqdm import tqdm
+
+    with tqdm(total=total, unit=unit, unit_scale=scale, leave=False) as bar:
         yield bar.update
 
 

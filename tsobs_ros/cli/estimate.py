@@ -50,13 +50,7 @@ def add_parser(commands: Commands) -> None:
 def add_observer_options(
     command: argparse.ArgumentParser, methods: Sequence[str], *, bag_required: bool = True
 ) -> None:
-    """Let a command run observers over a bag or a log.
-
-    Args:
-        command: The command.
-        methods: Default of `--method`; empty for the one of the parameters.
-        bag_required: Whether there has to be one.
-    """
+    """Let a command run observers over a bag or a log, by default those of some methods."""
     add = command.add_argument
     add(
         "bag", type=Path, metavar="BAG", nargs=None if bag_required else "?",
@@ -203,13 +197,50 @@ def given_parameters(options: argparse.Namespace) -> dict[str, Any]:
 
 def _about(source: "Source", observers: "Sequence[Observer]") -> list[str]:
     """Return a line on each design."""
-    lines: dict[str, list[str]] = {}
+    joints: dict[str, dict[str, None]] = {}
     for observer in observers:
         for joint, file in zip(source.joints, observer.files, strict=True):
-            names = lines.setdefault(f"design {file.name} ({file.identity})", [])
-            names += [joint] if joint not in names else []
-    several = len(lines) > 1 and len(source.joints) > 1
-    return [f"{text} for {', '.join(names)}" if several else text for text, names in lines.items()]
+            joints.setdefault(f"design {file.name} ({file.identity})", {})[joint] = None
+    several = len(joints) > 1 and len(source.joints) > 1
+    return [f"{text} for {', '.join(own)}" if several else text for text, own in joints.items()]
+
+
+def _mapping_of(run: "Run", begin: int) -> dict[str, Any]:
+    from tsobs_ros.replay.health import map_events
+
+    return {
+        "name": run.observer.name,
+        "method": run.observer.settings.method,
+        "estimates": run.estimates,
+        "used": run.used,
+        "rejected": {reason.value: number for reason, number in run.rejected.items()},
+        "outputs": run.outputs(),
+        "rewinds": run.rewinds,
+        "failures": sum(tracker.failures for tracker in run.trackers),
+        "health": {joint: one.as_mapping() for joint, one in run.health().items()},
+        **map_events(run.events, begin),
+    }
+
+
+def _lines_of(run: "Run", width: int) -> list[str]:
+    """Return a run's counts and health, with so much room for its name."""
+    rejected = ", ".join(f"{number:,} {reason.value}" for reason, number in run.rejected.items())
+    lines = [
+        f"{run.observer.name:<{width}}  {run.estimates:,} estimates from {run.used:,} "
+        f"measurements; rejected: {rejected or 'none'}"
+    ]
+    about = [
+        (joint, f"{name}: {number:,} {what}")
+        for joint, outputs in run.outputs().items()
+        for name, counts in outputs.items()
+        for what, number in counts.items()
+        if number
+    ]
+    if run.observer.settings.method == "certified":
+        about += [(joint, line) for joint, one in run.health().items() for line in one.lines()]
+    several = len(run.observer.designs) > 1
+    lines += [f"{'':<{width}}  {f'{joint}: ' if several else ''}{line}" for joint, line in about]
+    return lines
 
 
 def _result(
@@ -221,7 +252,7 @@ def _result(
     remarks: Sequence[str],
 ) -> tuple[dict[str, Any], str]:
     """Return the result for programs and for people."""
-    from tsobs_ros.replay.health import list_events, map_events
+    from tsobs_ros.replay.health import list_events
     from tsobs_ros.report.comparison import render_comparison
 
     begin, end = source.span
@@ -229,36 +260,17 @@ def _result(
     # At most one of several observers was the live one.
     agreements = filter(None, (run.agreement() for run in runs))
     agreement = max(agreements, key=lambda one: one.reproduced, default=None)
+    width = max(len(run.observer.name) for run in runs)
     lines = [
         f"{source.path}: {source.count:,} measurements of {', '.join(source.joints)} "
-        f"over {duration:.1f} s, in {seconds:.1f} s"
+        f"over {duration:.1f} s, in {seconds:.1f} s",
+        *(line for run in runs for line in _lines_of(run, width)),
+        *remarks,
+        *([] if agreement is None else [agreement.text()]),
+        *(list_events(runs[0].events, begin) if len(runs) == 1 else []),
+        *(["", *render_comparison(errors).split("\n")] if errors else []),
+        *([] if output is None else [f"wrote {output}"]),
     ]
-    width = max(len(run.observer.name) for run in runs)
-    for run in runs:
-        rejected = ", ".join(f"{n:,} {reason.value}" for reason, n in run.rejected.items())
-        lines.append(
-            f"{run.observer.name:<{width}}  {run.estimates:,} estimates from "
-            f"{run.used:,} measurements; rejected: {rejected or 'none'}"
-        )
-        certified = run.observer.settings.method == "certified"
-        health = {joint: one.lines() for joint, one in run.health().items()} if certified else {}
-        unused = {
-            joint: [
-                f"{name}: {' and '.join(f'{n:,} {what}' for what, n in counts.items() if n)}"
-                for name, counts in outputs.items()
-                if any(counts.values())
-            ]
-            for joint, outputs in run.outputs().items()
-        }
-        for joint, own in [*unused.items(), *health.items()]:
-            whose = f"{joint}: " if len(source.joints) > 1 else ""
-            lines += [f"{'':<{width}}  {whose}{line}" for line in own]
-    lines += remarks
-    lines += [] if agreement is None else [agreement.text()]
-    if len(runs) == 1:
-        lines += list_events(runs[0].events, begin)
-    lines += ["", *render_comparison(errors).split("\n")] if errors else []
-    lines += [] if output is None else [f"wrote {output}"]
     mapping = {
         "source": str(source.path),
         "output": None if output is None else str(output),
@@ -266,21 +278,7 @@ def _result(
         "measurements": source.count,
         "duration": duration,
         "seconds": seconds,
-        "observers": [
-            {
-                "name": run.observer.name,
-                "method": run.observer.settings.method,
-                "estimates": run.estimates,
-                "used": run.used,
-                "rejected": {r.value: n for r, n in run.rejected.items()},
-                "outputs": run.outputs(),
-                "rewinds": run.rewinds,
-                "failures": sum(tracker.failures for tracker in run.trackers),
-                "health": {joint: one.as_mapping() for joint, one in run.health().items()},
-                **map_events(run.events, begin),
-            }
-            for run in runs
-        ],
+        "observers": [_mapping_of(run, begin) for run in runs],
         "live": None if agreement is None else asdict(agreement),
         "errors": [one.as_mapping() for one in errors],
         "remarks": list(remarks),
