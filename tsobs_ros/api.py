@@ -276,8 +276,8 @@ def estimate(
     u = _columns("torque", torque, len(times), len(request.input_names))
     stamps, tracker = _stamps(times), make_tracker(design, settings or ObserverSettings())
     count = len(stamps)
-    known, none = np.arange(1, count + 1), np.zeros(count, np.int64)
-    made = run_tracker(tracker, stamps, y, u, (stamps, np.maximum.accumulate(stamps), known, none))
+    ticks = stamps, np.maximum.accumulate(stamps), np.arange(1, count + 1)
+    made = run_tracker(tracker, stamps, y, u, ticks)
     rejected = Counter(reason for code in made.codes.tolist() if (reason := REASONS[code]))
     several = np.ndim(angle) == 2
     return _estimates(
@@ -342,27 +342,34 @@ def estimate_bag(
     from tsobs_ros.replay.estimate import make_runs, run_all
 
     source, observers = _observers(path, design, settings, (), joints)
-    (run,) = runs = make_runs(source, observers, rate=rate, as_live=rate is None, window=None)
-    run_all(source, runs, None if output is None else Path(output))
-    agreement, ticks = run.agreement(), run.window.ticks[run.window.ticks.estimated]
-    return BagEstimates(
-        joints={
-            name: _estimates(
-                run.trackers[joint],
-                ticks.stamps / NANOSECONDS,
-                run.rows[joint][run.window.ticks.estimated],
-                run.window.samples.stamps / NANOSECONDS,
-                run.innovations[joint],
-                run.rejected,
-                several=len(run.signals[joint].outputs) > 1,
-            )
-            for joint, name in enumerate(source.joints)
-        },
-        reproduced=agreement.reproduced / agreement.recorded
-        if agreement is not None and agreement.recorded
-        else None,
-        remarks=(*source.remarks, *([str(source.damage)] if source.damage else [])),
-    )
+    (run,) = runs = make_runs(source, observers, rate=rate, as_live=rate is None)
+    times, innovation_times = list[Array](), list[Array]()
+    parts: list[list[tuple[Any, Array]]] = [[] for _ in source.joints]
+
+    def keep() -> None:
+        samples, ticks, _ = run.window
+        times.append(ticks.stamps[ticks.estimated] / NANOSECONDS)
+        innovation_times.append(samples.stamps / NANOSECONDS)
+        for own, rows, innovations in zip(parts, run.rows, run.innovations, strict=True):
+            own.append((rows[ticks.estimated], innovations))
+
+    run_all(source, runs, None if output is None else Path(output), after_window=keep)
+    joints_of = {
+        name: _estimates(
+            run.trackers[joint],
+            np.concatenate(times),
+            np.concatenate([rows for rows, _ in own]),
+            np.concatenate(innovation_times),
+            np.concatenate([innovations for _, innovations in own]),
+            run.rejected,
+            several=len(run.signals[joint].outputs) > 1,
+        )
+        for joint, (name, own) in enumerate(zip(source.joints, parts, strict=True))
+    }
+    live = run.agreement()
+    reproduced = None if live is None or not live.recorded else live.reproduced / live.recorded
+    damage = [] if source.damage is None else [str(source.damage)]
+    return BagEstimates(joints_of, reproduced, (*source.remarks, *damage))
 
 
 class Comparison(tuple["ObserverErrors", ...]):

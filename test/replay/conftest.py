@@ -87,7 +87,7 @@ def estimate(design: Design, tmp_path: Path) -> Callable[..., Run]:
         output: str | None = None,
         rate: float | None = None,
         as_live: bool = True,
-        window: int | None = None,
+        window: int = 2**31,
         **settings: Any,
     ) -> Run:
         if isinstance(source, Path):

@@ -120,7 +120,7 @@ def estimate(
     source.take_for_system([file.design.request])
     observer = Observer("observer", ObserverSettings(), (file,) * len(source.joints))
     (run,) = make_runs(
-        source, [observer], **{"rate": None, "as_live": True, "window": None, **options}
+        source, [observer], **{"rate": None, "as_live": True, "window": 2**31, **options}
     )
     run_all(source, [run], output)
     return run

@@ -34,7 +34,7 @@ from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter, whole_bag
-from tsobs_ros.checks import Array, Flags, Integers
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
@@ -173,10 +173,9 @@ class Run:
         self._conditions = Spool(np.dtype(np.float64))
         self._parameters_due = self._health_due = -topics.SLOW_PERIOD
         self._slow: list[tuple[NDArray[Any], ...]] = []
-        # Numbers of restarts until now and before the last health, of ticks since the last one, and
-        # the stamp of the last estimate.
-        self._restarts = self._restarts_before = self._ticks = self._last = 0
-        self._is_first = True
+        # Number of restarts, of ticks since the last one, and the stamp of the last estimate.
+        self._restarts = self._ticks = self._last = 0
+        self._is_first, self._has_restarted = True, False
 
     def begin(self, writer: BagWriter, definition: MessageDefinition) -> None:
         """Add its topics to a new bag, JointStates of a definition, and write what it runs."""
@@ -206,11 +205,15 @@ class Run:
     def run(self, window: Window, *, encode: bool) -> list[MessageSeries]:
         """Run the observer over a window, and return the messages, if they are to be encoded."""
         self.window, ticks = window, window.ticks
+        if window.restarts:
+            for tracker in self.trackers:
+                tracker.forget()
+            self._restarts, self._ticks, self._last = self._restarts + 1, 0, 0
+            self._has_restarted = True
         self._estimate()
-        restarts = self._restarts + np.cumsum(ticks.resets)
         made: list[MessageSeries] = []
         if encode:
-            made += self._restart_messages(restarts)
+            made += self._restart_messages()
             made += self._tick_messages()
             of_use = ticks[np.searchsorted(ticks.known, np.arange(len(window.samples)), "right")]
             of_use.stamps = window.samples.stamps
@@ -221,8 +224,7 @@ class Run:
             made += messages
             for one in messages if live is not None else ():
                 self._made.add(digests(topic, one.data))
-        made += self._slow_messages(restarts, encode=encode)
-        self._restarts = int(restarts[-1]) if len(restarts) else self._restarts
+        made += self._slow_messages(encode=encode)
         self._is_first = self._is_first and not len(ticks)
         return made if encode else []
 
@@ -255,7 +257,7 @@ class Run:
                 self._outputs[joint][:, place] += (one.output_codes == code).sum(axis=0)
 
     def _run_joint(self, joint: int) -> JointResults:
-        (samples, ticks), tracker = self.window, self.trackers[joint]
+        (samples, ticks, _), tracker = self.window, self.trackers[joint]
         own, shape = samples.complete[:, joint], tracker.estimator.shape
         known = np.append(0, np.cumsum(own))[ticks.known]
         return run_tracker(
@@ -263,7 +265,7 @@ class Run:
             samples.stamps[own],
             samples.y[own, joint, : shape.p],
             samples.u[own, joint, : shape.m],
-            (ticks.stamps, ticks.now, known, ticks.resets),
+            (ticks.stamps, ticks.now, known),
             self.observer.settings.stale_after,
         )
 
@@ -273,29 +275,23 @@ class Run:
         done: Flags = np.any([one.there for one in results], axis=0) & ticks.estimated
         if self.windows.at_samples:
             done &= np.any([one.newest == ticks.stamps for one in results], axis=0)
-        for part in np.split(np.arange(len(ticks)), np.flatnonzero(ticks.resets)):
-            if len(part) and ticks.resets[part[0]]:
-                self._last = 0
-            stamps = np.where(done[part], ticks.stamps[part], 0)
-            before = np.maximum.accumulate(np.append(self._last, stamps))
-            done[part] &= stamps > before[:-1]
-            self._last = int(before[-1])
-        return done
+        stamps = np.where(done, ticks.stamps, 0)
+        before = np.maximum.accumulate(np.append(self._last, stamps))
+        self._last = int(before[-1])
+        return done & (stamps > before[:-1])
 
     def _messages(self, topic: str, at: Records, rows: Any = slice(None)) -> list[MessageSeries]:
         """Return the messages of a topic of estimates at some of the ticks."""
         each = [self.values(joint, *ESTIMATES[topic])[rows] for joint in range(len(self.rows))]
         return self._encoder.messages(topic, at, each)
 
-    def _restart_messages(self, restarts: Integers) -> list[MessageSeries]:
-        """Return the messages of the start and of the restarts, unless recorded ones are copied."""
-        ticks, live = self.window.ticks, self.windows.live
-        if live is not None and live.restarts:
+    def _restart_messages(self) -> list[MessageSeries]:
+        """Return the message of the start or a restart, unless recorded ones are copied."""
+        live, first = self.windows.live, self.window.ticks[:1]
+        if not (self._is_first or self.window.restarts) or (live is not None and live.restarts):
             return []
-        starts = ticks.resets == 1
-        starts[: int(self._is_first)] = True
-        each = [restarts[starts, np.newaxis].astype(np.float64)] * len(self.trackers)
-        return self._encoder.messages(topics.RESTARTS, ticks[starts], each)
+        each = [np.full((len(first), 1), float(self._restarts))] * len(self.trackers)
+        return self._encoder.messages(topics.RESTARTS, first, each)
 
     def _tick_messages(self) -> list[MessageSeries]:
         """Return the messages of the tick log."""
@@ -303,8 +299,6 @@ class Run:
         counts = np.diff(ticks.known, prepend=0)
         logged = done | (counts > 0)
         numbers = self._ticks + np.cumsum(logged)
-        for place in np.flatnonzero(ticks.resets).tolist():
-            numbers[place:] -= int(numbers[place]) - int(logged[place])
         self._ticks = int(numbers[-1]) if len(numbers) else self._ticks
         # Without an estimate there is no stamp, and the clock decides what is from the future.
         stamps = np.where(done, ticks.stamps, ticks.now)
@@ -318,7 +312,7 @@ class Run:
             found.append(MessageSeries(self._prefix + topics.TICKS, TICK_LOG, *times, data))
         return found
 
-    def _slow_messages(self, restarts: Integers, *, encode: bool) -> list[MessageSeries]:
+    def _slow_messages(self, *, encode: bool) -> list[MessageSeries]:
         """Note what the estimates are worth; return the messages that come now and then."""
         ticks, made = self.window.ticks, list[MessageSeries]()
         valid: Flags = np.array([own["parameters_valid"] == 1.0 for own in self.rows])
@@ -336,10 +330,10 @@ class Run:
         if len(due):
             if encode:
                 made += self._messages(topics.HEALTH, ticks[due], due)
-            restarted = np.diff(restarts[due], prepend=self._restarts_before) > 0
+            restarted = np.zeros(len(due), np.bool_)
+            restarted[0], self._has_restarted = self._has_restarted, False
             times = ticks.stamps[due], ticks.log_times[due]
             self._slow.append((*times, conditions[due], restarted))
-            self._restarts_before = int(restarts[due[-1]])
         return made
 
     def outputs(self) -> dict[str, dict[str, dict[str, int]]]:
@@ -447,7 +441,7 @@ def make_runs(
     *,
     rate: float | None,
     as_live: bool,
-    window: int | None = WINDOW,
+    window: int = WINDOW,
 ) -> list[Run]:
     """Return a run of every observer over the same measurements; options as for `Windows`.
 

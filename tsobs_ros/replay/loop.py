@@ -32,8 +32,6 @@ _TICK = np.dtype(
         ("now", np.int64),
         # Number of samples taken by the end of the tick.
         ("known", np.int64),
-        # 1 if the observer forgets everything before it, else 0.
-        ("resets", np.int64),
         # Whether there are estimates.
         ("estimated", np.bool_),
         ("log_times", np.int64),
@@ -49,109 +47,104 @@ class Window(NamedTuple):
     Attributes:
         samples: Measurements in the order of use, as those of a source.
         ticks: Which samples are taken when, of all that are used; records of `_TICK`.
+        restarts: Whether the observer forgets everything before it.
     """
 
     samples: Records
     ticks: Records
+    restarts: bool
 
 
 class Windows:
-    """The windows of a recording; at least one.
+    """The windows of a recording; at least one, and another one whenever time restarts.
 
     Args:
         source: The recording.
         rate: Estimate at this rate [Hz]; None: at every measurement.
         as_live: Estimate, instead of both, when the recorded observer did.
-        size: Number of ticks in a window; None for one window with everything.
+        size: Largest number of ticks in a window.
 
     Attributes:
         live: What the recorded observer sent, if the ticks are those of its tick log.
         at_samples: Whether there are only estimates at measurements that are in use.
     """
 
-    def __init__(self, source: Source, rate: float | None, as_live: bool, size: int | None) -> None:
+    def __init__(self, source: Source, rate: float | None, as_live: bool, size: int) -> None:
         self._source, self._rate, self._size = source, rate, size
         self.live = source.live() if as_live else None
         self.at_samples = self.live is None and rate is None
 
     def __iter__(self) -> Iterator[Window]:
-        size, taken, samples = self._size or _FOREVER, 0, self._source.samples
-        if self.live is not None:
-            parts = self._of_tick_log(self.live, size)
-        elif self._rate is not None:
-            parts = self._at_rate(NANOSECONDS / self._rate, size)
-        else:
-            parts = self._at_samples(size)
-        if self._size is None:
-            parts = iter([np.concatenate(list(parts)).view(np.recarray)])
-        for ticks in parts:
+        taken, samples = 0, self._source.samples
+        parts = self._of_recording() if self.live is None else self._of_tick_log(self.live)
+        for restarts, ticks in parts:
             end = int(ticks.known[-1]) if len(ticks) else taken
             own = samples[taken:end] if self.live is None else samples[self.live.used[taken:end]]
             ticks.known -= taken
             taken = end
-            yield Window(_in_order(own, ticks.known), ticks)
+            yield Window(_in_order(own, ticks.known), ticks, restarts)
 
-    def _passes(self) -> Iterator[tuple[int, Records, Stamps]]:
-        """Yield where each pass of time begins, its samples, and when they arrived."""
-        samples = self._source.samples
-        for begin, end in passes(samples.stamps):
-            own = samples[begin:end]
-            times = own.log_times if self._source.same_clock else own.stamps
-            yield begin, own, np.maximum.accumulate(np.append(0, times))[1:]
+    def _of_recording(self) -> Iterator[tuple[bool, Records]]:
+        """Yield the ticks of each pass of time, and whether they begin another one."""
+        whole, latest = self._source.samples, 0
+        for first, end in passes(whole.stamps):
+            samples = whole[first:end]
+            times = samples.log_times if self._source.same_clock else samples.stamps
+            arrivals = np.maximum.accumulate(np.append(0, times))[1:]
+            make = self._at_samples if self._rate is None else self._at_rate
+            for place, ticks in enumerate(make(samples, arrivals)):
+                ticks.known += first
+                ticks.log_times = ticks.publish_times = np.maximum(ticks.log_times, latest)
+                yield first > 0 and place == 0, ticks
+            latest = int(ticks.log_times[-1])
 
-    def _at_samples(self, size: int) -> Iterator[Records]:
+    def _at_samples(self, samples: Records, arrivals: Stamps) -> Iterator[Records]:
         """Yield a tick for each message; those in a row with one stamp share it."""
-        for first, samples, arrivals in self._passes():
-            ends = 1 + np.flatnonzero(np.append(np.diff(samples.stamps) != 0, True))
-            for begin in range(0, len(ends), size):
-                known = ends[begin : begin + size]
-                stamps, times = samples.stamps[known - 1], samples.log_times[known - 1]
-                ticks = _ticks(stamps, arrivals[known - 1], first + known, times, times)
-                ticks.resets[0] = first > 0 and not begin
-                yield ticks
+        ends = 1 + np.flatnonzero(np.append(np.diff(samples.stamps) != 0, True))
+        for begin in range(0, len(ends), self._size):
+            known = ends[begin : begin + self._size]
+            stamps, times = samples.stamps[known - 1], samples.log_times[known - 1]
+            yield _ticks(stamps, arrivals[known - 1], known, times, times)
 
-    def _at_rate(self, period: float, size: int) -> Iterator[Records]:
-        """Yield ticks at a fixed rate on the clock of the recording.
-
-        They begin with the first arrival, and again when time has restarted.
-        """
-        latest = 0
-        for first, samples, arrivals in self._passes():
-            delays = np.append(0, samples.log_times - arrivals)
-            count = math.ceil((int(arrivals[-1] - arrivals[0]) + 1) / period)
-            for begin in range(0, count, size):
-                places = np.arange(begin, min(begin + size, count))
-                stamps = arrivals[0] + np.round(places * period).astype(np.int64)
-                known = np.searchsorted(arrivals, stamps, side="right")
-                times = np.maximum.accumulate(np.append(latest, stamps + delays[known]))[1:]
-                ticks = _ticks(stamps, stamps, first + known, times, times)
-                ticks.resets[0] = first > 0 and not begin
-                yield ticks
-                latest = int(times[-1])
-            if known[-1] < len(samples):
+    def _at_rate(self, samples: Records, arrivals: Stamps) -> Iterator[Records]:
+        """Yield ticks at a fixed rate on the clock of the recording, from the first arrival on."""
+        assert self._rate is not None
+        period, latest = NANOSECONDS / self._rate, 0
+        delays = np.append(0, samples.log_times - arrivals)
+        count = math.ceil((int(arrivals[-1] - arrivals[0]) + 1) / period)
+        for begin in range(0, count, self._size):
+            places = np.arange(begin, min(begin + self._size, count))
+            stamps = arrivals[0] + np.round(places * period).astype(np.int64)
+            known = np.searchsorted(arrivals, stamps, side="right")
+            times = np.maximum.accumulate(np.append(latest, stamps + delays[known]))[1:]
+            ticks, latest = _ticks(stamps, stamps, known, times, times), int(times[-1])
+            if begin + self._size >= count and known[-1] < len(samples):
                 # What no tick takes is used all the same.
-                latest = max(latest, int(samples.log_times[-1]))
-                ticks = _ticks(arrivals[-1:], arrivals[-1:], first + len(samples), latest, latest)
-                ticks.estimated = False
-                yield ticks
-
-    def _of_tick_log(self, live: LiveRun, size: int) -> Iterator[Records]:
-        """Yield the ticks of the recorded observer."""
-        taken = 0
-        for begin in range(0, max(len(live.ticks), 1), size):
-            own = live.ticks[begin : begin + size]
-            known = taken + np.cumsum(own.counts)
-            ticks = _ticks(own.stamps, own.stamps, known, own.log_times, own.publish_times)
-            ticks.resets, ticks.estimated = own.numbers == 1, own.estimated == 1
+                last = max(latest, int(samples.log_times[-1]))
+                rest = _ticks(arrivals[-1:], arrivals[-1:], len(samples), last, last)
+                rest.estimated = False
+                ticks = np.append(ticks, rest).view(np.recarray)
             yield ticks
-            taken = int(known[-1]) if len(known) else taken
+
+    def _of_tick_log(self, live: LiveRun) -> Iterator[tuple[bool, Records]]:
+        """Yield the ticks of the recorded observer, and whether it has restarted."""
+        taken, numbers = 0, live.ticks.numbers
+        edges = [0, *np.flatnonzero(numbers[1:] == 1) + 1, len(numbers)]
+        for first, end in pairwise(edges):
+            for begin in range(first, max(end, 1), self._size):
+                own = live.ticks[begin : min(begin + self._size, end)]
+                known = taken + np.cumsum(own.counts)
+                ticks = _ticks(own.stamps, own.stamps, known, own.log_times, own.publish_times)
+                ticks.estimated = own.estimated == 1
+                yield begin == first and bool((own.numbers[:1] == 1).any()), ticks
+                taken = int(known[-1]) if len(known) else taken
 
 
 def _ticks(*columns: Any) -> Records:
     """Return ticks with estimates of their stamps, `now`, `known`, log and publish times."""
     stamps, now, known, log_times, publish_times = np.broadcast_arrays(*columns)
-    made = (stamps, now, known, np.zeros(len(stamps)), np.ones(len(stamps)))
-    return np.rec.fromarrays([*made, log_times, publish_times], _TICK)
+    made = (stamps, now, known, np.ones(len(stamps)), log_times, publish_times)
+    return np.rec.fromarrays(made, _TICK)
 
 
 def _in_order(samples: Records, known: Integers) -> Records:
@@ -197,31 +190,21 @@ def run_tracker(
         stamps: Of n samples in the order of use [ns], shape (n,).
         y: Outputs, shape (n, p).
         u: Inputs from each sample until the next one, shape (n, m).
-        ticks: Stamps of the estimates and times on the clock [ns], numbers of samples taken by the
-            end of each tick, and whether the tracker forgets everything before it.
+        ticks: Stamps of the estimates and times on the clock [ns], and numbers of samples taken by
+            the end of each tick.
         stale_after: Age of the newest sample after which nothing is estimated [s].
     """
-    count, rows = len(stamps), tracker.estimator.new_rows(len(ticks[0]))
-    codes, output_codes = np.zeros(count, np.int64), np.zeros(y.shape, np.int64)
-    innovations, expected_std = np.full((2, *y.shape), np.nan)
+    rows, shape = tracker.estimator.new_rows(len(ticks[0])), y.shape
+    codes, output_codes = np.zeros(len(stamps), np.int64), np.zeros(shape, np.int64)
+    innovations, expected_std = np.full((2, *shape), np.nan)
     newest, there = np.zeros((2, len(rows)), np.int64)
     limit = _FOREVER if math.isinf(stale_after) else int(stale_after * NANOSECONDS)
-    at, now, known, resets = map(np.ascontiguousarray, ticks)
-    columns = *map(np.ascontiguousarray, (stamps, y, u)), codes, output_codes
-    columns = *columns, innovations, expected_std
-    taken = 0
-    for begin, end in pairwise([0, *np.flatnonzero(resets[1:]) + 1, len(rows)]):
-        if begin == end:
-            continue
-        if resets[begin]:
-            tracker.forget()
-        own, of_ticks = slice(taken, int(known[end - 1])), slice(begin, end)
-        tracker.advance(
-            *(one[own] for one in columns),
-            at[of_ticks], now[of_ticks], known[of_ticks] - taken,
-            newest[of_ticks], there[of_ticks], rows[of_ticks], limit,
-        )  # fmt: skip
-        taken = own.stop
+    tracker.advance(
+        *map(np.ascontiguousarray, (stamps, y, u)),
+        *(codes, output_codes, innovations, expected_std),
+        *map(np.ascontiguousarray, ticks),
+        *(newest, there, rows, limit),
+    )
     innovations[output_codes != USED] = np.nan
     rows[there == 0] = np.nan
     return JointResults(rows, there != 0, newest, codes, output_codes, innovations)

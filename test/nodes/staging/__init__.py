@@ -83,7 +83,7 @@ def estimated_again(bag: Path, output: Path, design: Design, **settings: Any) ->
     source = BagSource(bag)
     designs = (DesignFile.of(design),) * len(source.joints)
     observer = Observer("observer", ObserverSettings(**settings), designs)
-    (run,) = make_runs(source, [observer], rate=None, as_live=True, window=None)
+    (run,) = make_runs(source, [observer], rate=None, as_live=True, window=2**31)
     run_all(source, [run], output)
     return run
 
