@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from staging import diagnostics, to_nanoseconds, values
-from staging.stage import Arm
+from staging.stage import PERIOD, Arm
 
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.nodes.observer.joints import NAMES as REASONS
@@ -82,7 +82,7 @@ class Sensor:
     def publish_due(self) -> None:
         """Publish the newest good sample if it has not been."""
         now = time.time_ns()
-        stamp = now - (now - self.arm.origin) % self.arm.period
+        stamp = now - (now - self.arm.origin) % PERIOD
         if stamp > self.newest:
             self.newest = stamp
             self.publisher.publish(self.arm.message(stamp))

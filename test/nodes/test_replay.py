@@ -135,16 +135,10 @@ def test_joints_of_late_doubled_and_unusable_messages_are_reproduced(
     stage: Stage, design: Design, tmp_path: Path
 ) -> None:
     """Two joints, each in messages that have no other."""
-    scene, arms = (
-        Scene(stage, tmp_path / "bag"),
-        [Arm(BEGIN, joint) for joint in ("elbow", "wrist")],
-    )
+    scene, arms = Scene(stage, tmp_path / "bag"), [Arm(BEGIN, name) for name in ("elbow", "wrist")]
     scene.start(joints=["elbow", "wrist"])
-    events = [
-        Event(stamp, arm.message(stamp))
-        for stamp in arms[0].stamps(stage.now + PERIOD, 60 * PERIOD * 1e-9)
-        for arm in arms
-    ]
+    stamps = range(stage.now + PERIOD, stage.now + 61 * PERIOD, PERIOD)
+    events = [Event(stamp, arm.message(stamp)) for stamp in stamps for arm in arms]
     late = events.pop(20)
     events.insert(30, Event(events[30].at, late.message))
     events.insert(50, events[49])

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.serialization import serialize_message
 from staging import values
-from staging.stage import BEGIN, MS, OUTPUTS, PERIOD, SIGMAS, Arm, Event, Stage, good, replayed
+from staging.stage import BEGIN, MS, OUTPUTS, PERIOD, Arm, Event, Stage, good, replayed
 
 from tsobs_ros.estimation.records import GATED
 from tsobs_ros.nodes.observer import Observer
@@ -24,46 +23,37 @@ def used(observer: Observer) -> int:
 
 @pytest.mark.parametrize(("sensor", "node"), [(50, 500), (333, 77)])
 def test_estimates_are_the_trackers_bit_for_bit_at_any_rates(
-    stage: Stage, sensor: float, node: float
+    stage: Stage, sensor: int, node: int
 ) -> None:
-    observer = stage.add(rate=float(node))
-    period, arm = round(NANOSECONDS / node), Arm(BEGIN, rate=float(sensor), seconds=2.0)
+    observer, arm = stage.add(rate=float(node)), Arm(BEGIN)
+    period = round(NANOSECONDS / node)
     stage.step(BEGIN - period)
-    seconds = 0.4
-    events, until = good(arm, BEGIN, seconds), BEGIN + round(seconds * NANOSECONDS)
+    events, until = good(arm, BEGIN, 0.4, round(NANOSECONDS / sensor)), BEGIN + 400 * MS
     stage.play(events, until, period)
 
     assert used(observer) == len(events)
     assert set(np.diff(stage.watcher.stamps)) == {period}
     assert stage.watcher.stamps[-1] >= until
     assert replayed(stage.watcher, observer, events) > 20
-    assert stage.watcher.broken == []
-    assert stage.watcher.sigmas(arm) < SIGMAS
     for topic in OUTPUTS:
         sides = [f"{arm.joint}_link", f"{arm.joint}_motor"]
         names = sides if topic in ("joint_states", "error_bound") else [arm.joint]
-        for each in stage.watcher.of(topic):
-            assert list(each.message.name) == names
-            assert len(each.message.effort) == 0
+        assert all(list(each.message.name) == names for each in stage.watcher.of(topic))
 
 
-@pytest.mark.parametrize("gap", [0.3, 1.1], ids=lambda gap: f"{gap:g} s")
-def test_after_a_gap_of_any_length_it_goes_on(stage: Stage, gap: float) -> None:
-    rate, stale_after = 50.0, 1.0
-    period = round(NANOSECONDS / rate)
-    observer, arm = stage.add(rate=rate, stale_after=stale_after), Arm(BEGIN)
-    stage.step(BEGIN - period)
-    again = BEGIN + NANOSECONDS // 2 + round(gap * NANOSECONDS)
+@pytest.mark.parametrize("gap", [300, 1100], ids=lambda gap: f"{gap} ms")
+def test_after_a_gap_of_any_length_it_goes_on(stage: Stage, gap: int) -> None:
+    observer, arm = stage.add(rate=50.0, stale_after=1.0), Arm(BEGIN)
+    stage.step(BEGIN - 20 * MS)
+    newest, again = BEGIN + 495 * MS, BEGIN + (500 + gap) * MS
     events = good(arm, BEGIN, 0.5) + good(arm, again, 0.5)
-    stage.play(events, again + NANOSECONDS // 2, period)
+    stage.play(events, again + 500 * MS, 20 * MS)
 
-    assert stage.watcher.broken == []
     assert used(observer) == len(events)
-    assert observer.joints[0].tracker.restarts == (gap > stale_after)
-    newest = BEGIN + 495 * MS
+    assert observer.joints[0].tracker.restarts == (gap > 1000)
     coasting = [stamp for stamp in stage.watcher.stamps if newest < stamp < again]
-    assert all(stamp <= newest + stale_after * NANOSECONDS for stamp in coasting)
-    assert len(coasting) >= int(min(gap, stale_after) * rate) - 1
+    assert max(coasting) <= newest + NANOSECONDS
+    assert len(coasting) >= min(gap, 1000) // 20 - 1
     assert replayed(stage.watcher, observer, events)
 
 
@@ -78,27 +68,24 @@ def test_a_clock_that_goes_back_may_be_waited_for_instead(stage: Stage) -> None:
     stage.play(good(arm, stage.now + PERIOD, 0.1), stage.now + 105 * MS)
     assert stage.watcher.stamps == sorted(set(stage.watcher.stamps))
     assert stage.watcher.stamps[-1] == stage.now > last
-    assert observer.joints[0].tracker.used == observer.received == 60
+    assert used(observer) == 60
 
 
-@pytest.mark.parametrize("back", [0.05, 30.0], ids=lambda back: f"{back:g} s")
 def test_a_clock_that_goes_back_restarts_each_time(
-    stage: Stage, back: float, capfd: pytest.CaptureFixture[str]
+    stage: Stage, capfd: pytest.CaptureFixture[str]
 ) -> None:
     observer = stage.add()
     stage.step(BEGIN)
-    for _ in range(2):
+    for back in (50 * MS, 30 * NANOSECONDS):
         arm = Arm(stage.now + PERIOD)
         events = good(arm, arm.origin, 0.1)
         stage.play(events, arm.origin + 100 * MS)
         assert used(observer) == len(events)
         assert replayed(stage.watcher, observer, events) >= 19
-        assert stage.watcher.broken == []
         stage.watcher.published.clear()
-        stage.step(stage.now - round(back * NANOSECONDS))
+        stage.step(stage.now - back)
         stage.step(stage.now + PERIOD)
         assert observer.received == 0
-        stage.step(stage.now + NANOSECONDS)
         assert stage.watcher.published == []
     assert "the clock went back by" in capfd.readouterr().err
 
@@ -116,7 +103,6 @@ def test_a_leap_of_the_clock_is_a_gap_and_no_missed_tick(stage: Stage) -> None:
         assert used(observer) == wanted
         assert stage.watcher.stamps[-1] == stage.now
     assert observer.joints[0].tracker.restarts == 3
-    assert stage.watcher.broken == []
     timing = values(stage.statuses()["observer: timing"])
     assert int(timing["missed ticks"]) - missed < 10_000  # of 6 million
 
@@ -131,20 +117,17 @@ def test_thousands_of_rejections_are_a_few_lines_of_log(stage: Stage) -> None:
     stage.play(good(arm, BEGIN, 0.1), BEGIN + 100 * MS, 20 * MS)
     bad = [
         arm.message(BEGIN, position=[float("nan")]),
-        arm.message(BEGIN, name=["elbow"]),
+        arm.message(BEGIN, name=["x" * 100_000]),
         arm.message(BEGIN, effort=[]),
         arm.message(BEGIN),
         arm.message(BEGIN - NANOSECONDS),
         arm.message(BEGIN + 3600 * NANOSECONDS),
         arm.message(0),
-        bytes(serialize_message(arm.message(BEGIN)))[:40],
     ]
-    stage.step(stage.now + 20 * MS, [Event(0, arm.message(BEGIN, name=["x" * 100_000]))])
-    for _ in range(2):
-        batch = [Event(0, bad[index % len(bad)]) for index in range(1000)]
-        stage.step(stage.now + 20 * MS, batch)
-        stage.take_all(20 * MS)
-    assert observer.joints[0].tracker.rejected.total() == 2001
+    batch = [Event(0, bad[index % len(bad)]) for index in range(1000)]
+    stage.step(stage.now + 20 * MS, batch)
+    while observer.joints[0].tracker.rejected.total() < len(batch):  # some at each tick
+        stage.step(stage.now + 20 * MS)
     # Of the others the angles are new, and judged.
     expected = set(NAMES[1:]) - {NAMES[GATED], *(NAMES[code] for code in OF_INPUT)}
 

@@ -9,27 +9,24 @@ due are done.
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from numpy.typing import NDArray
 from rclpy.clock import ClockType
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from staging import call, start, to_nanoseconds, to_stamp
 from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
-from tsobs_ros.design.signals import Place
 from tsobs_ros.estimation.records import Innovation, Measurement
-from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_tracker
 from tsobs_ros.nodes.observer import Observer
+from tsobs_ros.nodes.observer.messages import MeasurementReader
 from tsobs_ros.nodes.wire import DrainedSubscription
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Trajectories
@@ -42,77 +39,36 @@ PERIOD = 5 * MS
 TOPIC = "/joint_measurements"
 ESTIMATES = ("joint_states", "error_bound", "disturbance", "disturbance_bound")
 OUTPUTS = (*ESTIMATES, "innovation")
-SIGMAS = 4.0
-"""Largest error in multiples of its bound."""
 
-_TIMEOUT = 30.0
 _LONG = 7 * NANOSECONDS
 _SENSOR_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-SECONDS = 20.0
-"""Length of the run; after it the arm restarts, which no observer can know."""
-
-
-@lru_cache(maxsize=4)
-def _simulated(rate: float, seconds: float) -> tuple[Trajectories, NDArray[np.float64]]:
-    scenario = replace(SCENARIOS["noise"], rate=rate)
-    run = simulate(scenario, [8], seconds)
-    return run, scenario.arm.to_physical(run.states[0])
+@lru_cache(maxsize=1)
+def _simulated() -> Trajectories:
+    return simulate(SCENARIOS["noise"], [8], 20.0)
 
 
 class Arm:
-    """A run of an arm that starts at a stamp.
+    """A run of an arm of 20 s, over and over, from a stamp on [ns], sampled each `PERIOD`."""
 
-    Args:
-        origin: Stamp of the first sample [ns].
-        joint: The joint's name.
-        rate: Samples a second [Hz].
-        seconds: Length of the run [s].
-    """
-
-    def __init__(
-        self,
-        origin: int,
-        joint: str = "elastic_joint",
-        rate: float = 200.0,
-        seconds: float = SECONDS,
-    ) -> None:
+    def __init__(self, origin: int, joint: str = "elastic_joint") -> None:
         self.origin, self.joint = origin, joint
-        self.period = round(NANOSECONDS / rate)
-        run, self._states = _simulated(rate, seconds)
+        run = _simulated()
         self._angles, self._torques = run.measurements[0], run.torques[0]
-
-    def stamps(self, begin: int, seconds: float) -> Iterator[int]:
-        """Return the stamps of the samples from `begin` on."""
-        first = -(-(begin - self.origin) // self.period)
-        last = -(-(begin + round(seconds * NANOSECONDS) - self.origin) // self.period)
-        return (self.origin + index * self.period for index in range(first, last))
 
     def measurement(self, stamp: int) -> Measurement:
         """Return the sample taken at the stamp, or last before it."""
-        index = (stamp - self.origin) // self.period % (len(self._angles) - 1)
+        index = (stamp - self.origin) // PERIOD % (len(self._angles) - 1)
         return Measurement(stamp, self._angles[index], self._torques[index])
 
     def message(self, stamp: int, **changes: Any) -> JointState:
         """Return that sample as a message, with any of its fields changed."""
-        sample = self.measurement(stamp)
-        fields = {
-            "name": [self.joint],
-            "position": sample.y.tolist(),
-            "effort": sample.u.tolist(),
-            **changes,
-        }
+        _, y, u = self.measurement(stamp)
+        fields = {"name": [self.joint], "position": y.tolist(), "effort": u.tolist(), **changes}
         message = JointState(**fields)
         message.header.stamp = to_stamp(stamp)
         return message
-
-    def truth(self, stamp: int) -> NDArray[np.float64]:
-        """Return the true [q₁, q̇₁, q₂, q̇₂] (rad, rad/s) at any stamp."""
-        index, rest = divmod(stamp - self.origin, self.period)
-        index %= len(self._angles) - 1
-        before, after = self._states[index : index + 2]
-        return np.asarray(before + (after - before) * (rest / self.period))
 
 
 class Event(NamedTuple):
@@ -122,9 +78,10 @@ class Event(NamedTuple):
     message: Any
 
 
-def good(arm: Arm, begin: int, seconds: float) -> list[Event]:
-    """Return the samples of the good sensor, sent as they are taken."""
-    return [Event(stamp, arm.message(stamp)) for stamp in arm.stamps(begin, seconds)]
+def good(arm: Arm, begin: int, seconds: float, period: int = PERIOD) -> list[Event]:
+    """Return the samples of a good sensor with a period from a stamp on, sent as they are taken."""
+    stamps = range(begin, begin + round(seconds * NANOSECONDS), period)
+    return [Event(stamp, arm.message(stamp)) for stamp in stamps]
 
 
 class Published(NamedTuple):
@@ -135,30 +92,22 @@ class Published(NamedTuple):
     message: JointState
 
     @property
-    def bits(self) -> bytes:
-        """The message's numbers."""
-        message = self.message
-        return np.array([*message.position, *message.velocity, *message.effort]).tobytes()
+    def numbers(self) -> list[float]:
+        """All of the message's numbers."""
+        return [*self.message.position, *self.message.velocity, *self.message.effort]
 
 
 class Watcher:
-    """Reads an observer's topics and holds them to what must always be true.
+    """Reads an observer's topics: numbers are finite, and stamps of estimates rise."""
 
-    Attributes:
-        broken: Descriptions of what should never have happened.
-        published: All messages, topic by topic of each step.
-    """
-
-    def __init__(self, node: Node, prefix: str) -> None:
+    def __init__(self, node: Any, prefix: str) -> None:
+        qos = QoSProfile(depth=5000)
         self._subscriptions = {
-            topic: DrainedSubscription(
-                node, JointState, f"{prefix}/{topic}", QoSProfile(depth=5000)
-            )
+            topic: DrainedSubscription(node, JointState, f"{prefix}/{topic}", qos)
             for topic in (*OUTPUTS, *TORQUE_TOPICS)
         }
-        self.broken: list[str] = []
         self.published: list[Published] = []
-        self._stamps: dict[str, int] = {}
+        self.newest: dict[str, int] = {}
 
     @property
     def matched(self) -> bool:
@@ -170,18 +119,17 @@ class Watcher:
         for subscription in self._subscriptions.values():
             subscription.destroy()
 
-    def time_went_back(self) -> None:
-        """Allow stamps to restart, as the clock went back."""
-        self.read()
-        self._stamps.clear()
-
     def read(self) -> None:
         """Take what has been published."""
         for topic, subscription in self._subscriptions.items():
             for message, _ in subscription.drain():
-                stamp = to_nanoseconds(message.header.stamp)
-                self._check(topic, stamp, message)
-                self.published.append(Published(topic, stamp, message))
+                one = Published(topic, to_nanoseconds(message.header.stamp), message)
+                assert all(map(math.isfinite, one.numbers)), one
+                # Innovations bear the stamps of measurements, which may be late.
+                if topic in ESTIMATES:
+                    assert one.stamp > self.newest.get(topic, 0), one
+                    self.newest[topic] = one.stamp
+                self.published.append(one)
 
     def of(self, topic: str) -> list[Published]:
         """Return the messages of a topic."""
@@ -191,25 +139,6 @@ class Watcher:
     def stamps(self) -> list[int]:
         """The stamps of the estimates [ns]."""
         return [each.stamp for each in self.of("joint_states")]
-
-    def sigmas(self, arm: Arm) -> float:
-        """Return the largest error of the newest estimate, in its bounds."""
-        state, bound = self.of("joint_states")[-1], self.of("error_bound")[-1].message
-        q1, v1, q2, v2 = arm.truth(state.stamp)
-        estimate = [*state.message.position, *state.message.velocity]
-        error = np.abs(estimate - np.array([q1, q2, v1, v2]))
-        return float((error / [*bound.position, *bound.velocity]).max())
-
-    def _check(self, topic: str, stamp: int, message: JointState) -> None:
-        numbers = (*message.position, *message.velocity, *message.effort)
-        if not all(map(math.isfinite, numbers)):
-            self.broken.append(f"{topic} at {stamp}: {numbers}")
-        # Innovations bear the stamps of measurements, which may be late.
-        if topic in ESTIMATES:
-            before = self._stamps.get(topic)
-            if before is not None and stamp <= before:
-                self.broken.append(f"{topic}: {stamp} after {before}")
-            self._stamps[topic] = stamp
 
 
 class Stage:
@@ -281,19 +210,13 @@ class Stage:
             self.sensor.publish(event.message)
         there = hasattr(self, "observer")
         if there and now < self.now:
-            self.watcher.time_went_back()
+            self.watcher.read()
+            self.watcher.newest.clear()
         self.now = now
         self._clock.publish(Clock(clock=to_stamp(now)))
         if there:
             self.wait_until(self._settled, f"the ticks of {now}")
             self.watcher.read()
-
-    def take_all(self, period: int = PERIOD) -> None:
-        """Let time pass until the observer has taken all that waits, some at each tick."""
-        before = -1
-        while self.observer.received != before:
-            before = self.observer.received
-            self.step(self.now + period)
 
     def statuses(self) -> dict[str, DiagnosticStatus]:
         """Return the statuses that are published next, by their names."""
@@ -310,7 +233,7 @@ class Stage:
 
     def wait_until(self, predicate: Callable[[], bool], what: str) -> None:
         """Spin until something is so."""
-        self.ros.spin_until(predicate, _TIMEOUT, what)
+        self.ros.spin_until(predicate, 30.0, what)
 
     def _keep(self, message: DiagnosticArray, info: Any) -> None:
         self._diagnostics.append((info["source_timestamp"], message))
@@ -320,13 +243,6 @@ class Stage:
         own = (each for each in self.observer.timers if each.clock.clock_type == ClockType.ROS_TIME)
         now = self.observer.get_clock().now().nanoseconds
         return now == self.now and not any(each.is_ready() for each in own)
-
-
-def tracker_of(observer: Observer) -> Tracker:
-    """Return a new tracker like the observer's."""
-    joint = observer.joints[0]
-    settings = observer.parameters.settings
-    return make_tracker(joint.loaded.design, settings, joint.tracker.estimator)
 
 
 def replayed(watcher: Watcher, observer: Observer, sent: Iterable[Event]) -> int:
@@ -341,42 +257,30 @@ def replayed(watcher: Watcher, observer: Observer, sent: Iterable[Event]) -> int
         The number of estimates that were compared.
     """
     (joint,) = observer.joints
-    places = joint.signals
-    waiting, tracker = list(sent), tracker_of(observer)
-    bits = {(each.topic, each.stamp): each.bits for each in watcher.published}
+    settings = observer.parameters.settings
+    tracker = make_tracker(joint.loaded.design, settings, joint.tracker.estimator)
+    reader, waiting = MeasurementReader({joint.name: joint.signals}, False), list(sent)
+    bits = {
+        (each.topic, each.stamp): np.array(each.numbers).tobytes() for each in watcher.published
+    }
+    # Positions come before velocities in a message.
+    order = np.argsort([place.field for place in joint.signals.states], kind="stable")
     for stamp in watcher.stamps:
         while waiting and waiting[0].at <= stamp:
-            message = waiting.pop(0).message
-            sample = Measurement(
-                to_nanoseconds(message.header.stamp),
-                _numbers(message, places.outputs),
-                _numbers(message, places.inputs),
-            )
+            batch = reader.read([serialize_message(waiting.pop(0).message)])
+            sample = Measurement(int(batch.stamps[0]), batch.y[0][0], batch.u[0][0])
             outcome = tracker.offer(sample, stamp)
             if isinstance(outcome, Innovation):
                 known = outcome.value[~np.isnan(outcome.value)]
                 assert bits["innovation", outcome.stamp] == known.tobytes()
         estimate = tracker.estimate(stamp)
         assert estimate is not None
-        order = sorted(range(len(places.states)), key=lambda i: places.states[i].field)
-        expected = {
+        for topic, wanted in {
             "joint_states": estimate.state[order],
             "error_bound": estimate.state_bound[order if estimate.state_bound.size else []],
-            "disturbance": np.concatenate([estimate.disturbance, estimate.disturbance_rate]),
+            "disturbance": np.append(estimate.disturbance, estimate.disturbance_rate),
             "disturbance_bound": estimate.disturbance_bound,
-        }
-        if places.torques:
-            expected["torque_disturbance"] = estimate.torque_disturbance
-            expected["torque_disturbance_bound"] = estimate.torque_disturbance_bound
-        for topic, wanted in expected.items():
+            "torque_disturbance": estimate.torque_disturbance,
+        }.items():
             assert bits.get((topic, stamp), b"") == wanted.tobytes(), (topic, stamp)
     return len(watcher.stamps)
-
-
-def _numbers(message: JointState, places: Iterable[Place]) -> NDArray[np.float64]:
-    """Return what a message has at some places, NaN where it has nothing."""
-    found = [
-        dict(zip(message.name, getattr(message, place.field), strict=False)).get(place.name)
-        for place in places
-    ]
-    return np.array([math.nan if each is None else each for each in found])

@@ -201,7 +201,8 @@ class ObservedJoint:
         for code, count in counts.items():
             self.tracker.reject(RejectReason(NAMES[code]), count)
         codes[given], innovations[given] = self._use(stamps[given], y[given], u[given], now)
-        self._stamps += stamps[np.isin(codes, _ACCEPTED)].tolist()
+        outcomes = zip(stamps.tolist(), codes.tolist(), strict=True)
+        self._stamps += [stamp for stamp, code in outcomes if code in _ACCEPTED]
         return innovations
 
     def _use(self, stamps: Stamps, y: Array, u: Array, now: int) -> tuple[Stamps, Array]:
