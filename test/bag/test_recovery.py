@@ -5,7 +5,6 @@
 import os
 import random
 import re
-import shutil
 import struct
 import tracemalloc
 import zlib
@@ -78,11 +77,11 @@ def scanned(data: bytes) -> list[tuple[bytes, int, int]]:
         ]
 
 
-def recovered(folder: Path, data: bytes, **options: bool) -> tuple[Recovery, list[Entry]]:
+def recovered(folder: Path, data: bytes) -> tuple[Recovery, list[Entry]]:
     """Recover a file and return what its new bag holds, in order of recording."""
     path = folder / "broken.mcap"
     path.write_bytes(data)
-    result = recover(path, folder / "new", **options)
+    result = recover(path, folder / "new")
     return result, in_recorded_order(folder / "new")
 
 
@@ -127,22 +126,17 @@ def test_the_front_of_a_large_chunk_is_kept_and_unchecked(
     assert f"unchecked {result.unchecked}: no checksum covers" in result.text()
 
 
-def test_what_a_damaged_chunk_held_is_counted_by_its_index(tmp_path: Path) -> None:
+def test_a_damaged_chunk_is_dropped_and_what_it_held_is_missing(tmp_path: Path) -> None:
     data, entries, chunks = sample("none")
     start = chunks[1][1] - 12
-    damaged = zero(data, start, start + 4)
-    result, found = recovered(tmp_path, damaged)
+    result, found = recovered(tmp_path, zero(data, start, start + 4))
     (part,) = result.files[0].damage
     assert (part.offset, part.size) == (chunks[1][0], chunks[1][1] - chunks[1][0])
-    assert (part.messages, len(found)) == (PER_CHUNK, len(entries) - PER_CHUNK)
-    assert sum(result.files[0].missing.values()) == PER_CHUNK
-    assert re.search(rf"bytes {part.offset} to .* {PER_CHUNK} messages: .*checksum", result.text())
+    assert found == entries[:PER_CHUNK] + entries[2 * PER_CHUNK :]
+    assert result.files[0].missing.total() == PER_CHUNK
+    assert re.search(rf"bytes {part.offset} to .*: .*checksum", result.text())
     assert "NOT EVERYTHING" in result.text()
     assert result.as_mapping()["files"][0]["damage"] == [vars(part)]
-    shutil.rmtree(tmp_path / "new")
-    result, found = recovered(tmp_path, damaged, keep_unchecked=True)
-    assert (len(found), result.unchecked) == (len(entries), PER_CHUNK)
-    assert sum(a != b for a, b in zip(found, entries, strict=True)) == 1
 
 
 def test_messages_outside_of_chunks_are_recovered_up_to_any_cut(tmp_path: Path) -> None:
@@ -207,7 +201,7 @@ def test_a_folder_is_recovered_file_by_file_and_not_touched(
     info = summarise(bag)
     result = recover(bag, new, progress=read.append)
     assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in bag.iterdir()} == before
-    assert sum(read) == 2 * sum(path.stat().st_size for path in bag.glob("*.mcap"))
+    assert sum(read) == sum(path.stat().st_size for path in bag.glob("*.mcap"))
     assert result.is_whole == ("nothing known to be lost" in result.text())
     assert in_recorded_order(new) == entries
     assert verify(new).holds
@@ -240,7 +234,7 @@ def test_files_that_cannot_be_read_do_not_keep_the_others_from_being_recovered(
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"", "it is empty"),
+        (b"", "it holds no messages"),
         (bytes(10_000), "nothing but zeros"),
         (random.Random(1).randbytes(100_000), "not a record|chunk"),
         (None, "not a regular file"),
@@ -330,7 +324,6 @@ def test_what_no_bag_can_hold_is_counted(tmp_path: Path) -> None:
     schemas = [
         SCHEMA,
         ("std_msgs/msg/Empty", "ros2msg", b""),
-        ("std_msgs/msg/Wrong", "ros2msg", b"what is this?"),
         ("std_msgs/msg/Bool", "ros2idl", b"module std_msgs {};"),
     ]
     channels = [
@@ -338,10 +331,9 @@ def test_what_no_bag_can_hold_is_counted(tmp_path: Path) -> None:
         ("/a", "cdr", 2, {}),
         ("/json", "json", 1, {}),
         ("/lost", "cdr", 9, {}),
-        ("/wrong", "cdr", 3, {}),
-        ("/idl", "cdr", 4, {"offered_qos_profiles": "["}),
+        ("/idl", "cdr", 3, {"offered_qos_profiles": "["}),
     ]
-    messages = [(id_, 5, cdr("x"), 5) for id_ in range(1, 7)] + [(1, 2**63, cdr("x"), 5)]
+    messages = [(id_, 5, cdr("x"), 5) for id_ in range(1, 6)] + [(1, 2**63, cdr("x"), 5)]
     path = write_mcap(
         tmp_path / "x.mcap", messages, profile="x", schemas=schemas, channels=channels
     )
@@ -349,11 +341,10 @@ def test_what_no_bag_can_hold_is_counted(tmp_path: Path) -> None:
     (file,) = result.files
     assert file.kept == {"/a": 1, "/idl": 1}
     assert sorted(file.dropped) == [
-        "of /a as std_msgs/msg/Empty, which is two types",
+        "of /a, as std_msgs/msg/Empty, which is two types",
         "of /a, whose times do not fit 63 bits",
         "of /json, which is encoded in 'json'",
         "of /lost, whose type is lost",
-        "of /wrong, whose type is lost",
     ]
     assert "its profile is 'x', expected 'ros2'" in result.text()
     assert "dropped 1: of /json" in result.text()
@@ -417,7 +408,7 @@ def chunk_of_another_file(made: Made, choose: random.Random) -> bytes:
     other = make(choose, topics="xyz")
     start, end = other.chunks[0]  # it describes its topics, as does the first one of ours
     at = choose.choice(made.chunks)[1]
-    return made.data[:at] + other.data[start:end] + made.data[at:]
+    return made.data[:at] + other.data[start:end] + made.data[at + end - start :]
 
 
 def zero_block(made: Made, choose: random.Random) -> bytes:
@@ -470,8 +461,7 @@ def attack(folder: Path, kind: Callable[[Made, random.Random], bytes], seed: int
     """Damage a bag, check and recover it, and compare with what is true."""
     choose = random.Random(f"{kind.__name__} {seed}")
     inner = make(choose).data
-    start, end = places(inner, Opcode.CHUNK)[0]
-    nested = (inner, inner[start:end], inner[start:]) if seed % 3 == 0 else ()
+    nested = (inner,) if seed % 3 == 0 else ()
     made = make(choose, nested=nested)
     if seed % 2 and kind is not damage_index:  # its recorder was killed
         made = made._replace(data=made.data[: places(made.data, Opcode.MESSAGE_INDEX)[-1][1]])
@@ -496,8 +486,7 @@ def attack(folder: Path, kind: Callable[[Made, random.Random], bytes], seed: int
         if report.is_whole:
             assert Counter(found) == Counter(true)
     assert not verification.holds or Counter(found) == Counter(true)
-    is_told = seed % 2 == 0 or kind is not chunk_of_another_file  # the index tells it apart
-    if not nested and is_told and kind in (double_chunk, chunk_of_another_file, bomb):
+    if not nested and kind in (double_chunk, bomb):
         assert Counter(found) == Counter(true), "a sound chunk is lost"
     if not nested and kind is not damage_index:
         scan = Counter(scanned(data))

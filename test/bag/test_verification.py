@@ -47,7 +47,7 @@ def bag(tmp_path: Path) -> Path:
 
 
 def texts(verification: Verification) -> tuple[list[str], list[str]]:
-    return [str(f) for f in verification.errors], [str(f) for f in verification.remarks]
+    return list(verification.errors), list(verification.remarks)
 
 
 def assert_error(verification: Verification, pattern: str) -> None:
@@ -68,7 +68,7 @@ def test_bags_of_the_recorder_pass_without_a_remark(tmp_path: Path, compression:
                 writer.flush()
     verification = verify(tmp_path / "bag")
     assert texts(verification) == ([], [])
-    assert verification.text() == f"{tmp_path / 'bag'}: OK, 2000 messages in 1 file"
+    assert verification.text() == f"{tmp_path / 'bag'}: OK; files: 1, messages: 2000"
     assert verification.as_mapping()["messages"] == 2_000
 
 
@@ -102,24 +102,24 @@ def list_first_as(values: dict[str, Any], name: str) -> None:
     ("change", "pattern"),
     [
         (lambda v: v.update(storage_identifier="sqlite3"), "is stated as sqlite3, but is mcap"),
-        (lambda v: v.update(duration={"nanoseconds": 7}), "duration is stated as .*7.*, but is .*"),
+        (lambda v: v.update(duration={"nanoseconds": 7}), "duration: .* is stated as 7, but is 19"),
         (lambda v: v.update(message_count=3), "message_count is stated as 3, but is 40"),
         (
             lambda v: v["topics_with_message_count"][0].update(message_count=3),
-            "message_count of /a is stated as 3, but is 20",
+            "/a: message_count is stated as 3, but is 20",
         ),
-        (lambda v: v["topics_with_message_count"].pop(0), "bag_0.mcap: /a: is not in metadata"),
+        (lambda v: v["topics_with_message_count"].pop(0), "topics: /a is stated as None, but is"),
         (
             lambda v: v["files"][0].update(duration={"nanoseconds": 1}),
-            r"message_count of bag_0.mcap is stated as \(5, 1, 22\), but is \(5, 10, 22\)",
+            r"files: bag_0.mcap: duration: .* is stated as 1, but is 10",
         ),
-        (lambda v: other_topic(v, type=JOINTS), f"type of /a is stated as {JOINTS}"),
+        (lambda v: other_topic(v, type=JOINTS), f"/a: type is stated as {JOINTS}"),
         (lambda v: other_topic(v, serialization_format="json"), "is stated as json, but is cdr"),
         (
             lambda v: other_topic(v, type_description_hash="RIHS01_" + "0" * 64),
-            "/a: the hash of its type is not the one in metadata",
+            "/a: type_description_hash is stated",
         ),
-        (lambda v: other_topic(v, offered_qos_profiles=[]), "/a: its QoS is not the one in"),
+        (lambda v: other_topic(v, offered_qos_profiles=[]), "/a: offered_qos_profiles is stated"),
         (lambda v: list_first_as(v, "./bag_0.mcap"), r"'\./bag_0.mcap' is not given by its name"),
     ],
 )
@@ -159,7 +159,7 @@ def test_no_file_outside_of_the_folder_is_read(bag: Path, name: str) -> None:
     edit(bag, lambda v: list_first_as(v, name.format(parent=bag.parent)))
     verification = verify(bag)
     assert (verification.files, verification.messages) == (1, 18)
-    assert not any("outside.mcap" in finding.place for finding in verification.errors)
+    assert not any("outside.mcap: " in error for error in verification.errors)
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda path: path.symlink_to("/dev/zero")])
@@ -205,10 +205,13 @@ def overwritten(opcode: Opcode, place: int, new: bytes) -> Callable[[bytes], byt
         (rewritten(Opcode.STATISTICS, chunk_count=9), "9 chunks, but 3 in the index"),
         (rewritten(Opcode.STATISTICS, message_start_time=9), r"log time is stated as \(9, 15\)"),
         (rewritten(Opcode.STATISTICS, channel_message_counts={1: 9}), "messages by channel is"),
-        (rewritten(Opcode.CHUNK_INDEX, message_start_time=1), "of the chunk at byte .* is stated"),
-        (rewritten(Opcode.CHUNK_INDEX, chunk_length=1), "the index of the file does not state"),
-        (rewritten(Opcode.CHUNK_INDEX, message_index_offsets={1: 5, 2: 6}), "index offsets of"),
-        (rewritten(Opcode.CHUNK_INDEX, chunk_start_offset=1), "chunk at byte 1, where none is"),
+        (rewritten(Opcode.CHUNK_INDEX, message_start_time=1), "index of the file does not state"),
+        (rewritten(Opcode.CHUNK_INDEX, chunk_length=1), "index of the file does not state"),
+        (
+            rewritten(Opcode.CHUNK_INDEX, message_index_offsets={1: 5, 2: 6}),
+            "index offsets.* is stated",
+        ),
+        (rewritten(Opcode.CHUNK_INDEX, chunk_start_offset=1), "chunk at byte 1 .* is None"),
         (rewritten(Opcode.MESSAGE_INDEX, channel_id=3), "has no message index of channel 1"),
         (
             overwritten(Opcode.MESSAGE_INDEX, 15, b"\x07"),
@@ -217,7 +220,6 @@ def overwritten(opcode: Opcode, place: int, new: bytes) -> Callable[[bytes], byt
         (overwritten(Opcode.MESSAGE_INDEX, 11, b"\x09"), "index at byte .* is malformed"),
         (rewritten(Opcode.SCHEMA, encoding="ros2xyz"), "does not repeat the schema of std_msgs"),
         (rewritten(Opcode.CHANNEL, topic="/b"), "does not repeat the channel of /a"),
-        (rewritten(Opcode.DATA_END, data_section_crc=5), "checksum of the data section is wrong"),
         (overwritten(Opcode.CHUNK, 6, b"\xff"), "at byte .* not a record"),
         (overwritten(Opcode.CHUNK, 25, b"\x00"), "states .* bytes of content"),
         (overwritten(Opcode.METADATA, 9, b"\xff"), "at byte .*: not a record"),
@@ -270,7 +272,7 @@ def defined(text: str) -> tuple[str, str, bytes]:
     ("options", "pattern"),
     [
         ({"schema": ("String", "ros2msg", b"string data\n")}, "'String' is not named as"),
-        ({"schema": (STRING, "jsonschema", b"{}")}, "defined in 'jsonschema', not in ros2msg"),
+        ({"schema": (STRING, "jsonschema", b"{}")}, "in 'jsonschema', not in ros2msg"),
         ({"schema": defined("Other data\n")}, "std_msgs/Other is used, but not defined"),
         ({"schema": defined(f"int8 a\n\n{SEPARATOR}\nX: a/B\n")}, "is not 'MSG: package/Type'"),
         ({"channels": [("/a", "json", 1, CHANNEL)]}, "/a: is encoded in 'json', not in cdr"),
@@ -281,7 +283,7 @@ def defined(text: str) -> tuple[str, str, bytes]:
         ({"channels": [("/a", "cdr", 1, {"offered_qos_profiles": "["})]}, "/a: not a list of QoS"),
         ({"channel_id": 7}, "a message is of channel 7, which is not there before it"),
         ({"log_time": 2**63}, "/a: a time does not fit 63 bits"),
-        ({"data": HELLO[:-3]}, r"/a: the message at 5 ns is not whole: its .* \(and 2 more\)"),
+        ({"data": HELLO[:-3]}, "/a: the message at 5 ns is not whole: its"),
         ({"data": b""}, "not begin with the header of plain CDR"),
         ({"data": HELLO + bytes(4)}, "/a: the message at 5 ns is not whole: 4 bytes follow"),
         ({"channels": [A, A]}, "more than one channel"),
@@ -300,10 +302,9 @@ def test_wrong_content_is_an_error(tmp_path: Path, options: dict[str, Any], patt
 @pytest.mark.parametrize(
     ("options", "pattern"),
     [
-        ({"schema": (STRING, "ros2idl", b"x")}, "is defined in IDL: its messages are not looked"),
+        ({"schema": (STRING, "ros2idl", b"x")}, "is defined in IDL.*: its messages are not looked"),
         ({"schema": defined("wstring a\n")}, "has a wstring: its messages are not looked into"),
         ({"enable_crcs": False}, "^x.mcap: 3 messages have no checksum: damage in them is not"),
-        ({"enable_data_crcs": True, "enable_crcs": False}, ""),
         ({"attachment": True}, ""),
         ({"data": HELLO + bytes(3)}, ""),
     ],

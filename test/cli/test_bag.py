@@ -52,10 +52,7 @@ def test_info_tells_what_a_bag_is_about(bag: Path, capsys: Captured) -> None:
     assert "Start:        2026-11-21 11:59:59.500000000 UTC (1795262399.500000000)" in out
     assert "Messages:     103" in out
     assert "Custom data:  why: a test" in out
-    assert (
-        f"/a | {STRING} | 102 messages | cdr | 2 x reliable, volatile | 100 Hz | "
-        "largest gap 0.5 s\n" in out
-    )
+    assert f"/a | {STRING} | 102 messages | cdr | 2 x reliable, volatile | 50.5 Hz\n" in out
     assert f"/b | {STRING} | 1 messages | cdr | reliable, transient_local\n" in out
 
     assert main(["bag", "info", str(bag / "run_0.mcap"), "--json"]) == 0
@@ -63,8 +60,8 @@ def test_info_tells_what_a_bag_is_about(bag: Path, capsys: Captured) -> None:
     assert (summary["messages"], summary["problem"]) == (103, "")
     assert summary["end_ns"] - summary["start_ns"] == summary["duration_ns"] == 2_000_000_000
     first, second = summary["topics"]
-    assert (first["name"], first["messages"], first["rate"]) == ("/a", 102, 100.0)
-    assert (first["largest_gap_ns"], second["largest_gap_ns"]) == (500_000_000, None)
+    assert (first["name"], first["messages"], first["rate"]) == ("/a", 102, 50.5)
+    assert (second["messages"], second["rate"]) == (1, None)
     assert second["qos"][0]["durability"] == "transient_local"
 
 
@@ -73,12 +70,10 @@ def test_verify_gives_all_reasons(killed: Path, capsys: Captured) -> None:
     out = capsys.readouterr().out
     assert "error: metadata.yaml: there is none\n" in out
     assert "error: run_0.mcap: the file has no end" in out
-    assert out.endswith("NOT sound, 2 errors, 0 messages in 1 file\n")
+    assert out.endswith("NOT sound, errors: 2; files: 1, messages: 0\n")
     assert main(["bag", "verify", str(killed), "--json"]) == 1
-    assert [e["place"] for e in json.loads(capsys.readouterr().out)["errors"]] == [
-        "metadata.yaml",
-        "run_0.mcap",
-    ]
+    errors = json.loads(capsys.readouterr().out)["errors"]
+    assert [error.partition(": ")[0] for error in errors] == ["metadata.yaml", "run_0.mcap"]
 
 
 def test_recover_makes_a_bag_beside_the_damaged_one(killed: Path, capsys: Captured) -> None:
@@ -90,7 +85,7 @@ def test_recover_makes_a_bag_beside_the_damaged_one(killed: Path, capsys: Captur
     assert main(["bag", "recover", str(killed)]) == 1
     assert "run_recovered: exists already" in capsys.readouterr().err
     path, new = killed / "run_0.mcap", killed.with_name("new")
-    options = ["--output", str(new), "--compression", "none", "--keep-unchecked", "--json"]
+    options = ["--output", str(new), "--compression", "none", "--json"]
     assert main(["bag", "recover", str(path), *options]) == 0
     report = json.loads(capsys.readouterr().out)
     assert (report["source"], report["output"]) == (str(path), str(new))

@@ -199,11 +199,7 @@ def test_the_help_has_every_topic_service_and_parameter(
     parameters = {
         "observer": {"design": str(both_design)},
         "plant_simulator": {"publish_clock": True},
-        "recorder": {
-            "output": str(tmp_path / "new"),
-            "topics": ["/nothing"],
-            "snapshot_mode": True,
-        },
+        "recorder": {"output": str(tmp_path / "new"), "topics": ["/nothing"]},
         "player": {"bag": str(tmp_path / "bag"), "clock": 1.0},
     }
     node = start(ros, name, **parameters.get(name, {}))
@@ -319,9 +315,7 @@ def test_each_node_is_allowed_what_it_has_and_nothing_else(
             writer.write(topic, b"\x00\x01\x00\x00" + bytes(28), 1, 1)
     # Simulated time for all but the player, which makes it, and whatever else adds names.
     simulated, output = {"use_sim_time": True}, str(tmp_path / "recorded")
-    recorder = start(
-        ros, "recorder", output=output, topics=EVERYTHING, snapshot_mode=True, **simulated
-    )
+    recorder = start(ros, "recorder", output=output, topics=EVERYTHING, **simulated)
     nodes = [
         start(ros, "plant_simulator", publish_clock=True, **simulated),
         start(ros, "observer", design=str(both_design), **simulated),

@@ -74,7 +74,7 @@ class Scene:
         """Return the finished bag."""
 
         def all_there() -> bool:
-            there = self._recorder.statistics.recording.counts
+            there = self._recorder.recording.counts
             return all(there[topic] == count for topic, count in self.sent.items())
 
         self.stage.wait_until(all_there, "everything in the bag")
@@ -185,15 +185,14 @@ def record(ros: Any, node: Any, bag: Path, source: tuple[str, dict[str, Any]], *
     call(ros, node, SetBool, "observer/enable", SetBool.Request(data=False))
     for publisher in (*estimating.publishers, *publishing.publishers):
         assert publisher.wait_for_all_acked(Duration(seconds=10))
-    statistics = recording.statistics
 
     def all_there() -> bool:
-        counts = statistics.recording.counts
+        counts = recording.recording.counts
         return bool(counts[TOPIC] == counts[INNOVATION] == SAMPLES)
 
     ros.spin_until(all_there, TIMEOUT, "everything in the bag")
     recording.close()
-    assert recording.statistics.lost == 0
+    assert recording.lost == 0
     assert estimating.joints[0].tracker.used == SAMPLES
     for finished in (estimating, recording, publishing):
         ros.remove(finished)

@@ -68,7 +68,7 @@ _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 _CHUNK_INDEX_REST = 28
 _INDEX_OFFSET = struct.Struct("<HQ")
 _MAX_STATISTICS_SIZE = 2**20
-_FOOTER_SIZE = RECORD.size + 20
+FOOTER_SIZE = RECORD.size + 20
 _MAX_HEADER_SIZE = 2**16
 _RUN_SIZE = 1_000_000
 _STEP = 2**18
@@ -193,6 +193,7 @@ class Span(NamedTuple):
         size: Its size in the file, bytes.
         is_chunk: Whether it is a chunk record.
         places: The places of its message indexes in the file, as its record has them.
+        index_size: The size of its message indexes, bytes.
     """
 
     start: int
@@ -202,6 +203,13 @@ class Span(NamedTuple):
     size: int
     is_chunk: bool
     places: bytes = b""
+    index_size: int = 0
+
+    @property
+    def message_count(self) -> int:
+        """The number of messages that its indexes state."""
+        heads = len(self.places) // _INDEX_OFFSET.size * INDEX_HEAD.size
+        return (self.index_size - heads) // 16
 
     @property
     def index_offsets(self) -> dict[int, int]:
@@ -258,7 +266,7 @@ def read_summary(path: Path, rank: int = 0) -> Summary:
 
 def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
     size = stream.seek(0, 2)
-    footer_at = size - _FOOTER_SIZE - len(MAGIC)
+    footer_at = size - FOOTER_SIZE - len(MAGIC)
     stream.seek(0)
     front = stream.read(_MAX_HEADER_SIZE)
     if not front.startswith(MAGIC):
@@ -271,7 +279,7 @@ def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
             f"recorder was killed; {RECOVER_HINT}"
         )
     header = parse_record(next(_each(front[len(MAGIC) :])))
-    footer = parse_record(end[:_FOOTER_SIZE])
+    footer = parse_record(end[:FOOTER_SIZE])
     if not isinstance(header, Header):
         raise RecordError("it does not start with a header")
     if not isinstance(footer, Footer):
@@ -284,7 +292,7 @@ def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
     stream.seek(start)
     data = stream.read(footer_at - start)
     # The checksum covers the summary and the footer up to the checksum.
-    stated, covered = footer.summary_crc, end[: _FOOTER_SIZE - 4]
+    stated, covered = footer.summary_crc, end[: FOOTER_SIZE - 4]
     if stated and (crc := zlib.crc32(covered, zlib.crc32(data))) != stated:
         raise RecordError(f"the checksum (crc) of its summary is {stated:08x}, not {crc:08x}")
     summary = parse_summary(data, rank)._replace(path=path, profile=header.profile)
@@ -369,7 +377,8 @@ def _chunk_span(record: bytes, rank: int) -> Span:
     rest = _CHUNK_INDEX.size + index_size
     if index_size % _INDEX_OFFSET.size or len(record) < rest + _CHUNK_INDEX_REST:
         raise RecordError("an index of a chunk is malformed")
-    return Span(start, end, rank, offset, size, True, record[_CHUNK_INDEX.size : rest])
+    length = int.from_bytes(record[rest : rest + 8], "little")
+    return Span(start, end, rank, offset, size, True, record[_CHUNK_INDEX.size : rest], length)
 
 
 def _bare_spans(stream: IO[bytes], rank: int, end: int) -> Iterator[Span]:

@@ -3,23 +3,17 @@
 """Recovery of a damaged bag: a whole bag of what its files still hold, and an account of it."""
 
 import re
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
-from mcap.records import Channel, Footer, Header, McapRecord, Metadata, Schema, Statistics
+from mcap.records import Channel, Header, McapRecord, Metadata, Schema
 
 from tsobs_ros.bag.container import Records
-from tsobs_ros.bag.definitions import (
-    MessageDefinition,
-    MessageLayout,
-    UnknownLayoutError,
-    find_definition,
-)
+from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     TYPE_HASH,
@@ -33,6 +27,7 @@ from tsobs_ros.bag.walker import Damage, FileWalker, Progress
 from tsobs_ros.bag.writer import LIBRARY, BagWriter, whole_bag
 from tsobs_ros.errors import BagReadError, BagWriteError, printable
 from tsobs_ros.files import open_regular
+from tsobs_ros.yaml_files import MAX_BYTES
 
 _SHOWN = 10
 _MAX_DESCRIPTIONS = 2**26
@@ -45,13 +40,13 @@ class FileRecovery:
 
     Attributes:
         name: The name of the file.
-        bytes_read: The number of bytes read.
+        bytes_read: Its size.
         finished: Whether its recorder had closed it.
         kept: The number of messages kept, by topic.
         unchecked: The number of messages kept that no checksum covers.
         dropped: The number of messages found and not kept, by reason.
+        missing: The number of messages that the file states, but does not hold, by topic.
         damage: The parts that are lost.
-        stated: The number of messages by topic that the file itself states; empty if it is lost.
         start_ns: The smallest log time kept, ns since the epoch; None without messages.
         end_ns: The largest log time kept, ns since the epoch; None without messages.
         error: The reason why it was not read at all; empty if it was.
@@ -63,41 +58,16 @@ class FileRecovery:
     kept: Counter[str] = field(default_factory=Counter)
     unchecked: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
+    missing: Counter[str] = field(default_factory=Counter)
     damage: list[Damage] = field(default_factory=list)
-    stated: Counter[str] = field(default_factory=Counter)
     start_ns: int | None = None
     end_ns: int | None = None
     error: str = ""
 
     @property
-    def missing(self) -> dict[str, int]:
-        """The number of messages that the file states, but does not hold, by topic."""
-        return dict(self.stated - self.kept)
-
-    @property
-    def excess(self) -> dict[str, int]:
-        """The number of messages that the file holds beyond those that it states, by topic."""
-        return dict(self.kept - self.stated) if self.stated else {}
-
-    @property
     def is_whole(self) -> bool:
-        """Whether nothing is known to be lost, or to be too much."""
-        return not (self.error or self.damage or self.dropped or self.missing or self.excess)
-
-    @property
-    def reason(self) -> str:
-        """The first reasons why something is lost."""
-        if self.error or not self.bytes_read:
-            return self.error or "it is empty"
-        parts = [str(part) for part in self.damage[:1]]
-        parts += [f"{count} messages {reason}" for reason, count in self.dropped.items()]
-        return ", ".join(parts[:2]) or "it holds no messages"
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return plain data."""
-        parts, size = [vars(part) for part in self.damage], sum(part.size for part in self.damage)
-        computed = {"missing": self.missing, "excess": self.excess}
-        return vars(self) | computed | {"damage": parts, "bytes_damaged": size}
+        """Whether nothing is known to be lost."""
+        return not (self.error or self.damage or self.dropped or self.missing)
 
     def lines(self) -> list[str]:
         """Return lines for people."""
@@ -113,7 +83,6 @@ class FileRecovery:
         if self.unchecked:
             lines.append(f"  unchecked {self.unchecked}: no checksum covers these messages")
         lines += [f"  lost {count} of {topic}" for topic, count in self.missing.items()]
-        lines += [f"  {count} of {t} more than the file states" for t, count in self.excess.items()]
         lines += [f"  dropped {count}: {reason}" for reason, count in self.dropped.items()]
         lines += [f"  damaged: {part}" for part in self.damage[:_SHOWN]]
         if len(self.damage) > _SHOWN:
@@ -123,14 +92,7 @@ class FileRecovery:
 
 @dataclass(frozen=True)
 class Recovery:
-    """The account of a recovery.
-
-    Attributes:
-        source: The damaged bag.
-        output: The bag made of it.
-        files: The account of each file.
-        remarks: Further facts for a user.
-    """
+    """The account of a recovery: the damaged bag, the one made of it, its files, and remarks."""
 
     source: Path
     output: Path
@@ -160,7 +122,9 @@ class Recovery:
             "messages": self.message_count,
             "whole": self.is_whole,
             "remarks": list(self.remarks),
-            "files": [file.as_mapping() for file in self.files],
+            "files": [
+                vars(file) | {"damage": [vars(part) for part in file.damage]} for file in self.files
+            ],
         }
 
     def text(self) -> str:
@@ -176,97 +140,121 @@ class Recovery:
         return "\n".join(map(printable, lines))
 
 
-class DamagedFile:
-    """One file: the records that describe its topics, wherever they are, and its messages.
+class DamagedBag:
+    """The messages of a bag that may be damaged, read once.
+
+    A topic is looked for in all places where a bag repeats itself: the chunks and the summary of a
+    file, and metadata.yaml with the definition in an earlier file or the installed one, if its hash
+    is the same.
 
     Args:
-        path: The file.
-        progress: Called with the number of bytes that were read since the last call.
-        options: Those of `FileWalker`.
+        bag: A bag folder, with or without metadata.yaml, or one MCAP file.
+        is_trusted: Whether to read chunks however much they decompress to.
 
     Attributes:
-        account: The account of what was read.
-        topics: The topics of its channels, which others find.
-        reasons: Why messages of other channels are dropped.
+        files: The accounts of its files, in the order of recording.
+        topics: The topics found so far, by name.
+        metadata: The metadata of the bag, of its folder or else of a file; None if it is lost.
+        profiles: The profiles in the headers of the files so far.
+        remarks: Further facts for a user.
+
+    Raises:
+        BagReadError: There is no bag.
     """
 
-    def __init__(self, path: Path, progress: Progress, **options: bool) -> None:
-        self.path = path
-        self.account = FileRecovery(path.name)
-        self.profile: str | None = None
-        self.library = ""
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.metadata: BagMetadata | None = None
-        self.topics: dict[int, str] = {}
-        self.reasons: dict[int, str] = {}
-        self._options, self._bad = options, dict[int, str]()
-        self._counts: dict[int, int] = {}
-        self._metadata_texts: deque[str] = deque(maxlen=2)
-        self._room = _MAX_DESCRIPTIONS
-        try:
-            with open_regular(path) as stream:
-                self.account.bytes_read = stream.seek(0, 2)
-                walker = self._walker(stream)
-                self.account.damage = walker.damage
-                if summary := walker.summary:
-                    stated = summary.schemas.values(), summary.channels.values()
-                    for record in (*chain.from_iterable(stated), summary.statistics):
-                        self._describe(record)
-                for part in walker.parts(progress):
-                    for described in part.described():
-                        self._describe(described)
-        except OSError as error:
-            self.account.error = error.strerror or str(error)
-        # One text of a type, however many channels have it.
-        self._definitions = {
-            id_: MessageDefinition(s.name, s.data.decode(errors="replace"), "", s.encoding)
-            for id_, s in self.schemas.items()
-            if _is_sound(s)
-        }
-        # The last one has the most.
-        for text in reversed(self._metadata_texts):
-            with suppress(ValueError):
-                self.metadata = BagMetadata.from_yaml(text)
-                break
-
-    def _walker(self, stream: IO[bytes]) -> FileWalker:
-        return FileWalker(stream, self.account.bytes_read, bad=self._bad, **self._options)
+    def __init__(self, bag: Path, *, is_trusted: bool = False) -> None:
+        self._paths, self.metadata, self.remarks = _find_files(bag)
+        self._is_trusted = is_trusted
+        self.files = [FileRecovery(path.name) for path in self._paths]
+        self.topics: dict[str, TopicInfo] = {}
+        self.profiles: set[str] = set()
+        self._definitions: dict[tuple[str, str], MessageDefinition] = {}
 
     def messages(
-        self, progress: Progress = lambda _: None
+        self, place: int, progress: Progress = lambda _: None
     ) -> Iterator[tuple[str, bytes, int, int]]:
-        """Yield topic, data, log time and publish time [ns] of what is kept, and count it.
+        """Yield topic, data, log time and publish time [ns] of what is kept of a file; count it."""
+        account, path = self.files[place], self._paths[place]
+        try:
+            with open_regular(path) as stream:
+                yield from _File(self, account, stream).messages(progress, self._is_trusted)
+        except OSError as error:
+            account.error = error.strerror or str(error)
 
-        Args:
-            progress: Called with the number of bytes that were read since the last call.
+    def take_metadata(self, text: str) -> None:
+        """Take the metadata that a file carries, if it knows more topics than those so far."""
+        with suppress(ValueError):
+            found = BagMetadata.from_yaml(text)
+            if self.metadata is None or len(found.topics) > len(self.metadata.topics):
+                self.metadata = found
+
+    def listed(self, place: int = 0, name: str = "") -> TopicInfo | None:
+        """Return the topic of a number, or of a name, that metadata lists.
+
+        It has a definition that is certainly the one it had, as its hash is the same.
         """
-        account = self.account
-        for id_, count in self._counts.items():
-            account.stated[self.topics.get(id_, f"channel {id_}")] += count
-        if account.error:
-            return
-        with open_regular(self.path) as stream:
-            walker = self._walker(stream)
-            for part in walker.parts(progress):
-                if part.content is None:
-                    continue
-                for described in part.described():
-                    for id_ in self._contradicted(described):
-                        self.topics.pop(id_, None)
-                        self.reasons[id_] = f"of channel {id_}, which is described as two topics"
+        each = enumerate(self.metadata.topics if self.metadata else (), start=1)
+        topic = next((one for number, one in each if number == place or one.name == name), None)
+        if topic is None or not topic.type_hash:
+            return None
+        definition = self._definitions.get((topic.type, topic.type_hash))
+        if definition is None:
+            with suppress(BagWriteError):
+                definition = find_definition(topic.type)
+        if definition is None or definition.type_hash != topic.type_hash:
+            return None
+        return self.described(topic.name, definition, topic.qos_profiles)
+
+    def described(
+        self, name: str, definition: MessageDefinition, qos: tuple[QosProfile, ...]
+    ) -> TopicInfo | None:
+        """Return a topic that is added to those known; None if that has another type."""
+        self._definitions.setdefault((definition.type, definition.type_hash), definition)
+        topic = TopicInfo(name, definition.type, 0, qos, definition.type_hash, definition)
+        known = self.topics.setdefault(name, topic)
+        return known if known.type == topic.type else None
+
+
+class _File:
+    """One file: what describes its topics, and its messages."""
+
+    def __init__(self, bag: DamagedBag, account: FileRecovery, stream: IO[bytes]) -> None:
+        self._bag, self._account, self._stream = bag, account, stream
+        self._library: str | None = None
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        # The topic of each channel, or why its messages are dropped.
+        self._topics: dict[int, str] = {}
+        self._reasons: dict[int, str] = {}
+        self._offered = OfferedQos()
+        self._room, self._metadata_room = _MAX_DESCRIPTIONS, MAX_BYTES
+
+    def messages(
+        self, progress: Progress, is_trusted: bool
+    ) -> Iterator[tuple[str, bytes, int, int]]:
+        account = self._account
+        account.bytes_read = self._stream.seek(0, 2)
+        walker = FileWalker(self._stream, account.bytes_read, is_trusted=is_trusted)
+        account.damage, account.finished = walker.damage, walker.has_end
+        summary = walker.summary
+        for record in (*summary.schemas.values(), *summary.channels.values()) if summary else ():
+            self._describe(record)
+        for part in walker.parts(progress):
+            for described in part.described():
+                self._describe(described)
+            if part.content is not None:
                 counted = account.kept.total()
                 yield from self._kept(part.content)
                 account.unchecked += 0 if part.is_checked else account.kept.total() - counted
-        if walker.damage != account.damage:
-            raise BagReadError(f"{self.path}: changed while it was read")
+        counts = summary.statistics.channel_message_counts.items() if summary else ()
+        stated = Counter({self._topics.get(id_, f"channel {id_}"): n for id_, n in counts})
+        account.missing = stated - account.kept
 
     def _kept(self, content: Records) -> Iterator[tuple[str, bytes, int, int]]:
-        account = self.account
+        account = self._account
         for channel, log_time, publish_time, data in content.messages():
-            if (topic := self.topics.get(channel)) is None:
-                lost = f"of channel {channel}, whose topic is lost"
-                account.dropped[self.reasons.get(channel, lost)] += 1
+            if (topic := self._topics.get(channel) or self._numbered(channel)) is None:
+                account.dropped[self._reasons[channel]] += 1
             elif not (0 <= log_time < EMPTY_START_NS and 0 <= publish_time < EMPTY_START_NS):
                 account.dropped[f"of {topic}, whose times do not fit 63 bits"] += 1
             else:
@@ -277,155 +265,80 @@ class DamagedFile:
                 if account.end_ns is None or log_time > account.end_ns:
                     account.end_ns = log_time
 
-    def _contradicted(self, record: McapRecord | None) -> Iterator[int]:
-        """Yield the channels that a chunk describes as others: it may be of another file."""
-        match record:
-            case Channel() if known := self.channels.get(record.id):
-                mine, its = (
-                    (one.topic, one.schema_id, one.message_encoding) for one in (known, record)
-                )
-                if mine != its:
-                    yield record.id
-            case Schema() if (schema := self.schemas.get(record.id)) and schema.name != record.name:
-                yield from (i for i, c in self.channels.items() if c.schema_id == schema.id)
+    def _numbered(self, id_: int) -> str | None:
+        """Return the topic of a channel that is not described.
+
+        Our files number the channels in the order in which the metadata lists the topics.
+        """
+        if id_ not in self._reasons:
+            is_ours = self._library is None or self._library.startswith(f"{LIBRARY} ")
+            if is_ours and (topic := self._bag.listed(place=id_)):
+                self._topics[id_] = topic.name
+                return topic.name
+            self._reasons[id_] = f"of channel {id_}, whose topic is lost"
+        return None
 
     def _describe(self, record: McapRecord | None) -> None:
-        # The first of two records with one id is kept.
         match record:
-            case Header() if self.profile is None:
-                self.profile, self.library = record.profile, record.library
-            case Schema() if record.id not in self.schemas and self._has_room(len(record.data)):
-                self.schemas[record.id] = record
-            case Channel() if record.id not in self.channels and self._has_room(
-                sum(len(key) + len(value) for key, value in record.metadata.items())
-            ):
-                self.channels[record.id] = record
-            case Statistics() if record.message_count == sum(
-                record.channel_message_counts.values()
-            ):
-                self._counts = record.channel_message_counts
-            case Footer():
-                self.account.finished = True
+            case Header() if self._library is None:
+                self._library = record.library
+                self._bag.profiles.add(record.profile)
+                if record.profile != "ros2":  # the header may be damaged: CDR is enough
+                    remark = f"{self._account.name}: its profile is '{record.profile}'"
+                    self._bag.remarks.append(f"{remark}, expected 'ros2'")
             case Metadata(name="rosbag2"):
-                self._metadata_texts.append(record.metadata.get("serialized_metadata", ""))
+                text = record.metadata.get("serialized_metadata", "")
+                self._metadata_room -= len(text)
+                if self._metadata_room >= 0:
+                    self._bag.take_metadata(text)
+            case Schema():
+                known = self._schemas.get(record.id)
+                if known is None and self._has_room(len(record.data)):
+                    self._schemas[record.id] = record
+                elif known is not None and known.name != record.name:
+                    for id_, channel in self._channels.items():
+                        if channel.schema_id == record.id:
+                            self._contradict(id_)
+            case Channel():
+                self._describe_channel(record)
+
+    def _describe_channel(self, channel: Channel) -> None:
+        if known := self._channels.get(channel.id):
+            mine, its = ((c.topic, c.schema_id, c.message_encoding) for c in (known, channel))
+            if mine != its:
+                self._contradict(channel.id)
+            return
+        if not self._has_room(sum(map(len, (*channel.metadata, *channel.metadata.values())))):
+            return
+        self._channels[channel.id] = channel
+        topic: TopicInfo | None = None
+        if channel.message_encoding != "cdr":
+            reason = f"which is encoded in '{channel.message_encoding}'"
+        elif schema := self._schemas.get(channel.schema_id):
+            reason = f"as {schema.name}, which is two types"
+            qos: tuple[QosProfile, ...] = ()
+            with suppress(ValueError):
+                qos = self._offered[channel]
+            hash_ = channel.metadata.get("topic_type_hash", "")
+            hash_ = hash_ if TYPE_HASH.fullmatch(hash_) else ""
+            text = schema.data.decode(errors="replace")
+            definition = MessageDefinition(schema.name, text, hash_, schema.encoding)
+            topic = self._bag.described(channel.topic, definition, qos)
+        else:
+            reason, topic = "whose type is lost", self._bag.listed(name=channel.topic)
+        if topic:
+            self._topics[channel.id] = topic.name
+        else:
+            self._reasons[channel.id] = f"of {channel.topic}, {reason}"
+
+    def _contradict(self, id_: int) -> None:
+        """Drop further messages of a channel that is described as another: of another file."""
+        self._topics.pop(id_, None)
+        self._reasons[id_] = f"of channel {id_}, which is described as two topics"
 
     def _has_room(self, size: int) -> bool:
         self._room -= size
         return self._room >= 0
-
-    def definition(self, channel: Channel) -> MessageDefinition | None:
-        """Return the definition that the file has of a channel's type, if it is intact."""
-        if (found := self._definitions.get(channel.schema_id)) is None:
-            return None
-        hash_ = channel.metadata.get("topic_type_hash", "")
-        return found._replace(type_hash=hash_ if TYPE_HASH.fullmatch(hash_) else "")
-
-
-def _is_sound(schema: Schema) -> bool:
-    if schema.encoding == "ros2msg":
-        try:
-            MessageLayout(schema.name, schema.data.decode(errors="replace"))
-        except UnknownLayoutError:
-            pass
-        except ValueError:
-            return False
-    return True
-
-
-class DamagedBag:
-    """The files of a bag that may be damaged, and the topics in them.
-
-    A topic is looked for in all places where a bag repeats itself: the chunks and the summary of a
-    file, the other files, and metadata.yaml with the installed definition, if its hash is the same.
-
-    Args:
-        bag: A bag folder, with or without metadata.yaml, or one MCAP file.
-        progress: Called with the number of bytes that were read since the last call.
-        options: Those of `FileWalker`.
-
-    Attributes:
-        files: Its files, in the order of recording.
-        topics: The topics found, by name.
-        metadata: The metadata of the bag, of its folder or else of a file; None if it is lost.
-        profiles: The profiles in the headers of the files.
-        remarks: Further facts for a user.
-
-    Raises:
-        BagReadError: There is no bag.
-    """
-
-    def __init__(self, bag: Path, progress: Progress = lambda _: None, **options: bool) -> None:
-        paths, metadata, self.remarks = _find_files(bag)
-        self.files = [DamagedFile(path, progress, **options) for path in paths]
-        stated = [metadata, *(file.metadata for file in self.files)]
-        self.metadata = next(filter(None, stated), None)
-        self.custom_data = next((m.custom_data for m in stated if m and m.custom_data), None)
-        self.profiles = {file.profile for file in self.files} - {None}
-        # The header may be damaged: messages in CDR are enough.
-        self.remarks += [
-            f"{file.path.name}: its profile is '{file.profile}', expected 'ros2'"
-            for file in self.files
-            if file.profile not in (None, "ros2")
-        ]
-        self._listed: tuple[TopicInfo, ...] = max(
-            (each.topics for each in stated if each), key=len, default=()
-        )
-        self._definitions: dict[tuple[str, str], MessageDefinition] = {}
-        for file in self.files:
-            for channel in file.channels.values():
-                if definition := file.definition(channel):
-                    key = (definition.type, definition.type_hash)
-                    self._definitions.setdefault(key, definition)
-        self.topics: dict[str, TopicInfo] = {}
-        for file in self.files:
-            self._find_topics(file)
-
-    def _find_topics(self, file: DamagedFile) -> None:
-        offered = OfferedQos()
-        by_name = {listed.name: listed for listed in self._listed}
-        for id_, channel in file.channels.items():
-            listed = by_name.get(channel.topic)
-            definition = file.definition(channel) or self._listed_definition(listed)
-            qos: tuple[QosProfile, ...] = ()
-            with suppress(ValueError):
-                qos = offered[channel]
-            if channel.message_encoding != "cdr":
-                reason = f"which is encoded in '{channel.message_encoding}'"
-                file.reasons[id_] = f"of {channel.topic}, {reason}"
-            elif definition is None:
-                file.reasons[id_] = f"of {channel.topic}, whose type is lost"
-            else:
-                self._add(file, id_, channel.topic, definition, qos)
-        if file.library.startswith(f"{LIBRARY} "):
-            # Our files number the channels in the order in which the metadata lists the topics.
-            for id_, listed in enumerate(self._listed, start=1):
-                if id_ not in file.channels and (definition := self._listed_definition(listed)):
-                    self._add(file, id_, listed.name, definition, listed.qos_profiles)
-
-    def _add(
-        self,
-        file: DamagedFile,
-        id_: int,
-        name: str,
-        definition: MessageDefinition,
-        qos: tuple[QosProfile, ...],
-    ) -> None:
-        topic = TopicInfo(name, definition.type, 0, qos, definition.type_hash, definition)
-        if self.topics.setdefault(name, topic).type != definition.type:
-            file.reasons[id_] = f"of {name} as {definition.type}, which is two types"
-        else:
-            file.topics[id_] = name
-
-    def _listed_definition(self, listed: TopicInfo | None) -> MessageDefinition | None:
-        """Return a definition that is certainly the one the topic had: its hash is the same."""
-        if listed is None or not (hash_ := listed.type_hash):
-            return None
-        if known := self._definitions.get((listed.type, hash_)):
-            return known
-        with suppress(BagWriteError):
-            if (installed := find_definition(listed.type)).type_hash == hash_:
-                return installed
-        return None
 
 
 def recover(
@@ -433,7 +346,6 @@ def recover(
     output: str | Path,
     *,
     compression: str = "zstd",
-    keep_unchecked: bool = False,
     is_trusted: bool = False,
     progress: Progress = lambda _: None,
 ) -> Recovery:
@@ -446,47 +358,48 @@ def recover(
         bag: A bag folder, with or without metadata.yaml, or one MCAP file.
         output: The folder to make, which must not exist.
         compression: Of the new bag's chunks: `none`, `lz4` or `zstd`.
-        keep_unchecked: Whether to keep what can be read of chunks whose checksum fails, too,
-            although some of it is wrong.
         is_trusted: Whether to read chunks however much they decompress to.
-        progress: Called with the number of bytes that were read since the last call; all of the bag
-            is read twice.
-
-    Returns:
-        The account of what was kept and what was lost.
+        progress: Called with the number of bytes that were read since the last call.
 
     Raises:
         BagReadError: There is no bag, or no message of ROS 2 can be recovered.
         BagWriteError: The output exists or cannot be written.
     """
     source, target = Path(bag), Path(output).absolute()
-    damaged = DamagedBag(source, progress, keep_unchecked=keep_unchecked, is_trusted=is_trusted)
+    damaged = DamagedBag(source, is_trusted=is_trusted)
     if target.exists():
         raise BagWriteError(f"{target}: exists already, bags are not overwritten")
     if source.resolve() in target.resolve().parents:
         raise BagWriteError(f"{target}: is inside of the bag {source}, which is not touched")
     writer: BagWriter | None = None
 
+    def add_topics(writer: BagWriter) -> int:
+        for each in damaged.topics.values():
+            writer.add_topic(each.name, each.type, each.qos_profiles, definition=each.definition)
+        return len(damaged.topics)
+
     with ExitStack() as stack:
-        for file in damaged.files:
+        added = 0
+        for place in range(len(damaged.files)):
             if writer is not None:
                 writer.split()
-            for message in file.messages(progress):
+            for message in damaged.messages(place, progress):
                 if writer is None:
-                    new = whole_bag(
-                        target, compression=compression, custom_data=damaged.custom_data
-                    )
+                    notes = damaged.metadata.custom_data if damaged.metadata else None
+                    new = whole_bag(target, compression=compression, custom_data=notes)
                     writer = stack.enter_context(new)
-                    for each in damaged.topics.values():
-                        writer.add_topic(
-                            each.name, each.type, each.qos_profiles, definition=each.definition
-                        )
+                if added < len(damaged.topics):
+                    added = add_topics(writer)
                 writer.write(*message)
-    files = tuple(file.account for file in damaged.files)
+            if writer is not None:
+                added = add_topics(writer)  # those without messages, too
     if writer is None:
-        reasons = "; ".join(f"{file.name}: {file.reason}" for file in files)
-        raise BagReadError(f"{source}: no message can be recovered: {reasons}")
-    return Recovery(source, target, files, tuple(damaged.remarks))
+        each = (
+            f"{file.name}: {file.error or next(map(str, file.damage), 'it holds no messages')}"
+            for file in damaged.files
+        )
+        raise BagReadError(f"{source}: no message can be recovered: {'; '.join(each)}")
+    return Recovery(source, target, tuple(damaged.files), tuple(damaged.remarks))
 
 
 def _find_files(bag: Path) -> tuple[list[Path], BagMetadata | None, list[str]]:

@@ -27,10 +27,6 @@ def add_parser(commands: Commands) -> None:
             )  # fmt: skip
     add("--output", type=Path, metavar="FOLDER", help="bag to make (default: BAG_recovered)")
     add("--compression", choices=("none", "lz4", "zstd"), default="zstd", help="of the new bag")
-    add(
-        "--keep-unchecked", action="store_true",
-        help="also keep what can be read where checksums fail: some of it is wrong",
-    )  # fmt: skip
 
 
 def _info(options: argparse.Namespace) -> int:
@@ -44,7 +40,7 @@ def _info(options: argparse.Namespace) -> int:
 def _verify(options: argparse.Namespace) -> int:
     from tsobs_ros.bag.verification import verify
 
-    with _bytes_read(options, passes=1) as advance:
+    with _bytes_read(options) as advance:
         verification = verify(options.bag, advance, is_trusted=options.is_trusted)
     show(verification.as_mapping(), verification.text(), options.json)
     return 0 if verification.holds else 1
@@ -55,14 +51,14 @@ def _recover(options: argparse.Namespace) -> int:
 
     bag = options.bag.absolute()
     output = options.output or bag.with_name(f"{bag.name.removesuffix('.mcap')}_recovered")
-    with _bytes_read(options, passes=2) as advance:
+    with _bytes_read(options) as advance:
         recovery = recover(options.bag, output, progress=advance, **keywords(options, recover))
     show(recovery.as_mapping(), recovery.text(), options.json)
     return 0
 
 
-def _bytes_read(options: argparse.Namespace, passes: int) -> AbstractContextManager[Advance]:
+def _bytes_read(options: argparse.Namespace) -> AbstractContextManager[Advance]:
     """Show how much of the bag has been read."""
     files = options.bag.glob("*.mcap") if options.bag.is_dir() else [options.bag]
-    total = passes * sum(file.stat().st_size for file in files if file.is_file())
+    total = sum(file.stat().st_size for file in files if file.is_file())
     return progress(total, "B", scale=True, quiet=options.json)

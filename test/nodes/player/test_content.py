@@ -66,9 +66,7 @@ def test_what_was_recorded_played_and_recorded_again_is_the_same(
     recorder = start(ros, "recorder", output=str(tmp_path / "second"), topics=list(first.topics))
     player = play(first.path, wait_for_subscribers=3)
     ros.spin_until(lambda: player.finished, what="the end")
-    ros.spin_until(
-        lambda: recorder.statistics.messages >= first.message_count, what="the recording"
-    )
+    ros.spin_until(lambda: recorder.messages >= first.message_count, what="the recording")
     recorder.close()
 
     second = BagReader(tmp_path / "second")

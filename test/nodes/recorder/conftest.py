@@ -34,7 +34,7 @@ class Recording:
         topic = publisher.topic_name
 
         def taken() -> int:
-            return self.count(recorder, topic) + recorder.statistics.recording.discarded
+            return self.count(recorder, topic) + recorder.recording.discarded
 
         self._ros.spin_until(lambda: publisher.get_subscription_count() > 0, what="the match")
         expected = taken() + len(messages)
@@ -52,7 +52,7 @@ class Recording:
     @staticmethod
     def count(recorder: Recorder, topic: str) -> int:
         """Return how many messages of a topic are recorded."""
-        return recorder.statistics.recording.counts.get(topic, 0)
+        return recorder.recording.counts.get(topic, 0)
 
     @staticmethod
     def joint_states(count: int) -> list[JointState]:

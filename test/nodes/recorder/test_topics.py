@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder finds its topics, and reports what it has of them and what it lacks."""
 
-import re
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -109,8 +108,8 @@ def test_what_a_full_queue_drops_is_lost_and_a_restart_hides_none(ros, recording
         )
         ros.remove(source)
     assert recording.count(recorder, "/joints") == 22
-    assert recorder.statistics.lost == 100
-    assert recorder.statistics.loss_unknown == []
+    assert recorder.lost == 100
+    assert recorder.loss_unknown == []
 
 
 def test_diagnostics_report_counts_and_what_is_awaited(ros, recording) -> None:
@@ -129,7 +128,7 @@ def test_diagnostics_report_counts_and_what_is_awaited(ros, recording) -> None:
     assert (counts["messages"], counts["lost"]) == ("2", "0")
     ((topic, text),) = values(statuses["recorder: topics"]).items()
     assert topic == "/joints"
-    assert re.fullmatch(r"2 messages, 0 lost since 2\S+Z?, 0 published before", text)
+    assert text == "2 messages, 0 lost, 0 published before"
 
 
 def test_a_late_publisher_that_offers_less_is_recorded_and_takes_nothing_from_others(
@@ -152,7 +151,7 @@ def test_a_late_publisher_that_offers_less_is_recorded_and_takes_nothing_from_ot
     recorder.close()
 
     assert recording.count(recorder, "/chatter") == 41
-    assert recorder.statistics.loss_unknown == ["/chatter"]
+    assert recorder.loss_unknown == ["/chatter"]
     reader = BagReader(recorder.path)
     assert sorted(recording.texts(recorder.path)) == sorted(
         ["first"] + [f"{who} {index}" for who in ("strong", "weak") for index in range(20)]
@@ -162,7 +161,7 @@ def test_a_late_publisher_that_offers_less_is_recorded_and_takes_nothing_from_ot
 
 
 def test_the_events_of_services_are_recorded(ros, recording) -> None:
-    recorder = recording.start(services=["/arm/enable"])
+    recorder = recording.start(topics=["/arm/enable/_service_event"])
     node = ros.node("arm", namespace="/arm")
 
     def answer(request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

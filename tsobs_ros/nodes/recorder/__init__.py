@@ -9,10 +9,7 @@ topics:
 services, std_srvs/srv/Trigger:
   ~/pause             discard what arrives
   ~/resume            go on
-  ~/toggle_paused     either of them
-  ~/is_paused         `success` is whether it is paused
   ~/split_bagfile     go on in another file
-  ~/snapshot          write the last seconds; with `snapshot_mode`
 """
 
 import shutil
@@ -24,16 +21,19 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+from tsobs_ros.bag.recording import Recording
 from tsobs_ros.errors import BagWriteError, NodeError
-from tsobs_ros.estimation.health import Level
-from tsobs_ros.nodes.managed import DIAGNOSTICS_PERIOD, ManagedNode, Statuses
+from tsobs_ros.estimation.health import Level, Status
+from tsobs_ros.nodes.managed import ManagedNode, Statuses
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
-from tsobs_ros.nodes.recorder.status import RecorderStatistics, statuses
 from tsobs_ros.nodes.recorder.topics import TopicFinder
 from tsobs_ros.nodes.runtime import Ticker
 
-_GRAPH_PERIOD = 0.1
+# How often queues are emptied, and the graph is looked at [s].
+_DRAIN_PERIOD, _GRAPH_PERIOD = 0.01, 0.1
 _MIB = 2**20
+# Free disk space at which to warn, as a multiple of that at which recording ends.
+_FREE_DISK_WARNING = 2.0
 
 
 class Recorder(ManagedNode[RecorderParameters]):
@@ -42,6 +42,9 @@ class Recorder(ManagedNode[RecorderParameters]):
     Its services are those of rosbag2's recorder by name, with a type that every installation has.
     Configuring creates the bag and subscribes, activating records, deactivating pauses: what
     arrives meanwhile is discarded. Cleaning up closes the bag.
+
+    Attributes:
+        recording: The bag with its counts.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -58,13 +61,18 @@ class Recorder(ManagedNode[RecorderParameters]):
                 f"{path}: {free:.0f} MiB of disk space are free, less than "
                 f"minimum_free_disk ({parameters.minimum_free_disk} MiB)"
             )
-        self._finder = TopicFinder(self, parameters)
-        self._recording = parameters.recording(path)
+        self._finder = TopicFinder(self)
+        self.recording = Recording(
+            path,
+            compression=parameters.compression,
+            max_size=parameters.max_bag_size,
+            max_duration_ns=round(parameters.max_bag_duration * 1e9),
+            sync_period=parameters.sync_period,
+        )
         self.at_cleanup(self._close_recording)
-        self._paused = parameters.start_paused
-        self._failed = self._free_disk_warned = False
-        self._messages_before = 0
-        self._offer_services(parameters.snapshot_mode)
+        self._paused = self._failed = self._free_disk_warned = False
+        acts = {"pause": self._pause, "resume": self._resume, "split_bagfile": self._split}
+        self.offer_triggers({name: partial(self._attempt_act, act) for name, act in acts.items()})
         self.offer_diagnostics(str(path), self._statuses)
         self._chores: dict[Callable[[], None], float] = {
             self._look_for_topics: _GRAPH_PERIOD,
@@ -72,7 +80,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         }
         self._due = dict.fromkeys(self._chores, 0.0)
         # Not the node's clock: simulated time may be slow, stop or never start.
-        self.ticker = Ticker(self, parameters.drain_period, self._tick, executor_clock=self.steady)
+        self.ticker = Ticker(self, _DRAIN_PERIOD, self._tick, executor_clock=self.steady)
         self.ticker.start()
         self.log(Level.OK, f"recording to {path}")
 
@@ -87,19 +95,18 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     def cleanup(self) -> None:
         """Log what the bag holds before it is closed."""
-        statistics = self.statistics
-        unknown = len(statistics.loss_unknown)
+        unknown = len(self.loss_unknown)
         self.log(
             Level.OK,
-            f"closing {self.path}: {statistics.messages} messages of {len(statistics.topics)} "
-            f"topics, {statistics.lost} lost since the first of each, {statistics.earlier} "
+            f"closing {self.path}: {self.messages} messages of {len(self._finder.recorded)} "
+            f"topics, {self.lost} lost since the first of each, {self.earlier} "
             "published before" + (f", losses of {unknown} topics unknown" if unknown else ""),
         )
 
     @property
     def path(self) -> Path:
         """The bag's folder."""
-        return self._recording.path
+        return self.recording.path
 
     @property
     def ready(self) -> bool:
@@ -112,37 +119,25 @@ class Recorder(ManagedNode[RecorderParameters]):
         return super().finished or self._full
 
     @property
-    def statistics(self) -> RecorderStatistics:
-        """What has been recorded and lost so far, and what decides how well it goes."""
-        recording, clock = self._recording, self.get_clock()
-        return RecorderStatistics(
-            topics={name: each.losses for name, each in self._finder.recorded.items()},
-            recording=recording,
-            parameters=self.parameters,
-            is_recording=self.active and not self._paused,
-            awaits_clock=clock.ros_time_is_active and clock.now().nanoseconds == 0,
-            missing=self._finder.missing if self.configured else (),
-            free_disk=_free_disk(self.path),
-        )
+    def messages(self) -> int:
+        """The number of messages recorded."""
+        return sum(self.recording.counts.values())
 
-    def _offer_services(self, snapshot_mode: bool) -> None:
-        recording = self._recording
+    @property
+    def lost(self) -> int:
+        """The number of messages known to be lost."""
+        return sum(topic.losses.lost for topic in self._finder.recorded.values())
 
-        def split() -> str:
-            recording.split()
-            return f"{recording.file_count} files"
+    @property
+    def earlier(self) -> int:
+        """The number of messages published before the first that arrived of each publisher."""
+        return sum(topic.losses.earlier for topic in self._finder.recorded.values())
 
-        acts: dict[str, Callable[[], str]] = {
-            "pause": lambda: self._pause(True),
-            "resume": lambda: self._pause(False),
-            "toggle_paused": lambda: self._pause(not self._paused),
-            "split_bagfile": split,
-        }
-        if snapshot_mode:
-            acts["snapshot"] = lambda: f"{recording.take_snapshot()} messages"
-        self.offer_triggers({name: partial(self._attempt_act, act) for name, act in acts.items()})
-        state = ("recording", "paused")
-        self.offer_triggers({"is_paused": lambda: (self._paused, state[self._paused])})
+    @property
+    def loss_unknown(self) -> list[str]:
+        """The topics whose losses are not all known."""
+        recorded = self._finder.recorded
+        return sorted(name for name, topic in recorded.items() if not topic.losses.is_exact)
 
     def _attempt_act(self, act: Callable[[], str]) -> tuple[bool, str]:
         """Do what a service asks for, after what has arrived; return its answer."""
@@ -152,18 +147,23 @@ class Recorder(ManagedNode[RecorderParameters]):
         except BagWriteError as error:  # the next tick meets it too, and ends the recording
             return False, str(error)
 
-    def _pause(self, paused: bool) -> str:
-        self._paused = paused
-        state = "paused" if paused else "recording"
-        self.log(Level.OK, state)
-        return state
+    def _pause(self) -> str:
+        self._paused = True
+        return "paused"
+
+    def _resume(self) -> str:
+        self._paused = False
+        return "recording"
+
+    def _split(self) -> str:
+        self.recording.split()
+        return f"{self.recording.file_count} files"
 
     def _tick(self) -> None:
         now = time.monotonic()
         try:
             if self.configured:  # a full disk ends that, and perhaps not yet the ticks
                 self._drain()
-                self._recording.write_pending()
             for chore, period in self._chores.items():
                 if self.configured and now >= self._due[chore]:
                     self._due[chore] = now + period
@@ -176,14 +176,14 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     def _close_recording(self) -> None:
         try:
-            self._recording.close()
+            self.recording.close()
         except BagWriteError:
             if not self._failed:  # otherwise this has been reported, and is why it closes
                 raise
 
     def _look_for_topics(self) -> None:
         for topic in self._finder.poll():
-            self._recording.add_topic(
+            self.recording.add_topic(
                 topic.name, topic.definition.type, topic.offers, definition=topic.definition
             )
             self.log(Level.OK, f"recording {topic.name} [{topic.definition.type}]")
@@ -197,7 +197,7 @@ class Recorder(ManagedNode[RecorderParameters]):
     def _discard(self) -> None:
         for topic in self._finder.recorded.values():
             for message, latch in topic.drain(self.parameters.queue_depth):
-                self._recording.discard(message, latch)
+                self.recording.discard(message, latch)
 
     def _record(self) -> None:
         simulated_ns = None
@@ -212,17 +212,16 @@ class Recorder(ManagedNode[RecorderParameters]):
         for message, latch in batch:
             if simulated_ns is not None:
                 message = message._replace(log_time_ns=simulated_ns)
-            self._recording.record(message, latch)
+            self.recording.record(message, latch)
 
     def _flush(self) -> None:
-        self._recording.flush()
-        statistics, minimum = self.statistics, self.parameters.minimum_free_disk
-        free = statistics.free_disk
+        self.recording.flush()
+        free, minimum = _free_disk(self.path), self.parameters.minimum_free_disk
         if free < minimum:
             self.log(Level.ERROR, f"disk almost full ({free:.0f} MiB free): recording ends here")
             self.close()
             self._full = True
-        elif statistics.disk_is_filling and not self._free_disk_warned:
+        elif free < _FREE_DISK_WARNING * minimum and not self._free_disk_warned:
             self._free_disk_warned = True
             self.log(
                 Level.WARN,
@@ -230,9 +229,37 @@ class Recorder(ManagedNode[RecorderParameters]):
             )
 
     def _statuses(self) -> Statuses:
-        statistics, before = self.statistics, self._messages_before
-        self._messages_before = statistics.messages
-        return statuses(statistics, rate=(statistics.messages - before) / DIAGNOSTICS_PERIOD), {}
+        recording, missing, free = self.recording, self._finder.missing, _free_disk(self.path)
+        is_recording, clock = self.active and not self._paused, self.get_clock()
+        awaits_clock = clock.ros_time_is_active and clock.now().nanoseconds == 0
+        values = {
+            "messages": str(self.messages),
+            "MiB": f"{recording.bytes / _MIB:.1f}",
+            "lost": str(self.lost),
+            "published before the first": str(self.earlier),
+            "losses unknown of": ", ".join(self.loss_unknown),
+            "discarded while paused": str(recording.discarded),
+            "waiting for": ", ".join(missing),
+            "files": str(recording.file_count),
+            "free disk space (MiB)": f"{free:.0f}",
+        }
+        warnings = {
+            f"{self.lost} messages lost": self.lost > 0,
+            f"{free:.0f} MiB of disk space are left": (
+                free < _FREE_DISK_WARNING * self.parameters.minimum_free_disk
+            ),
+            "waiting for /clock": awaits_clock,
+            f"waiting for {', '.join(missing[:1])}": bool(missing),
+        }
+        worst = next((text for text, holds in warnings.items() if holds), None)
+        message = worst or ("recording" if is_recording else "paused")
+        level = Level.OK if worst is None else Level.WARN
+        counts = {
+            name: f"{recording.counts[name]} messages, {topic.losses}"
+            for name, topic in sorted(self._finder.recorded.items())
+        }
+        topics = Status("topics", Level.OK, f"{len(counts)} topics", counts)
+        return [Status("recording", level, message, values), topics], {}
 
 
 def _bag_folder(output: str) -> Path:

@@ -18,8 +18,8 @@ from tsobs_ros.bag.recording import BufferedMessage, Latch
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.recorder.parameters import RecorderParameters
-from tsobs_ros.nodes.recorder.status import LossCounter
+from tsobs_ros.nodes.recorder.losses import LossCounter
+from tsobs_ros.nodes.recorder.parameters import ALL, RecorderParameters
 from tsobs_ros.nodes.wire import DrainedSubscription, message_class
 
 _LATCHED, _RELIABLE = DurabilityPolicy.TRANSIENT_LOCAL, ReliabilityPolicy.RELIABLE
@@ -27,11 +27,6 @@ _LATCHED, _RELIABLE = DurabilityPolicy.TRANSIENT_LOCAL, ReliabilityPolicy.RELIAB
 _POLLS_PER_FULL_LOOK = 10
 # Messages of a topic remembered at least, to recognise those that arrive by two subscriptions.
 _REMEMBERED = 5000
-
-# Whether a subscription is latched and reliable, which decides on the publishers it matches.
-_Kind = tuple[bool, bool]
-# Publication time, number and length: of two messages of a topic, one is never the same.
-_Key = tuple[int, int | None, int]
 
 
 class RecordedTopic:
@@ -67,10 +62,12 @@ class RecordedTopic:
         self.losses = LossCounter()
         self._node, self._given, self._depth = node, given, depth
         self._msg_type = message_class(self.definition.type)
-        self._subscriptions: dict[_Kind, DrainedSubscription] = {}
+        # By whether it is latched and reliable, which decides on the publishers it matches.
+        self._subscriptions: dict[tuple[bool, bool], DrainedSubscription] = {}
         self._latched_publishers: set[bytes] = set()
-        self._recent: set[_Key] = set()
-        self._older: set[_Key] = set()
+        # Publication time, number and length: of two messages of a topic, one is never the same.
+        self._recent: set[tuple[int, int | None, int]] = set()
+        self._older = self._recent
         self.offers = tuple(to_bag_qos(info.qos_profile) for info in publishers)
         self.subscribe(publishers)
 
@@ -82,14 +79,23 @@ class RecordedTopic:
     def subscribe(self, publishers: Sequence[TopicEndpointInfo]) -> None:
         """Subscribe to all the publishers there are, as far as that is not done yet."""
         for info in publishers:
-            qos = info.qos_profile
-            kind = (qos.durability == _LATCHED, qos.reliability == _RELIABLE)
-            if qos.durability == _LATCHED:
+            offer = info.qos_profile
+            kind = offer.durability == _LATCHED, offer.reliability == _RELIABLE
+            if offer.durability == _LATCHED:
                 self._latched_publishers.add(bytes(info.endpoint_gid))
-            if kind not in self._subscriptions:
-                self._subscriptions[kind] = self._subscription(*kind)
-                # Latched ones last: when their queue is emptied, a copy has not arrived before.
-                self._subscriptions = dict(sorted(self._subscriptions.items()))
+            if kind in self._subscriptions:
+                continue
+            qos = QoSProfile(
+                depth=self._depth,
+                reliability=_RELIABLE if kind[1] else ReliabilityPolicy.BEST_EFFORT,
+                durability=_LATCHED if kind[0] else DurabilityPolicy.VOLATILE,
+            )
+            try:
+                made = DrainedSubscription(self._node, self._msg_type, self._given, qos, raw=True)
+            except Exception as error:  # such as another type of the same topic in this process
+                raise NodeError(f"{self.name}: cannot subscribe: {error}") from error
+            # Latched ones last: when their queue is emptied, a copy has not arrived before.
+            self._subscriptions = dict(sorted([*self._subscriptions.items(), (kind, made)]))
         self.losses.see(_gids(publishers))
 
     def drain(self, limit: int) -> list[tuple[BufferedMessage, Latch | None]]:
@@ -98,7 +104,6 @@ class RecordedTopic:
         The log times are those of arrival by the system's clock.
         """
         taken = [(kind, s, s.drain(limit)) for kind, s in self._subscriptions.items()]
-        only_one = len(taken) == 1
         received: list[tuple[BufferedMessage, Latch | None]] = []
         numbers: list[int | None] = []
         for (is_latched, _), subscription, messages in reversed(taken):
@@ -108,34 +113,20 @@ class RecordedTopic:
             for data, info in messages:
                 source_ns, number = info["source_timestamp"], info["publication_sequence_number"]
                 key = (source_ns, number, len(data))
-                if (key in self._recent or key in self._older) and not only_one:
+                if len(taken) > 1 and (key in self._recent or key in self._older):
                     continue
                 self._recent.add(key)
-                latch = Latch(number, publishers) if is_latched else None
                 received_ns = info["received_timestamp"] or time.time_ns()
                 message = BufferedMessage(self.name, data, received_ns, max(source_ns, 0))
-                received.append((message, latch))
+                received.append((message, Latch(number, publishers) if is_latched else None))
                 numbers.append(number)
-        if received:
-            if self.losses.since_ns is None:
-                self.losses.since_ns = min(message.log_time_ns for message, _ in received)
+        if numbers:
             self.losses.add(
                 numbers, lambda: _gids(self._node.get_publishers_info_by_topic(self.name))
             )
         if len(self._recent) > _REMEMBERED:
             self._recent, self._older = set(), self._recent
         return received
-
-    def _subscription(self, latched: bool, reliable: bool) -> DrainedSubscription:
-        qos = QoSProfile(
-            depth=self._depth,
-            reliability=_RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=_LATCHED if latched else DurabilityPolicy.VOLATILE,
-        )
-        try:
-            return DrainedSubscription(self._node, self._msg_type, self._given, qos, raw=True)
-        except Exception as error:  # such as another type of the same topic in this process
-            raise NodeError(f"{self.name}: cannot subscribe: {error}") from error
 
 
 class TopicFinder:
@@ -144,19 +135,19 @@ class TopicFinder:
     Args:
         node: The node that owns the subscriptions; it warns once of each topic that cannot be
             recorded, or not all of it.
-        parameters: What to record.
 
     Attributes:
         recorded: The topics that have been found, by name.
     """
 
-    def __init__(self, node: ManagedNode[Any], parameters: RecorderParameters) -> None:
+    def __init__(self, node: ManagedNode[RecorderParameters]) -> None:
         self.recorded: dict[str, RecordedTopic] = {}
         self._node = node
-        self._selection = parameters.resolved(node.resolve_topic_name, node.resolve_service_name)
-        self._listed = self._selection.listed()
+        self._selection = node.parameters.resolved(node.resolve_topic_name)
+        self._listed = self._selection.listed
         # Full names and those before remappings, which subscribing applies.
-        self._given = {node.resolve_topic_name(n): n for n in parameters.topics if n != "*"}
+        names = [name for name in node.parameters.topics if name != ALL]
+        self._given = {node.resolve_topic_name(name): name for name in names}
         # The types a topic was tried with, and the warnings given: neither is repeated.
         self._tried: dict[str, Sequence[str]] = {}
         self._warnings: set[str] = set()
@@ -178,10 +169,8 @@ class TopicFinder:
             if full_look or count != self._publisher_counts.get(topic.name):
                 self._publisher_counts[topic.name] = count
                 self._look_at(topic)
-        wanted: dict[str, None] = dict.fromkeys(self._listed)
-        if self._selection.has_patterns:
-            graph = self._node.get_topic_names_and_types()
-            wanted |= {name: None for name, types in graph if self._selection.wants(name, types)}
+        graph = (name for name, _ in self._node.get_topic_names_and_types())
+        wanted = dict.fromkeys([*self._listed, *filter(self._selection.wants, graph)])
         found = []
         for name in [each for each in wanted if each not in self.recorded]:
             try:
@@ -196,8 +185,7 @@ class TopicFinder:
         """Subscribe to a topic, unless it must wait for a publisher."""
         publishers = self._node.get_publishers_info_by_topic(name)
         types = sorted({info.topic_type for info in publishers})
-        is_new = bool(types) and self._tried.get(name) != types
-        if not is_new or not self._selection.wants(name, types):
+        if not types or self._tried.get(name) == types:
             return None
         self._tried[name] = types
         if len(types) > 1:
