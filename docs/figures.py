@@ -142,7 +142,7 @@ def markers(path: Path) -> None:
         arm(Level.ERROR, "drift 0.9 rad", 0.6, 1.5, -0.3),
     ]
     figure, axis = plt.subplots(layout="constrained", figsize=(8, 2.6))
-    for marker in scene(arms, VisualizerParameters(spacing=2.6), Time()).markers:
+    for marker in scene(arms, VisualizerParameters(), Time()).markers:
         draw(axis, marker)
     axis.set_aspect("equal")
     axis.set(xlim=(-1.1, 6.3), ylim=(-1.3, 0.95))

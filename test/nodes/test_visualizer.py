@@ -129,12 +129,12 @@ def test_arms_stand_where_the_messages_say(publisher: Publisher) -> None:
         assert (min(angles), max(angles)) == (pytest.approx(ends[0]), pytest.approx(ends[1]))
     spring = scene["spring", 0].points
     assert [angle_of(spring[end]) for end in (0, -1)] == pytest.approx([0.8, 0.5])
-    # The elbow has an encoder on its link, the wrist on both sides, 3 m further on.
+    # The elbow has an encoder on its link, the wrist on both sides, 5.2 m further on.
     dots = {key: each.pose.position for key, each in scene.items() if key[0] == "measurement"}
     assert set(dots) == {("measurement", 0), ("measurement", 100), ("measurement", 101)}
     assert angle_of(dots["measurement", 0]) == pytest.approx(0.45)
-    assert angle_of(dots["measurement", 100], x=3.0) == pytest.approx(-1.5)
-    assert angle_of(dots["measurement", 101], x=3.0) == pytest.approx(1.0)
+    assert angle_of(dots["measurement", 100], x=5.2) == pytest.approx(-1.5)
+    assert angle_of(dots["measurement", 101], x=5.2) == pytest.approx(1.0)
     # Colours and words of the wrist's fault; the elbow has no diagnostics.
     assert colour_of(scene["estimate", 100]) == RED
     assert scene["label", 100].text == "wrist\nbias 0.61 rad\nspring +6.00 rad"

@@ -28,11 +28,13 @@ from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.runtime import Ticker
-from tsobs_ros.nodes.visualizer.scene import Angles, Arm, VisualizerParameters, scene
+from tsobs_ros.nodes.visualizer.scene import LIFETIME, Angles, Arm, VisualizerParameters, scene
 from tsobs_ros.nodes.watcher import MEASUREMENTS, ObserverFeed
 
 _WANTED = (topics.STATES, topics.STATE_BOUNDS, topics.TRUE_STATES)
-_LINK, _MOTOR = topics.sides("")
+_LINK, _ = topics.sides("")
+_SIGMAS = 3.0
+"""Half width of the drawn bound, in 1σ bounds."""
 
 
 class Visualizer(ManagedNode[VisualizerParameters]):
@@ -81,7 +83,7 @@ class Visualizer(ManagedNode[VisualizerParameters]):
             printable(name),
             self._angles(topics.TRUE_STATES, name),
             self._angles(topics.STATES, name),
-            half and Angles(*(self.parameters.sigmas * each for each in half)),
+            half and Angles(*(_SIGMAS * each for each in half)),
             self._measured(name),
             worst.level if worst else Level.STALE,
             printable(_words(worst)) if worst else "",
@@ -107,7 +109,7 @@ class Visualizer(ManagedNode[VisualizerParameters]):
         return Angles(*sides) if all(map(math.isfinite, sides)) else None
 
     def _positions(self, topic: str) -> dict[str, float]:
-        return self._feed.values("position", topic, self.parameters.max_age)
+        return self._feed.values("position", topic, LIFETIME)
 
 
 def _words(fault: Status) -> str:

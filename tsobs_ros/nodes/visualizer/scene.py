@@ -3,8 +3,8 @@
 """Arms as markers.
 
 An arm swings about −y at its place on the x axis: its angle is 0 hanging down, and positive towards
-+x, so that it is seen as in a textbook from −y. The motor's disc is behind the link, the spring
-between them.
++x, so that it is seen as in a textbook from −y. The motor's disc is behind the link, and an arc
+from the motor's angle to the link's shows how far the spring between them is wound up.
 """
 
 import math
@@ -22,15 +22,17 @@ from tsobs_ros.nodes.parameters import ManagedParameters
 from tsobs_ros.settings import live_setting, setting
 from tsobs_ros.style import BLUE, GREEN, GRID, MUTED, ORANGE, PURPLE, RED
 
+LIFETIME = 1
+"""Time for which a marker is drawn, and messages are [s]."""
+
 _COLOUR_OF = {Level.OK: BLUE, Level.WARN: ORANGE, Level.ERROR: RED, Level.STALE: MUTED}
-_TRUTH, _MEASURED, _SPRING, _STRAINED = "#9AA5B1", PURPLE, GREEN, RED
+_TRUTH = "#9AA5B1"
+_GHOST = 0.45
+"""Opacity of the estimate."""
 
 # All lengths are shares of the link's.
-_MOTOR_RADIUS, _SHAFT_RADIUS = 0.24, 0.05
+_SPACING, _MOTOR_RADIUS = 2.6, 0.24
 _DIALS = ((1.10, 1.18), (0.27, 0.33))  # inner and outer radius, of link and motor
-_TURNS = 3.0
-_STRAIN = 1.0
-"""Wind-up at which the spring has its last colour [rad]."""
 
 
 @dataclass(frozen=True)
@@ -44,16 +46,6 @@ class VisualizerParameters(ManagedParameters):
     frame_id: str = live_setting("world", "Frame of the markers: the fixed frame of the view")
     link_length: float = live_setting(
         1.0, "Length of a drawn link", unit="m", minimum=0.1, maximum=100.0
-    )
-    spacing: float = live_setting(
-        3.0, "Distance between arms, which stand along x", unit="m", minimum=0.0, maximum=1e3
-    )
-    sigmas: float = live_setting(
-        3.0, "Half width of the drawn bound, in 1 sigma bounds", minimum=0.1, maximum=100.0
-    )
-    opacity: float = live_setting(0.45, "Opacity of the estimate", minimum=0.05, maximum=1.0)
-    max_age: float = live_setting(
-        1.0, "Age of messages from which on they are not drawn", unit="s", minimum=0.1, maximum=60.0
     )
 
 
@@ -98,11 +90,11 @@ def scene(arms: Sequence[Arm], look: VisualizerParameters, stamp: Any) -> Marker
     """
     array = MarkerArray()
     for place, arm in enumerate(arms):
-        for marker in _markers(arm, _Pen(place * look.spacing, look.link_length), look.opacity):
+        pen = _Pen(place * _SPACING * look.link_length, look.link_length)
+        for marker in _markers(arm, pen):
             marker.header.frame_id, marker.header.stamp = look.frame_id, stamp
             marker.id += 100 * place
-            marker.lifetime.sec = int(look.max_age)
-            marker.lifetime.nanosec = int(look.max_age % 1.0 * 1e9)
+            marker.lifetime.sec = LIFETIME
             array.markers.append(marker)
     return array
 
@@ -142,12 +134,12 @@ class _Pen(NamedTuple):
         )
 
 
-def _markers(arm: Arm, pen: _Pen, opacity: float) -> Iterator[Marker]:
+def _markers(arm: Arm, pen: _Pen) -> Iterator[Marker]:
     colour = _COLOUR_OF[arm.level]
     if arm.truth is not None:
         yield from _sides("truth", arm.truth, pen, _colour(_TRUTH), 1.0)
     if arm.estimate is not None:
-        yield from _sides("estimate", arm.estimate, pen, _colour(colour, opacity), 1.4)
+        yield from _sides("estimate", arm.estimate, pen, _colour(colour, _GHOST), 1.4)
         for number, half in enumerate(arm.bound or ()):
             if math.isfinite(half):
                 what, area = ("bound", number, Marker.TRIANGLE_LIST), (1.0 / pen.unit,) * 3
@@ -157,7 +149,7 @@ def _markers(arm: Arm, pen: _Pen, opacity: float) -> Iterator[Marker]:
         if math.isfinite(angle):
             at = pen.point(angle, sum(_DIALS[number]) / 2, -0.02)
             what = ("measurement", number, Marker.SPHERE)
-            yield pen.draw(what, _colour(_MEASURED), (0.06, 0.06, 0.06), at)
+            yield pen.draw(what, _colour(PURPLE), (0.06, 0.06, 0.06), at)
     lines = [arm.name, arm.fault or "no diagnostics"]
     moving = arm.estimate or arm.truth
     if moving is not None:
@@ -165,7 +157,10 @@ def _markers(arm: Arm, pen: _Pen, opacity: float) -> Iterator[Marker]:
         size = (2.0 * _MOTOR_RADIUS, 2.0 * _MOTOR_RADIUS, 0.04)
         centre = pen.point(0.0, 0.0, 0.16)
         yield pen.draw(("motor", 0, Marker.CYLINDER), _colour(GRID), size, centre, lying)
-        yield _spring(moving, pen)
+        arc = np.linspace(moving.motor, moving.link, 25).tolist()
+        points = [pen.point(each, 0.8 * _MOTOR_RADIUS, 0.07) for each in arc]
+        what = ("spring", 0, Marker.LINE_STRIP)
+        yield pen.draw(what, _colour(GREEN), (0.03, 0.0, 0.0), points=points)
         lines.append(f"spring {moving.motor - moving.link:+.2f} rad")
     above, text = pen.point(math.pi, 0.65), "\n".join(lines)
     what = ("label", 0, Marker.TEXT_VIEW_FACING)
@@ -191,20 +186,6 @@ def _sector(angle: float, half: float, radii: tuple[float, float], pen: _Pen) ->
     rims = [[pen.point(each, radius) for each in ends.tolist()] for radius in radii]
     corners = ((0, 0), (1, 0), (1, 1), (0, 0), (1, 1), (0, 1))
     return [rims[rim][k + step] for k in range(len(ends) - 1) for rim, step in corners]
-
-
-def _spring(angles: Angles, pen: _Pen) -> Marker:
-    """Draw a spiral from the motor's rim to the link's shaft, which its wind-up tightens."""
-    turned = np.linspace(angles.motor, angles.link + 2.0 * math.pi * _TURNS, 73).tolist()
-    radii = np.linspace(0.9 * _MOTOR_RADIUS, _SHAFT_RADIUS, len(turned)).tolist()
-    points = [pen.point(angle, r, 0.07) for angle, r in zip(turned, radii, strict=True)]
-    share = min(1.0, abs(angles.motor - angles.link) / _STRAIN)
-    relaxed, strained = _colour(_SPRING), _colour(_STRAINED)
-    for name in "rgb":
-        first, last = getattr(relaxed, name), getattr(strained, name)
-        setattr(relaxed, name, first + share * (last - first))
-    what = ("spring", 0, Marker.LINE_STRIP)
-    return pen.draw(what, relaxed, (0.016, 0.0, 0.0), points=points)
 
 
 def _colour(text: str, opacity: float = 1.0) -> ColorRGBA:
