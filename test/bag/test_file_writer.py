@@ -7,37 +7,21 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from tsobs_ros.bag.cdr import MessageSeries
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter
 from tsobs_ros.bag.metadata import TopicInfo
-from tsobs_ros.bag.writer import packed
 
 CHUNK_SIZE = 400
 TIMES = st.integers(0, 2**63 - 1)
 MESSAGES = st.tuples(st.integers(1, 3), TIMES, st.binary(max_size=150), TIMES)
 
 
-@st.composite
-def series(draw: st.DrawFn) -> list[tuple[int, MessageSeries]]:
-    found = []
-    for _ in range(draw(st.integers(1, 4))):
-        count, size = draw(st.integers(1, 12)), draw(st.integers(0, 300))
-        numbers = np.array(
-            draw(st.lists(TIMES, min_size=2 * count, max_size=2 * count)), np.int64
-        ).reshape(2, count)
-        data = np.arange(count * size, dtype=np.uint8).reshape(count, size)
-        found.append((draw(st.integers(1, 3)), MessageSeries("/t", "a/msg/B", *numbers, data)))
-    return found
-
-
 OTHERS = st.sampled_from(["flush", "metadata", "topic"])
-STEPS = st.lists(st.one_of(MESSAGES, MESSAGES, OTHERS, series()), max_size=25)
+STEPS = st.lists(st.one_of(MESSAGES, MESSAGES, OTHERS), max_size=25)
 
 
 def by_library(steps: list[Any], compression: str) -> bytes:
@@ -53,10 +37,6 @@ def by_library(steps: list[Any], compression: str) -> bytes:
             writer.flush()  # the library puts metadata before the chunk in progress
             if step == "metadata":
                 writer.add_metadata("rosbag2", {"key": "value"})
-        elif isinstance(step, list):
-            messages = [(channel, *one) for channel, own in step for one in own.messages()]
-            for channel, _, _, data, log_time, publish_time in sorted(messages, key=lambda m: m[4]):
-                writer.add_message(channel, log_time, data, publish_time)
         else:
             writer.add_message(*step)
     writer.finish()
@@ -73,8 +53,6 @@ def by_ours(steps: list[Any], compression: str, path: Path) -> bytes:
             writer.flush()
         elif step == "metadata":
             writer.add_metadata("rosbag2", {"key": "value"})
-        elif isinstance(step, list):
-            writer.add_records(packed(step))
         else:
             channel, log_time, data, publish_time = step
             writer.add_message(f"/t{channel}", data, log_time, publish_time)
@@ -86,7 +64,6 @@ def by_ours(steps: list[Any], compression: str, path: Path) -> bytes:
 @settings(max_examples=40)
 @given(STEPS, st.sampled_from(COMPRESSIONS))
 def test_a_file_has_the_bytes_that_the_library_writes(steps: list[Any], compression: str) -> None:
-    """Also of arrays of messages, which the library takes one by one."""
     steps = ["topic"] * 3 + steps
     with TemporaryDirectory() as folder:
         ours = by_ours(steps, compression, Path(folder) / "x.mcap")

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType
 
 from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
+from tsobs_ros.bag.recovery import recover
 from tsobs_ros.errors import BagReadError
 
 
@@ -94,14 +95,19 @@ def test_damage_is_noticed_where_it_is_reached_and_chunks_out_of_reach_are_not_r
         next(messages)
 
 
-@pytest.mark.parametrize("chunked", [True, False])
-def test_files_of_other_writers_settings_are_read(tmp_path: Path, chunked: bool) -> None:
-    """As rosbag2's preset `fastwrite`, which makes no chunks, or with chunks not indexed."""
+def test_chunks_without_indexes_are_read_and_files_without_chunks_once_recovered(
+    tmp_path: Path,
+) -> None:
+    """Rosbag2's preset `fastwrite` makes no chunks."""
+    bare = write_mcap(tmp_path / "bare.mcap", [(1, 5, cdr("x"), 5)], use_chunking=False)
+    with pytest.raises(BagReadError, match=r"no chunks.*'tsobs bag recover' makes"):
+        BagReader(bare)
+    recover(bare, tmp_path / "bare")
+    assert [m.data for m in BagReader(tmp_path / "bare").messages()] == [cdr("x")]
     path = write_mcap(
         tmp_path / "x.mcap",
         [(1 + time % 2, time, bytes(400_000), time) for time in (5, 3, 9, 1)],
         channels=[CHANNEL, ("/b", *CHANNEL[1:])],
-        use_chunking=chunked,
         index_types=IndexType.CHUNK,
         compression=CompressionType.LZ4,
         enable_crcs=False,

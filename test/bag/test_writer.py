@@ -5,11 +5,14 @@
 import resource
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 import yaml
 from foreign import STRING, Entry
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import McapRecord, Message, Metadata
@@ -20,6 +23,7 @@ from tsobs_ros.bag.cdr import MessageSeries
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import read_metadata
 from tsobs_ros.bag.recovery import recover
+from tsobs_ros.bag.verification import verify
 from tsobs_ros.errors import BagReadError, BagWriteError
 
 TOPICS = {"/a": STRING, "/b": "sensor_msgs/msg/JointState", "/c": STRING}
@@ -92,6 +96,32 @@ def test_a_split_bag_is_one_bag_of_whole_files(tmp_path: Path, options: dict[str
     assert sum(part.message_count for part in parts) == len(written)
     whole = [(m.data, m.log_time) for m in BagReader(path).messages()]
     assert whole == [(entry.data, entry.log_time) for entry in written]
+
+
+@settings(max_examples=20)
+@given(
+    st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 9), st.integers(1, 300)), max_size=5),
+    st.sampled_from([0, 20_000]),
+)
+def test_arrays_of_messages_are_in_order_of_log_time(
+    drawn: list[tuple[str, int, int]], max_size: int
+) -> None:
+    series = [
+        MessageSeries(
+            f"/{name}", STRING, start + np.arange(count) // 3, np.arange(count),
+            np.full((count, 40 * (1 + start)), start, np.uint8),
+        )
+        for name, start, count in drawn
+    ]  # fmt: skip
+    with TemporaryDirectory() as folder:
+        with BagWriter(Path(folder) / "bag", max_size=max_size) as writer:
+            for name in "abc":
+                writer.add_topic(f"/{name}", STRING)
+            writer.write_series(series)
+        found = list(BagReader(Path(folder) / "bag").messages())
+        assert verify(Path(folder) / "bag").messages == len(found)
+    expected = [message for one in series for message in one.messages()]
+    assert found == sorted(expected, key=lambda message: message[3])
 
 
 def test_what_cannot_be_a_new_bag_is_refused_and_nothing_is_touched(tmp_path: Path) -> None:

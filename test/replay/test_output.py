@@ -10,10 +10,9 @@ import pytest
 from mcap.writer import CompressionType, IndexType, Writer
 
 from tsobs_ros.bag import BagMessage, BagReader, BagWriter
-from tsobs_ros.bag.copying import ChunkCopy
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.verification import verify
-from tsobs_ros.replay.source import BagSource
+from tsobs_ros.replay.source import BagSource, Source
 
 TRUTH = "/ground_truth/joint_states"
 TEXT = f"\n{80 * '='}\n".join(
@@ -68,13 +67,13 @@ def write_mcap(path: Path, messages: list[Message], **options: Any) -> Path:
 def copies(monkeypatch) -> list[int]:
     """Return the numbers of the chunks that are copied; empty if messages are."""
     counts: list[int] = []
-    copy = ChunkCopy.copy
 
-    def counted(self: ChunkCopy, writer: BagWriter) -> None:
-        copy(self, writer)
-        counts.append(len(self.spans))
+    def counted(writer: BagWriter, *chunk: Any) -> None:
+        counts.append(1)
+        copy(writer, *chunk)
 
-    monkeypatch.setattr(ChunkCopy, "copy", counted)
+    copy = BagWriter.copy
+    monkeypatch.setattr(BagWriter, "copy", counted)
     return counts
 
 
@@ -84,7 +83,7 @@ def both(estimate, tmp_path, monkeypatch) -> Callable[..., list[BagMessage]]:
 
     def run(bag: Path, **options: Any) -> list[BagMessage]:
         estimate(bag, output="new", **options)
-        monkeypatch.setattr(BagSource, "chunks", lambda _: None)
+        monkeypatch.setattr(BagSource, "copy", Source.copy)
         estimate(bag, output="one_by_one", **options)
         new, other = (BagReader(tmp_path / name) for name in ("new", "one_by_one"))
         assert new.topics == other.topics
@@ -104,7 +103,7 @@ def test_a_bag_is_copied_by_its_chunks(arms, both, copies, tmp_path, options) ->
 
     messages = both(write_bag(tmp_path / "bag", written), **options)
 
-    assert copies == [5]
+    assert len(copies) == 5
     recorded = [(m.topic, m.data, m.log_time) for m in messages if "observer" not in m.topic]
     assert recorded == sorted(written, key=lambda one: one[2])
     # What is made of a measurement comes behind it, but what it is made with in front.
@@ -136,16 +135,13 @@ def test_chunks_with_live_estimates_lose_these(arms, both, copies, estimate, tmp
         {"max_duration_ns": 200_000_000},
         {"enable_crcs": False},
         {"index_types": IndexType.CHUNK},
-        {"use_chunking": False},
     ],
 )
-def test_other_files_are_copied_by_their_chunks_or_message_by_message(
-    arms, both, copies, tmp_path, options
-) -> None:
+def test_other_files_are_copied_by_their_chunks(arms, both, copies, tmp_path, options) -> None:
     """Split ones, and those of others."""
     write = write_bag if "max_duration_ns" in options else write_mcap
     assert len(both(write(tmp_path / "bag", with_truth(arms.messages(100)), **options))) > 500
-    assert bool(copies) == ("use_chunking" not in options)
+    assert copies
 
 
 def damaged(path: Path, messages: list[Message], topic: str) -> Path:
@@ -160,43 +156,16 @@ def damaged(path: Path, messages: list[Message], topic: str) -> Path:
 
 
 @pytest.mark.parametrize("topic", [TRUTH, "/joint_measurements"])
-def test_a_damaged_bag_is_copied_one_by_one_up_to_the_damage(
-    arms, estimate, copies, tmp_path, topic
-) -> None:
+def test_a_damaged_bag_is_copied_up_to_the_damage(arms, estimate, tmp_path, topic) -> None:
     written = with_truth(arms.messages(60))
     source = BagSource(damaged(tmp_path / "bag", written, topic))
 
     run = estimate(source, output="new")
 
     assert "damaged" in str(source.damage)
-    assert not copies
     assert verify(tmp_path / "new").holds
     topics = BagReader(tmp_path / "new").topics
     assert topics[TRUTH].count in (30, 31)
     # Damage in the truth costs no estimates.
     used = 60 if topic == TRUTH else 30
     assert run.used == topics["/observer/joint_states"].count == used
-
-
-def test_damage_that_comes_while_a_bag_is_copied_ends_the_copy(
-    arms, estimate, tmp_path, monkeypatch
-) -> None:
-    bag = write_bag(tmp_path / "bag", with_truth(arms.messages(60)), size=1, compression="none")
-    source = BagSource(bag)
-    is_sound = ChunkCopy.is_sound
-
-    def and_then_not(self: ChunkCopy, checked: str) -> bool:
-        sound = is_sound(self, checked)
-        place = self.spans[60].offset + 80
-        data = bytearray((bag / "bag_0.mcap").read_bytes())
-        data[place] ^= 1
-        (bag / "bag_0.mcap").write_bytes(data)
-        return sound
-
-    monkeypatch.setattr(ChunkCopy, "is_sound", and_then_not)
-    estimate(source, output="new")
-
-    assert "damaged" in str(source.damage)
-    assert verify(tmp_path / "new").holds
-    counts = {name: one.count for name, one in BagReader(tmp_path / "new").topics.items()}
-    assert counts[TRUTH] + counts["/joint_measurements"] == 60

@@ -70,7 +70,6 @@ _INDEX_OFFSET = struct.Struct("<HQ")
 _MAX_STATISTICS_SIZE = 2**20
 FOOTER_SIZE = RECORD.size + 20
 _MAX_HEADER_SIZE = 2**16
-_RUN_SIZE = 1_000_000
 _STEP = 2**18
 # More than a robot's schemas and channels take.
 _MAX_DESCRIPTIONS = 2**24
@@ -183,7 +182,7 @@ def decompressed(chunk: Chunk) -> Iterator[bytes]:
 
 
 class Span(NamedTuple):
-    """A part of a file that is read at once: a chunk, or messages outside of any chunk.
+    """A chunk, which is read at once.
 
     Attributes:
         start: The smallest log time in it, ns.
@@ -191,7 +190,6 @@ class Span(NamedTuple):
         rank: The place of its file in the bag.
         offset: Its first byte in the file.
         size: Its size in the file, bytes.
-        is_chunk: Whether it is a chunk record.
         places: The places of its message indexes in the file, as its record has them.
         index_size: The size of its message indexes, bytes.
     """
@@ -201,9 +199,8 @@ class Span(NamedTuple):
     rank: int
     offset: int
     size: int
-    is_chunk: bool
-    places: bytes = b""
-    index_size: int = 0
+    places: bytes
+    index_size: int
 
     @property
     def message_count(self) -> int:
@@ -231,7 +228,7 @@ class Summary(NamedTuple):
         schemas: Its schemas by id.
         channels: Its channels by id.
         statistics: Its counts and times.
-        spans: The places of its messages.
+        spans: Its chunks.
     """
 
     path: Path
@@ -296,16 +293,14 @@ def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
     if stated and (crc := zlib.crc32(covered, zlib.crc32(data))) != stated:
         raise RecordError(f"the checksum (crc) of its summary is {stated:08x}, not {crc:08x}")
     summary = parse_summary(data, rank)._replace(path=path, profile=header.profile)
-    spans, statistics = summary.spans, summary.statistics
+    spans = summary.spans
     # Else a few bytes of index could ask for the same large chunk again and again.
     for one, other in pairwise(sorted(spans, key=attrgetter("offset"))):
         if one.offset + one.size > other.offset:
             raise RecordError(f"the index states chunks that overlap at byte {other.offset}")
     if (reach := max((span.offset + span.size for span in spans), default=0)) > size:
         raise RecordError(f"the index states a chunk up to byte {reach} of {size}")
-    if statistics.message_count and not spans:
-        spans = tuple(_bare_spans(stream, rank, start))
-    return summary._replace(spans=spans)
+    return summary
 
 
 def parse_summary(data: bytes, rank: int = 0) -> Summary:
@@ -378,42 +373,19 @@ def _chunk_span(record: bytes, rank: int) -> Span:
     if index_size % _INDEX_OFFSET.size or len(record) < rest + _CHUNK_INDEX_REST:
         raise RecordError("an index of a chunk is malformed")
     length = int.from_bytes(record[rest : rest + 8], "little")
-    return Span(start, end, rank, offset, size, True, record[_CHUNK_INDEX.size : rest], length)
+    return Span(start, end, rank, offset, size, record[_CHUNK_INDEX.size : rest], length)
 
 
-def _bare_spans(stream: IO[bytes], rank: int, end: int) -> Iterator[Span]:
-    """Yield runs of messages outside of chunks; their times stand in no index."""
-    start = first = len(MAGIC)
-    times: list[int] = []
-    while start < end:
-        stream.seek(start)
-        head = stream.read(MESSAGE.size).ljust(MESSAGE.size, b"\0")
-        opcode, length = RECORD.unpack_from(head)
-        following = start + RECORD.size + length
-        if following > end or not opcode:
-            raise RecordError(f"the record at byte {start} ends at byte {following}, not by {end}")
-        if opcode == Opcode.MESSAGE:
-            if length < MESSAGE.size - RECORD.size:
-                raise RecordError(f"the message at byte {start} has only {length} bytes")
-            times.append(MESSAGE.unpack(head)[4])
-        if times and (following - first > _RUN_SIZE or following == end):
-            yield Span(min(times), max(times), rank, first, following - first, False)
-            times, first = [], following
-        start = following
-
-
-def read_span(stream: IO[bytes], span: Span) -> tuple[Records, Chunk | None]:
-    """Return the records in a span of a file, and the chunk that they are in.
+def read_span(stream: IO[bytes], span: Span) -> tuple[Records, Chunk]:
+    """Return the records in a chunk of a file, and the chunk.
 
     Raises:
-        RecordError: They are damaged, or there is no chunk at the place of one.
+        RecordError: They are damaged, or there is no chunk at its place.
     """
     if span.size > MAX_SIZE:
         raise RecordError(f"{span.size} bytes, too many to read")
     stream.seek(span.offset)
     record = stream.read(span.size)
-    if not span.is_chunk:
-        return split_records(record), None
     chunk, data_at, size = chunk_head(record[:CHUNK_HEAD_SIZE])
     if size != span.size:
         raise RecordError("the index states another size")

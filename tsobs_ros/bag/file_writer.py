@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writing one MCAP file: the same bytes as the library `mcap` writes, at a fraction of the time.
 
-Unlike the library's, this writer takes messages as arrays, and whole chunks of another file.
+Unlike the library's, this writer takes whole chunks: of arrays, and of another file.
 """
 
 import os
@@ -41,7 +41,6 @@ from tsobs_ros.bag.container import (
     RECORD,
     RecordError,
     Records,
-    Rows,
     parse_record,
 )
 from tsobs_ros.bag.metadata import FileMetadata, TopicInfo, profiles_to_yaml
@@ -52,8 +51,6 @@ _OPCODE = int(Opcode.MESSAGE)
 _BODY_SIZE = MESSAGE.size - RECORD.size
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 _NO_TIME = 2**63
-# More than a file of a robot has topics and types.
-_MAX_DESCRIPTIONS = 10_000
 
 _Entries = Mapping[int, NDArray[np.uint64]]
 """Log time and place of the messages of a chunk, by channel."""
@@ -137,14 +134,9 @@ class FileWriter:
         self._describe(self.channels[id_])
 
     def _describe(self, record: McapRecord) -> None:
-        self._describes = True
-        self._append(_packed(record))
-
-    def _append(self, *parts: bytes | memoryview) -> None:
-        self._pieces += parts
-        self._size += sum(map(len, parts))
-        if self._size > self._chunk_size:
-            self._finish_chunk()
+        self._pieces.append(_packed(record))
+        self._size += len(self._pieces[-1])
+        self._finish_full_chunk()
 
     def add_message(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
         """Append a message; times are in ns since the epoch."""
@@ -159,44 +151,29 @@ class FileWriter:
             self._start = log_time
         if log_time > self._end:
             self._end = log_time
-        if self._size > self._chunk_size:
-            self._finish_chunk()
         self.message_count += 1
-
-    def add_records(self, records: Records) -> None:
-        """Append messages with nothing between their records, each as `add_message` does."""
-        data, rows = memoryview(records.data), records.rows
-        all_begins, all_ends = rows["begin"] - MESSAGE.size, rows["begin"] + rows["size"]
-        first = 0
-        while first < len(rows):
-            begin = int(all_begins[first])
-            # The message that goes beyond the size is the chunk's last.
-            full = begin + self._chunk_size - self._size
-            last = min(int(np.searchsorted(all_ends, full, side="right")), len(rows) - 1)
-            own = slice(first, last + 1)
-            places = all_begins[own] - begin + self._size
-            for channel, each in _entries(rows[own], places).items():
-                self._entries.setdefault(channel, array("Q")).frombytes(each.tobytes())
-            self._append(data[begin : int(all_ends[last])])
-            first = last + 1
-        self._count(rows)
+        self._finish_full_chunk()
 
     def add_chunk(self, content: Records, chunk: Chunk | None = None) -> None:
-        """Append a whole chunk, in front of the messages that are waiting for one to be full.
+        """Append messages as a chunk of their own.
 
         Args:
             content: What is in it; schemas and channels, if any, are as they were added here.
             chunk: The chunk as it is to be in the file; by default it is compressed here.
         """
-        # What is described so far comes first.
-        if self._describes:
-            self._finish_chunk()
-            if self._pieces:
-                self._stream.write(b"".join(self._pieces))
-                self._begin_chunk()
-        entries = _entries(content.rows, content.rows["begin"] - MESSAGE.size)
+        self._finish_chunk()
+        if self._pieces:  # what describes topics comes first
+            self._stream.write(b"".join(self._pieces))
+            self._begin_chunk()
+        rows = content.rows
+        pairs = np.stack([rows["log_time"], rows["begin"] - MESSAGE.size], axis=1).astype("<u8")
+        known, first = np.unique(rows["channel"], return_index=True)
+        # The channel of the first message comes first.
+        entries = {k: pairs[rows["channel"] == k] for k in known[np.argsort(first)].tolist()}
         self._write_chunk(content.data, entries, chunk)
-        self._count(content.rows)
+        self.message_count += len(rows)
+        self._start = min(self._start, int(rows["log_time"].min()))
+        self._end = max(self._end, int(rows["log_time"].max()))
 
     def can_have(self, chunk: Chunk, content: Records, ids: Mapping[int, int]) -> bool:
         """Return whether a chunk of another file may be in this one as it is.
@@ -215,10 +192,7 @@ class FileWriter:
             return False
         known = [*self.channels.values(), *self.schemas.values()]
         try:
-            return all(
-                place < _MAX_DESCRIPTIONS and parse_record(each) in known
-                for place, each in enumerate(content.descriptions())
-            )
+            return all(parse_record(each) in known for each in set(content.descriptions()))
         except RecordError:
             return False
 
@@ -280,17 +254,15 @@ class FileWriter:
         with self._stream:
             os.fsync(self._stream.fileno())
 
-    def _count(self, rows: Rows) -> None:
-        self.message_count += len(rows)
-        if len(rows):
-            self._start = min(self._start, int(rows["log_time"].min()))
-            self._end = max(self._end, int(rows["log_time"].max()))
-
     def _begin_chunk(self) -> None:
-        # Its content, whether that describes anything, and log time and place of its messages.
-        self._pieces: list[bytes | memoryview] = []
-        self._size, self._describes = 0, False
+        # Its content, and log time and place of its messages.
+        self._pieces: list[bytes] = []
+        self._size = 0
         self._entries: dict[int, array[int]] = {}
+
+    def _finish_full_chunk(self) -> None:
+        if self._size > self._chunk_size:
+            self._finish_chunk()
 
     def _finish_chunk(self) -> None:
         # Without messages descriptions wait: the summary has them too.
@@ -365,14 +337,6 @@ def _packed(record: McapRecord) -> bytes:
     builder: Any = RecordBuilder()  # the library annotates its methods only in part
     record.write(builder)
     return bytes(builder.end())
-
-
-def _entries(rows: Rows, places: NDArray[np.int64]) -> dict[int, NDArray[np.uint64]]:
-    """Return log times and places by channel, the channel of the first message first."""
-    channels = rows["channel"]
-    each = np.stack([rows["log_time"], places], axis=1).astype("<u8")
-    known, first = np.unique(channels, return_index=True)
-    return {int(known[k]): each[channels == known[k]] for k in np.argsort(first)}
 
 
 def _compressor(compression: str) -> Callable[[bytes], bytes]:

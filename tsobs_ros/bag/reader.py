@@ -218,7 +218,7 @@ class BagReader:
         rows["channel"] = numbers[span.rank][rows["channel"]]
         times = rows["log_time"]
         rows = rows[(rows["channel"] >= 0) & (times >= start) & (times < end)]
-        self.unchecked += 0 if chunk and chunk.uncompressed_crc else len(rows)
+        self.unchecked += 0 if chunk.uncompressed_crc else len(rows)
         return rows[np.argsort(rows["log_time"], kind="stable")], data
 
     def _numbers(self, topics: Sequence[str]) -> list[NDArray[np.int64]]:
@@ -240,8 +240,8 @@ class BagReader:
             data = records[key][begin : begin + size]
             yield new(BagMessage, (*named[topic], data, log_time, publish_time))
 
-    def read(self, span: Span) -> tuple[Records, Chunk | None]:
-        """Return what a part of a file holds, and the chunk that it is."""
+    def read(self, span: Span) -> tuple[Records, Chunk]:
+        """Return what a chunk holds, and the chunk."""
         path, known = self.files[span.rank], self.summaries[span.rank].channels
         try:
             with open_regular(path) as stream:
@@ -365,6 +365,8 @@ class BagReader:
         if summary.profile != "ros2":
             profile = f"its profile is '{summary.profile}', expected 'ros2'"
             raise ValueError(f"not a bag of ROS 2: {profile}")
+        if statistics.message_count and not summary.spans:
+            raise ValueError(f"its messages are in no chunks, and have no index; {RECOVER_HINT}")
         if statistics.channel_count > (described := len(summary.channels)):
             counts = f"{statistics.channel_count} channels, but {described} in the index"
             raise ValueError(f"the file is damaged: {counts}; {RECOVER_HINT}")

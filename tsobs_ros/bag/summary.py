@@ -164,7 +164,7 @@ def _unchecked(reader: BagReader) -> int:
 def _has_checksum(stream: IO[bytes], span: Span) -> bool:
     stream.seek(span.offset)
     with suppress(RecordError):
-        return span.is_chunk and chunk_head(stream.read(CHUNK_HEAD_SIZE))[0].uncompressed_crc != 0
+        return chunk_head(stream.read(CHUNK_HEAD_SIZE))[0].uncompressed_crc != 0
     return False
 
 

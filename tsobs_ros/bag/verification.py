@@ -388,7 +388,7 @@ class _File:
         self._check_indexed()
         if not self.is_complete:
             return
-        spans = {span.offset: span for span in summary.spans if span.is_chunk}
+        spans = {span.offset: span for span in summary.spans}
         for at in spans.keys() | self._chunks.keys():
             span, chunk = spans.get(at), self._chunks.get(at)
             stated: object = None

@@ -4,9 +4,10 @@
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Chunk
+from numpy.typing import NDArray
 
 from tsobs_ros import __version__
 from tsobs_ros.bag.cdr import Message, MessageSeries
@@ -33,6 +35,9 @@ from tsobs_ros.files import fsync_folder, written_whole
 
 LIBRARY = "tsobs_ros"
 CHUNK_SIZE = 786_432
+
+_MESSAGE_FIELDS = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
+_MESSAGE_FIELDS += [("log_time", "<u8"), ("publish_time", "<u8")]
 
 
 class BagWriter(AbstractContextManager["BagWriter"]):
@@ -158,13 +163,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             log_time_ns: When it was received, ns since the epoch.
             publish_time_ns: When it was published, ns since the epoch.
         """
-        if self._closed or self._failure or topic not in self._topics:
+        if self._closed or self._failure:
             self._check_open()
-            raise BagWriteError(f"{self.path}: topic {topic} has not been added")
-        if not (0 <= log_time_ns < EMPTY_START_NS and 0 <= publish_time_ns < EMPTY_START_NS):
-            times = f"log {log_time_ns} ns, publish {publish_time_ns} ns"
-            rule = "times must be at least 0 and fit 63 bits"
-            raise BagWriteError(f"{self.path}: {topic}: {rule}: {times}")
+        is_right = 0 <= log_time_ns < EMPTY_START_NS and 0 <= publish_time_ns < EMPTY_START_NS
+        if topic not in self._topics or not is_right:
+            self._require(topic, np.array([log_time_ns, publish_time_ns]))
         if self._is_limited:
             self._make_room(log_time_ns)
         try:
@@ -184,48 +187,61 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         Args:
             series: Messages of registered topics.
         """
-        if series := [one for one in series if len(one.data)]:
-            ids = [self._file.ids.get(one.topic, -place) for place, one in enumerate(series)]
-            topics = {id_: one.topic for id_, one in zip(ids, series, strict=True)}
-            records = packed(list(zip(ids, series, strict=True)))
-            self._write_records(records, topics, lambda: self._file.add_records(records))
+        self._check_open()
+        series = [one for one in series if len(one.data)]
+        for one in series:
+            self._require(one.topic, one.log_times, one.publish_times)
+        if self._is_limited:
+            messages = (message for one in series for message in one.messages())
+            self.write_all(sorted(messages, key=itemgetter(3)))
+        elif series:
+            data, rows = packed([(self._file.ids[one.topic], one) for one in series])
+            begins, ends = rows["begin"] - MESSAGE.size, rows["begin"] + rows["size"]
+            # Chunks of the usual size; the message that goes beyond it is the chunk's last.
+            first = 0
+            while first < len(rows):
+                begin = int(begins[first])
+                last = int(np.searchsorted(ends[:-1], begin + CHUNK_SIZE, side="right"))
+                own = rows[first : last + 1]
+                own["begin"] -= begin
+                self._add_chunk(Records(data[begin : int(ends[last])], own))
+                first = last + 1
 
-    def copy(self, content: Records, chunk: Chunk | None, topics: Mapping[int, str]) -> None:
-        """Copy what a chunk of another bag has of some topics.
+    def copy(self, content: Records, chunk: Chunk, topics: Mapping[int, str]) -> None:
+        """Copy what a chunk of another bag has of some topics, as a chunk.
 
-        The chunk is copied as it is if everything in it is wanted, with the channels and schemas
-        of this bag, and a checksum covers it. Else messages are copied: to a chunk of their own, or
-        one by one if files have limits.
+        It is copied as it is if everything in it is wanted, with the channels and schemas of this
+        bag, and a checksum covers it.
 
         Args:
             content: What is in the chunk.
-            chunk: The chunk; None for messages outside of any.
+            chunk: The chunk.
             topics: Those to copy, all registered, by their channels.
         """
-        ids = {id_: self._file.ids.get(topic, 0) for id_, topic in topics.items()}
-        file = self._file
-        if chunk and file.can_have(chunk, content, ids):
-            self._write_records(content, topics, lambda: file.add_chunk(content, chunk))
-            return
-        picked = pick(content, ids)
-        by_new = {ids[id_]: topic for id_, topic in topics.items()}
-        if len(picked.rows):
-            self._write_records(picked, by_new, lambda: file.add_chunk(picked))
+        self._check_open()
+        ids = {id_: self._file.ids[topic] for id_, topic in topics.items()}
+        if self._file.can_have(chunk, content, ids):
+            self._add_chunk(content, chunk)
+        elif len((picked := pick(content, ids)).rows):
+            self._add_chunk(picked)
 
-    def _write_records(
-        self, records: Records, topics: Mapping[int, str], write: Callable[[], None]
-    ) -> None:
-        """Write records at once, or one by one if files have limits or anything is wrong."""
-        times = (records.rows[name] for name in ("log_time", "publish_time"))
-        is_right = all(each.min() >= 0 and each.max() < EMPTY_START_NS for each in times)
-        if self._closed or self._is_limited or not is_right or min(topics) <= 0:
-            for id_, log_time, publish_time, data in records.messages():
-                self.write(topics[id_], data, log_time, publish_time)
-            return
+    def _add_chunk(self, records: Records, chunk: Chunk | None = None) -> None:
+        rows, names = records.rows, {id_: topic for topic, id_ in self._file.ids.items()}
+        counts = zip(*np.unique(rows["channel"], return_counts=True), strict=True)
+        counted = Counter({names[int(id_)]: int(count) for id_, count in counts})
+        self._require(next(iter(counted)), rows["log_time"], rows["publish_time"])
         with self._writing():
-            write()
-        for id_, count in zip(*np.unique(records.rows["channel"], return_counts=True), strict=True):
-            self._counts[topics[int(id_)]] += int(count)
+            self._file.add_chunk(records, chunk)
+        self._counts += counted
+
+    def _require(self, topic: str, *times: NDArray[np.int64]) -> None:
+        """Raise `BagWriteError` unless a topic is registered, and times [ns] fit."""
+        if topic not in self._topics:
+            raise BagWriteError(f"{self.path}: topic {topic} has not been added")
+        for each in times:
+            if each.min() < 0 or each.max() >= EMPTY_START_NS:
+                text = f"times must be at least 0 and fit 63 bits: {each.min()} to {each.max()} ns"
+                raise BagWriteError(f"{self.path}: {topic}: {text}")
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system: it survives a kill."""
@@ -400,11 +416,9 @@ def packed(series: Sequence[tuple[int, MessageSeries]]) -> Records:
     data = np.empty(int(rows["begin"][-1] + rows["size"][-1]), np.uint8)
     for (channel, one), own_places in zip(series, np.split(places, ends), strict=True):
         count, size = one.data.shape
-        head = MESSAGE.pack(
-            Opcode.MESSAGE, MESSAGE.size - RECORD.size + size, max(0, channel), 0, 0, 0
-        )
-        times = np.stack([one.log_times, one.publish_times], axis=1).astype("<i8").view(np.uint8)
-        front = np.frombuffer(head[:-16], np.uint8)
-        made = np.hstack([np.tile(front, (count, 1)), times, one.data])
-        pieces(data, made.shape[1])[own_places] = made.view(f"V{made.shape[1]}")[:, 0]
+        made = np.zeros(count, np.dtype([*_MESSAGE_FIELDS, ("data", "u1", (size,))]))
+        made["opcode"], made["length"] = Opcode.MESSAGE, MESSAGE.size - RECORD.size + size
+        made["channel"], made["data"] = channel, one.data
+        made["log_time"], made["publish_time"] = one.log_times, one.publish_times
+        pieces(data, made.itemsize)[own_places] = made.view(f"V{made.itemsize}")
     return Records(data.tobytes(), rows)

@@ -38,7 +38,7 @@ from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
-from tsobs_ros.errors import BagReadError, BagWriteError, LogError, ModelError
+from tsobs_ros.errors import BagWriteError, LogError, ModelError
 from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.health import judge_rate
 from tsobs_ros.estimation.records import GATED, HEALTH, NON_FINITE, REASONS, RejectReason
@@ -498,23 +498,13 @@ def run_all(
 
 
 def _begin_bag(writer: BagWriter, source: Source, runs: Sequence[Run], *, copy: bool) -> None:
-    """Write what runs are of, and recorded messages: in front, as of equal times they come first.
-
-    Their chunks are copied as they are. Where that cannot be, messages are copied one by one.
-    """
-    chunks = source.chunks() if copy else None
-    for one in source.topics if copy else ():
-        ids = None if chunks is None else chunks.ids(one.name)
-        writer.add_topic(one.name, one.type, one.qos_profiles, definition=one.definition, ids=ids)
+    """Write what runs are of, and recorded messages, which come first among those of their time."""
+    if copy:
+        source.add_topics(writer)
     own = (topic.definition for topic in source.topics if topic.type == JOINT_STATE)
     definition = next(own, None) or find_definition(JOINT_STATE)
     # First of all, so that it comes first among the messages of its time.
     for run in runs:
         run.begin(writer, definition)
-    if chunks is None:
-        writer.write_all(source.messages() if copy else ())
-        return
-    try:
-        chunks.copy(writer)
-    except BagReadError as error:
-        source.damage = error
+    if copy:
+        source.copy(writer)

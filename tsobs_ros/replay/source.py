@@ -12,7 +12,7 @@ import numpy as np
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import TICK_LOG
-from tsobs_ros.bag.copying import ChunkCopy
+from tsobs_ros.bag.copying import add_topics, copy_chunks
 from tsobs_ros.bag.joint_series import (
     JointSeries,
     RawMessages,
@@ -24,6 +24,7 @@ from tsobs_ros.bag.joint_series import (
 from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
+from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.checks import Flags
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.request import AnyRequest, ArmRequest, TSRequest
@@ -179,9 +180,14 @@ class Source:
         """Yield the messages of `topics` in order of log time, up to any damage."""
         raise NotImplementedError
 
-    def chunks(self) -> ChunkCopy | None:
-        """Return what copies the messages of `topics` chunk by chunk; None if nothing can."""
-        return None
+    def add_topics(self, writer: BagWriter) -> None:
+        """Register `topics` in a new bag."""
+        for one in self.topics:
+            writer.add_topic(one.name, one.type, one.qos_profiles, definition=one.definition)
+
+    def copy(self, writer: BagWriter) -> None:
+        """Copy the messages of `topics` to a new bag that has them, up to any damage."""
+        writer.write_all(self.messages())
 
     def _read(self) -> None:
         """Read the measurements, and what there is to know of them."""
@@ -279,10 +285,17 @@ class BagSource(Source):
         names = [topic.name for topic in self.topics]
         return until_damage(self.reader.messages(names), self.damaged)
 
-    def chunks(self) -> ChunkCopy | None:
-        # Of a damaged bag the messages before the damage are wanted, and no others.
-        found = ChunkCopy(self.reader, [topic.name for topic in self.topics])
-        return found if self.damage is None and found.is_sound(self.topic) else None
+    def add_topics(self, writer: BagWriter) -> None:
+        add_topics(self.reader, writer, [topic.name for topic in self.topics])
+
+    def copy(self, writer: BagWriter) -> None:
+        if self.damage is not None:  # the messages in front of it are wanted, and no others
+            super().copy(writer)
+            return
+        try:
+            copy_chunks(self.reader, writer, [topic.name for topic in self.topics])
+        except BagReadError as error:
+            self.damaged(error)
 
     def damaged(self, error: BagReadError) -> None:
         """Note damage that has ended reading."""
