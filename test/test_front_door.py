@@ -132,7 +132,7 @@ def test_estimates_from_arrays_are_those_of_a_tracker(design: Design) -> None:
         assert estimates.disturbance[row] == one.disturbance[0]
         assert estimates.disturbance_bound[row] == one.disturbance_bound[0]
         assert estimates.parameters[row].tolist() == one.parameters.tolist()
-        assert estimates.certified[row] == one.certified
+        assert estimates.certified[row] == (one.basis.name == "CERTIFIED")
     assert (estimates.used, estimates.rejected) == (401, {})
     assert np.isfinite(estimates.innovation).all()
     assert np.array_equal(estimates.innovation_time, run.time + 5.0)

@@ -11,41 +11,11 @@ from os import PathLike
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tsobs_ros.core import native
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.methods import ObserverSettings, make_tracker
-
-MAX_STEPS = 1024
-"""Most measurements in a history, as that of the node."""
-
-
-def exported(
-    design: Design, settings: ObserverSettings | None = None, *, max_steps: int = MAX_STEPS
-) -> NDArray[np.int64]:
-    """Return the words of an exported design.
-
-    Args:
-        design: From `load_design` or `synthesise`.
-        settings: Method, gates and timeouts; the node's defaults if None.
-        max_steps: Most measurements to which a late one can rewind. Each takes the room of a state.
-
-    Raises:
-        ModelError: The method cannot observe this model, or the number of measurements is not
-            within 1 and a million.
-    """
-    settings = settings or ObserverSettings()
-    if not 1 <= max_steps <= 10**6:
-        raise ModelError(f"max_steps: expected 1 to 1000000, got {max_steps}")
-    tracker = make_tracker(design, settings)
-    memory = tracker.memory.copy()
-    memory["max_steps"] = max_steps
-    model = tracker.estimator.model.view(np.int64)
-    words = np.concatenate([[0, 0, len(model), 0], model, memory.view(np.int64)])
-    native.exported_seal(words)
-    return words
 
 
 def export_c(
@@ -53,22 +23,32 @@ def export_c(
     output: str | PathLike[str],
     settings: ObserverSettings | None = None,
     *,
-    max_steps: int = MAX_STEPS,
+    max_steps: int = 1024,
 ) -> tuple[int, int]:
     """Write a design's estimator into a file for C and C++ programs, as `tsobs export-c`.
 
     Args:
-        design: As of `exported`, and so are `settings` and `max_steps`.
+        design: From `load_design` or `synthesise`.
         output: The file, which is replaced.
+        settings: Method, gates and timeouts; the node's defaults if None.
+        max_steps: Most measurements to which a late one can rewind, by default as many as the node.
+            Each takes the room of a state.
 
     Returns:
         The bytes of the file, and those of the room that a tracker needs in the program.
 
     Raises:
-        ModelError: As of `exported`.
+        ModelError: The method cannot observe this model, or the number of measurements is not
+            within 1 and a million.
         OSError: The file cannot be written.
     """
-    words = exported(design, settings, max_steps=max_steps)
+    if not 1 <= max_steps <= 10**6:
+        raise ModelError(f"max_steps: expected 1 to 1000000, got {max_steps}")
+    tracker = make_tracker(design, settings)
+    tracker.memory["max_steps"] = max_steps
+    model = tracker.estimator.model.view(np.int64)
+    words = np.concatenate([[0, 0, len(model), 0], model, tracker.memory.view(np.int64)])
+    native.exported_seal(words)
     room = native.exported_open(words)
     if sys.byteorder == "big":
         words = words.byteswap()

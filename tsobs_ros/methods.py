@@ -128,10 +128,7 @@ class ObserverSettings:
         return {name: plain(value) for name, value in values.items()}
 
     def with_parameters(self, values: Mapping[str, Any]) -> "ObserverSettings":
-        """Return the settings with some of them changed.
-
-        Args:
-            values: By the node's parameter names, `SETTING_NAMES`; text is converted.
+        """Return the settings with some of them changed, by `SETTING_NAMES`; text is converted.
 
         Raises:
             ParameterError: There is no such parameter, or a value is not accepted.
@@ -148,11 +145,9 @@ SETTING_NAMES = tuple(schema_of(ObserverSettings).entries)
 
 
 def read_parameters(path: Path, node: str = "observer") -> dict[str, Any]:
-    """Return a node's parameters from a parameter file, by their full names.
+    """Return a node's parameters, by their full names, from a file as for its `--params-file`.
 
-    Args:
-        path: A file as for `--params-file` of a node.
-        node: The node's name; sections for all nodes, `/**`, count too.
+    Sections for all nodes, `/**`, count too.
 
     Raises:
         ParameterError: The file is missing, no YAML, or has no parameters of the node.
@@ -161,19 +156,19 @@ def read_parameters(path: Path, node: str = "observer") -> dict[str, Any]:
     sections = read_yaml(path, "parameter file", ParameterError)
     for name, section in sections.items():
         if str(name).rpartition("/")[2] in (node, "**", "*") and isinstance(section, dict):
-            found |= _flat(section.get("ros__parameters"))
+            _flatten(section.get("ros__parameters"), "", found)
     if not found:
         has = ", ".join(map(str, sections)) or "none"
         raise ParameterError(f"{path}: no ros__parameters of {node}; sections: {has}")
     return found
 
 
-def _flat(section: Any, prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for name, value in section.items() if isinstance(section, dict) else ():
-        inner = isinstance(value, dict)
-        flat |= _flat(value, f"{prefix}{name}.") if inner else {f"{prefix}{name}": value}
-    return flat
+def _flatten(section: Any, name: str, found: dict[str, Any]) -> None:
+    if not isinstance(section, dict):
+        found |= {name: section} if name else {}
+        return
+    for inner, value in section.items():
+        _flatten(value, f"{name}.{inner}" if name else str(inner), found)
 
 
 def contender(settings: ObserverSettings, name: str) -> ObserverSettings:
@@ -232,26 +227,22 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
         )
     elif isinstance(request, TSRequest):
         return paper_system_observer(request)
+    elif request.output_names != ("link_angle",):
+        raise ModelError(
+            f"method {method}: expected a design with the link angle as its only output, "
+            f"got {', '.join(request.output_names)}"
+        )
     else:
-        estimator = _make_rival(request, settings)
+        known = (request.period, request.measurement_std, request.torque)
+        if method == "paper":
+            estimator = paper_observer(request.arm, *known)
+        else:
+            integral = method == "proportional_integral"
+            theta = settings.theta
+            estimator = baselines.high_gain(request.arm, theta, *known, integral=integral)
     limits = request.torque_limits(settings.torque_limit, settings.torque_rate_limit)
     if limits is not None:
         estimator.limit_torque(limits)
-    return estimator
-
-
-def _make_rival(request: ArmRequest, settings: ObserverSettings) -> Estimator:
-    """Return one of the observers that take a disturbance of the sensor for motion."""
-    if request.output_names != ("link_angle",):
-        raise ModelError(
-            f"method {settings.method}: expected a design with the link angle as its only output, "
-            f"got {', '.join(request.output_names)}"
-        )
-    common = (request.period, request.measurement_std)
-    if settings.method == "paper":
-        return paper_observer(request.arm, *common, request.torque)
-    make = getattr(baselines, settings.method)
-    estimator: Estimator = make(request.arm, settings.theta, *common, request.torque)
     return estimator
 
 

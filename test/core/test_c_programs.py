@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 import tsobs_ros as ts
-from tsobs_ros import exported
 from tsobs_ros.checks import Array
 from tsobs_ros.cli.main import main
 from tsobs_ros.core import native
@@ -157,8 +156,10 @@ def test_every_bit_is_that_of_python(
 
 
 @pytest.fixture(scope="module")
-def words() -> Any:
-    return exported.exported(DESIGNS["fixed"](), max_steps=4)
+def words(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    path = tmp_path_factory.mktemp("words") / "x.tsobs"
+    ts.export_c(DESIGNS["fixed"](), path, max_steps=4)
+    return np.fromfile(path, "<i8")
 
 
 @pytest.mark.parametrize(
@@ -206,8 +207,8 @@ def test_the_command_writes_what_the_settings_say(
     assert re.match(rf"{path}: [\d,]+ bytes; a tracker needs [\d,]+ bytes of memory", out)
     settings = replace(ts.ObserverSettings(), adapt=False, history=0.0)
     design = ts.load_design(config_path(SHIPPED_DESIGN))
-    expected = exported.exported(design, settings, max_steps=1).tobytes()
-    assert path.read_bytes() == expected
+    ts.export_c(design, again := tmp_path / "again.tsobs", settings, max_steps=1)
+    assert path.read_bytes() == again.read_bytes()
 
     assert main(command) == 1
     assert "exists already; --force replaces it" in capsys.readouterr().err

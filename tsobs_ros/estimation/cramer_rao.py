@@ -54,7 +54,8 @@ def cramer_rao_std(
 ) -> Array:
     """Return the least 1σ of errors after each sample, from the samples up to it.
 
-    The constants are an offset of the output, which is another one after each jump, and θ.
+    The constants are an offset of the output, which is another one from each of the jumps on, and
+    those of θ that are not known.
 
     Args:
         flow: Of the true arm, the first of whose outputs is measured, with what of the disturbance
@@ -63,10 +64,6 @@ def cramer_rao_std(
         torques: Applied from each sample on [N m], shape (runs, samples).
         information: Of each sample about its output [1/unit²], 0 if it is lost, shape (samples,).
         initial_std: 1σ of the flow's states at the first sample, shape (n,).
-        offset_std: 1σ of the offset beforehand.
-        jumps: Samples from which on the offset is another one.
-        uncertainty: Parameters that are not known; None if all are.
-        theta_std: 1σ of each beforehand.
 
     Returns:
         1σ of the physical states (rad, rad/s), of the disturbance and of θ, shape
@@ -138,11 +135,7 @@ def _derivatives(
 
 
 def white_information(std: float, degrees: int = 0) -> float:
-    """Return the Fisher information of a sample about its mean [1/unit²].
-
-    Args:
-        std: σ, which multiplies the noise.
-        degrees: ν of Student's t, whose information is (ν + 1)/(ν + 3)/σ²; 0 for normal noise.
-    """
+    """Return the Fisher information of a sample about its mean [1/unit²]: 1/σ² of normal noise, and
+    (ν + 1)/(ν + 3)/σ² of Student's t with ν degrees."""
     share = (degrees + 1.0) / (degrees + 3.0) if degrees else 1.0
     return share / math.pow(std, 2.0)

@@ -119,12 +119,7 @@ class DisturbanceLimits:
 
 
 class Debounce(Generic[T]):
-    """Passes a value on once it has lasted.
-
-    Attributes:
-        value: What is passed on.
-        since: When that began [ns], None as long as it is the one from the start.
-    """
+    """Passes a value on once it has lasted, and when it began [ns], None if it was the first."""
 
     def __init__(self, value: T) -> None:
         self.value = value
@@ -151,16 +146,6 @@ class LastMinute:
 
     What was counted before the first update belongs to it. A count that falls, as after a restart,
     goes on from there.
-
-    Attributes:
-        growth: Of each count that has grown.
-
-    Example:
-        >>> recent = LastMinute()
-        >>> for second in range(100):
-        ...     grown = recent.update(second * 1_000_000_000, {"received": 200 * (second + 1)})
-        >>> recent.growth["received"]
-        12000
     """
 
     def __init__(self) -> None:
@@ -169,12 +154,7 @@ class LastMinute:
         self._past: deque[tuple[int, Counter[str]]] = deque()
 
     def update(self, now: int, totals: Mapping[str, int]) -> Counter[str]:
-        """Take in counts since the start; return how much they have grown since the last.
-
-        Args:
-            now: A steady time [ns].
-            totals: The counts, by name.
-        """
+        """Take in counts since the start at a steady time [ns]; return their growth since."""
         latest = Counter(totals)
         grown = latest - self._totals
         self._totals = latest
@@ -186,15 +166,8 @@ class LastMinute:
 
 
 def judge_rate(measured: float, wanted: float) -> tuple[int, str]:
-    """Compare the rate of measurements with the design's.
-
-    Args:
-        measured: Of the measurements [Hz].
-        wanted: Of the design [Hz].
-
-    Returns:
-        1 if it is too slow, -1 if much faster, else 0; and a sentence on it, with what to do.
-    """
+    """Return 1 if measurements come at a lower rate [Hz] than the design's, -1 if at a much higher
+    one, else 0; and a sentence on it, with what to do."""
     text = f"measurements come at {measured:{'.3g' if measured < 1000.0 else '.0f'}} Hz, the design"
     off = int(wanted > _MAX_PERIODS * measured) - int(wanted < _MIN_PERIODS * measured)
     if not off:

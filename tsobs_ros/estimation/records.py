@@ -258,11 +258,6 @@ class Estimate(NamedTuple):
     age: float = 0.0
 
     @property
-    def certified(self) -> bool:
-        """Whether the bounds are the certificate's."""
-        return self.basis is Basis.CERTIFIED
-
-    @property
     def health(self) -> list[float]:
         """What the numbers are worth, the fields of `HEALTH`."""
         return [float(getattr(self, name)) for name in HEALTH]
