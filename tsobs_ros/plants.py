@@ -73,24 +73,24 @@ def _of_arm(request: ArmRequest, mismatch: Mapping[str, float]) -> Scenario:
 def _of_system(request: TSRequest, mismatch: Mapping[str, float]) -> SystemScenario:
     model, uncertain = request.model, request.uncertainty_model
     check_names("mismatch", mismatch, uncertain.names)
-    change = np.zeros(model.rates.shape)
+    change, names = np.zeros(model.rates.shape), request.output_names
     for name, theta in mismatch.items():
         direction = uncertain.directions[uncertain.names.index(name)]
         change += finite(f"mismatch {name}", theta) * direction
     stds = np.asarray(request.measurement_std).tolist()
     return SystemScenario(
         model,
+        model.rates + change,
         tuple(
             SimulatedOutput(name, Sensor(noise_std=std))
-            for name, std in zip(request.output_names, stds, strict=True)
+            for name, std in zip(names, stds, strict=True)
         ),
-        rate=request.rate,
-        process_noise=request.process_noise,
-        inputs=(Sine(),) * model.input_count + (NoTorque(),) * model.schedule.shape[1],
+        (Sine(),) * model.input_count + (NoTorque(),) * model.schedule.shape[1],
         # A scheduled signal that has the name of an output is that output as it is measured.
-        fed_back=tuple(
-            name if name in request.output_names else None
+        tuple(
+            names.index(name) if name in names else None
             for name in request.input_names[model.input_count :]
         ),
-        change=change,
+        np.asarray(request.process_noise),
+        request.rate,
     )

@@ -86,29 +86,31 @@ MANY = replace(
         SimulatedOutput("motor_velocity", Sensor(0.1, latency=0.02, dropout_interval=0.4)),
     ),
 )
-SYSTEM = SystemScenario(
-    TSModel(
-        A=np.array([[[0.0, 1.0], [-9.81, -0.2]], [[0.0, 1.0], [-4.0, -0.2]]]),
-        B=np.array([[0.0], [1.0]]),
-        C=np.eye(2),
-        rule_base=RuleBase(
+MODEL = TSModel(
+    A=np.array([[[0.0, 1.0], [-9.81, -0.2]], [[0.0, 1.0], [-4.0, -0.2]]]),
+    B=np.array([[0.0], [1.0]]),
+    C=np.eye(2),
+    rule_base=RuleBase(
+        (
             (
-                (
-                    membership("gaussian", {"centre": 0.0, "width": 0.5}),
-                    membership("sine_upper", {"half_width": 1.2}),
-                ),
-                (membership("gaussian", {"centre": 1.0, "width": 0.7}), membership("always")),
-            )
-        ),
-        premise=np.array([[1.0, 0.0], [0.5, 0.0]]),
-        schedule=np.array([[0.3], [0.0]]),
+                membership("gaussian", {"centre": 0.0, "width": 0.5}),
+                membership("sine_upper", {"half_width": 1.2}),
+            ),
+            (membership("gaussian", {"centre": 1.0, "width": 0.7}), membership("always")),
+        )
     ),
+    premise=np.array([[1.0, 0.0], [0.5, 0.0]]),
+    schedule=np.array([[0.3], [0.0]]),
+)
+SYSTEM = SystemScenario(
+    MODEL,
+    MODEL.rates + 0.01,
     tuple(replace(each, measures=name) for each, name in zip(MANY.outputs, "ab", strict=False)),
-    initial_state=(0.4, 0.0),
-    initial_spread=(0.1, 0.2),
-    process_noise=(1e-4, 1e-3),
     inputs=(Multisine(), Sine(0.5)),
-    change=np.full((2, 2, 3), 0.01),
+    fed_back=(None,),
+    process_noise=np.array([1e-4, 1e-3]),
+    rate=200.0,
+    initial_state=(0.4, 0.0),
 )
 
 
@@ -118,7 +120,7 @@ def measured(run: Any, number: int = 0) -> Array:
     return np.asarray(rest[..., number])
 
 
-@pytest.mark.parametrize("scenario", [BUSY, MANY, SYSTEM])
+@pytest.mark.parametrize("scenario", [BUSY, MANY, SYSTEM, replace(SYSTEM, fed_back=(1,))])
 def test_a_run_is_the_same_bits_in_a_batch_alone_in_one_call_and_sample_by_sample(
     scenario: PlantScenario, monkeypatch: pytest.MonkeyPatch
 ) -> None:

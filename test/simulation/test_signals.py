@@ -12,7 +12,7 @@ import pytest
 
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError, TsobsError
-from tsobs_ros.settings import describe
+from tsobs_ros.settings import schema_of
 from tsobs_ros.simulation.plant import Plant, Scenario
 from tsobs_ros.simulation.signals import (
     EXCITATIONS,
@@ -118,7 +118,7 @@ def test_multisine_has_the_stated_power_and_a_moderate_crest() -> None:
 @pytest.mark.parametrize("kinds", [EXCITATIONS, KINDS])
 def test_the_table_describes_every_number(kinds: Any) -> None:
     for name, kind in kinds.items():
-        assert [each[0] for each in describe(kind)] == [each.name for each in fields(kind)]
+        assert list(schema_of(kind).entries) == [each.name for each in fields(kind)]
         assert signal_of(kinds, name) == signal_of(kinds, {"kind": name}) == kind()
 
 

@@ -7,19 +7,19 @@ millisecond, with inputs and scheduled signals held from a sample to the next.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, check_names, non_negative, positive
+from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.simulation.integrator import Motion, substeps
 from tsobs_ros.simulation.plant import PlantScenario, SimulatedOutput
-from tsobs_ros.simulation.signals import NoTorque, Signal
+from tsobs_ros.simulation.signals import Signal
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 
@@ -29,68 +29,44 @@ class SystemScenario(PlantScenario):
 
     Attributes:
         model: The nominal system, the one an estimator knows.
+        true_rates: [Aᵢ Bᵢ] of the true system's rules, shape (r, n, n + m).
         outputs: What measures each output, p of them.
+        inputs: Signals of the inputs, then of the scheduled signals, m + s of them.
+        fed_back: Of each scheduled signal the number of the output whose last finite measurement
+            it is, None of a signal of its own.
+        process_noise: Densities of white noise on each state's derivative, shape (n,).
         rate: Samples per second [Hz].
-        duration: How long a campaign simulates [s].
-        initial_state: Mean of x(0), shape (n,); zero by default.
-        initial_spread: 1σ of x(0), shape (n,); none by default.
-        process_noise: Densities of white noise on each state's derivative, shape (n,); none by
-            default.
-        inputs: Signals of the inputs, then of the scheduled signals, m + s of them; none by
-            default.
-        fed_back: Names of the outputs whose measurements are scheduled signals, one for each of
-            these, None of a signal of its own; none by default. What is held is the last finite
-            value.
-        change: [ΔAᵢ ΔBᵢ] of the true system's rules, shape (r, n, n + m); none by default.
+        duration: How long a run is [s].
+        initial_state: x(0), shape (n,); zero if None.
 
     Raises:
-        ModelError: A number is not finite, of the wrong sign or shape.
+        ModelError: A number is not finite, of the wrong sign or shape, or an output that is fed
+            back would depend on itself.
     """
 
     model: TSModel
+    true_rates: Array
     outputs: tuple[SimulatedOutput, ...]
-    rate: float = 200.0
+    inputs: tuple[Signal, ...]
+    fed_back: tuple[int | None, ...]
+    process_noise: Array
+    rate: float
     duration: float = 60.0
     initial_state: ArrayLike | None = None
-    initial_spread: ArrayLike | None = None
-    process_noise: ArrayLike | None = None
-    inputs: tuple[Signal, ...] = ()
-    fed_back: tuple[str | None, ...] = ()
-    change: ArrayLike | None = None
-    true_rates: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         model = self.model
-        n, p = model.state_count, model.C.shape[0]
-        signals = model.input_count + model.schedule.shape[1]
         positive("rate", self.rate)
         non_negative("duration", self.duration)
-        for name in ("initial_state", "initial_spread", "process_noise"):
-            given = getattr(self, name)
-            values = as_matrix(name, np.zeros(n) if given is None else given, (n,))
-            if name != "initial_state" and (values < 0.0).any():
-                raise ModelError(f"{name}: expected numbers of at least 0, got {values.tolist()}")
-            object.__setattr__(self, name, values)
-        if len(self.outputs) != p:
-            raise ModelError(f"outputs: expected {p}, one per output, got {len(self.outputs)}")
-        object.__setattr__(self, "inputs", self.inputs or (NoTorque(),) * signals)
-        if len(self.inputs) != signals:
-            raise ModelError(
-                f"inputs: expected {signals} signals, one per input and scheduled signal, "
-                f"got {len(self.inputs)}"
-            )
-        shape = model.rates.shape
-        change = np.zeros(shape) if self.change is None else self.change
-        object.__setattr__(self, "true_rates", model.rates + as_matrix("change", change, shape))
+        start = np.zeros(model.state_count) if self.initial_state is None else self.initial_state
+        state = as_matrix("initial_state", start, (model.state_count,))
+        object.__setattr__(self, "initial_state", state)
         object.__setattr__(self, "input_count", model.input_count)
-        names = [output.measures for output in self.outputs]
-        check_names("fed_back", filter(None, self.fed_back), names)
-        for name in filter(None, self.fed_back):
-            rows = model.rule_outputs[:, names.index(name)]
-            if (rows != rows[0]).any():
+        for number in self.fed_back:
+            if number is not None and np.ptp(model.rule_outputs[:, number], axis=0).any():
                 raise ModelError(
-                    f"fed_back: expected an output with the same C in all rules, got {name}, whose "
-                    "value would depend on itself"
+                    f"{self.outputs[number].measures}: expected the same C in all rules, as its "
+                    "measurement is a scheduled signal"
                 )
 
     @property
@@ -114,7 +90,6 @@ class SystemMotion(Motion):
         n, m, outputs = model.state_count, model.input_count, model.rule_outputs
         sizes = [n, m, model.schedule.shape[1], model.C.shape[0], *shapes.shape]
         self._sizes, steps = np.array(sizes, np.int64), substeps(rate)
-        densities = np.asarray(scenario.process_noise)
         record = np.zeros(1, record_type("simulated_system", self._sizes))
         for name, value in {
             "substeps": steps,
@@ -126,19 +101,17 @@ class SystemMotion(Motion):
             "premise": np.hstack(
                 [model.premise, np.zeros((len(model.premise), m)), model.schedule]
             ),
-            "strengths": np.sqrt(densities / rate / steps),
+            "strengths": np.sqrt(scenario.process_noise / rate / steps),
         }.items():
             record[name] = value
         self._numbers, self._outputs = record.view(np.float64), outputs
-        spread = RandomStream(seeds, Source.INITIAL_STATE).take(n)
-        self.states = np.asarray(scenario.initial_state) + spread * np.asarray(
-            scenario.initial_spread
-        )
-        self._kicks = steps * n if densities.any() else 0
+        self.states = np.repeat([np.asarray(scenario.initial_state)], len(seeds), axis=0)
+        self._kicks = steps * n if scenario.process_noise.any() else 0
         self._noise = RandomStream(seeds, Source.PROCESS)
-        names = [output.measures for output in scenario.outputs]
         self.fed_back = tuple(
-            (m + place, names.index(name)) for place, name in enumerate(scenario.fed_back) if name
+            (m + place, number)
+            for place, number in enumerate(scenario.fed_back)
+            if number is not None
         )
 
     def known_output(self, output: int) -> Array:
