@@ -191,7 +191,7 @@ def check_numbers(record: Any, name: str) -> None:
             low = -math.inf if rule.minimum is None else rule.minimum
             high = math.inf if rule.maximum is None else rule.maximum
             if not (math.isfinite(value) and low <= value <= high):
-                limits = f" of {' and '.join(rule.limits)}" if rule.limits else ""
+                limits = f" of {rule.limits}" if rule.limits else ""
                 raise ModelError(
                     f"{name} {item.name}: expected a finite number{limits}, got {value!r}"
                 )
