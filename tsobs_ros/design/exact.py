@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The certificate in exact rational arithmetic: no floating point number enters the verdict.
 
-The numbers of the request, P and K are floats, and every float is a fraction, so X = P⁻¹ and the
+The numbers of the model, P and K are floats, and every float is a fraction, so X = P⁻¹ and the
 claim of `certificate` can be written in fractions, up to three things that are not rational:
 
 - the linear flow Φ = e^{AT} and its noise Q. They are enclosed by Taylor polynomials in fractions
@@ -16,10 +16,8 @@ positive, which integers decide. The margins are proved as well: μ is printed o
 still holds with μ X a second taken away. Candidates for μ come from the check in floating point;
 the proof does not rely on them.
 
-The model is the request's: A and the arm's noise are computed from its parameters, and the mean of
-a T–S system's rules from their matrices, without rounding; the disturbance's S, H and G and the
-directions of uncertainty are those that are stored. Memberships do not enter: every blend of the
-vertices is covered.
+A and the noise are those that the observer's own model has. Memberships do not enter: every blend
+of the vertices is covered.
 """
 
 import math
@@ -36,8 +34,7 @@ from tsobs_ros.design.certificate import UNMODELLED, CertificateReport, Inequali
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, QUANTITIES
-from tsobs_ros.model.disturbance import DisturbanceModel
+from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY
 from tsobs_ros.model.flow import kick_corners
 from tsobs_ros.model.uncertainty import EXTERNAL, TORQUE
 
@@ -103,17 +100,6 @@ def _margin(matrix: Rational, unit: Rational, guess: float) -> float:
     return 0.0
 
 
-class _Parts(NamedTuple):
-    """A request's step in fractions: its matrices, and half a kick of an arm at each corner, or the
-    deviation of each of a system's matrices from their mean.
-    """
-
-    drift: Rational
-    density: Rational
-    output: Rational
-    corners: list[Rational]
-
-
 def _decreases(design: Design) -> Iterator[tuple[str, Rational, Rational]]:
     """Yield each vertex, λ²X less an upper bound on the covariance after a step from X, and T X.
 
@@ -121,19 +107,19 @@ def _decreases(design: Design) -> Iterator[tuple[str, Rational, Rational]]:
     keeps the flow's norm small.
     """
     request, period = design.request, 1 / Fraction(design.request.rate)
-    parts = _arm_parts(request) if isinstance(request, ArmRequest) else _system_parts(request)
-    _, (scale, _) = matrix_balance(np.asarray(parts.drift, float), permute=False, separate=True)
+    drift, duration = request.flow.drift, Fraction(request.flow.linear_share) * period
+    _, (scale, _) = matrix_balance(drift, permute=False, separate=True)
     D, inverted = np.diag(rational(scale)), np.diag(1 / rational(scale))
-    duration = Fraction(request.flow.linear_share) * period
-    flow = inverted @ (duration * parts.drift) @ D
+    flow = inverted @ (duration * rational(drift)) @ D
     phi = exponential(flow)
-    noise = noise_integral(flow, inverted @ (duration * parts.density) @ inverted)
+    noise = noise_integral(flow, inverted @ (duration * rational(request.flow.density)) @ inverted)
     gain: Rational = inverted @ rational(design.K)
     X = inverse(D @ rational(design.P) @ D)
-    closed = identity(len(gain)) - gain @ parts.output @ D
+    closed = identity(len(gain)) - gain @ rational(request.flow.output_matrix) @ D
     posterior = closed @ X @ closed.T + (gain * rational(request.output_std) ** 2) @ gain.T
     kept = decay_below(2 * Fraction(request.decay_rate) * period)
-    corners = [inverted @ corner @ D for corner in parts.corners]
+    changes = _kicks(request, period) if isinstance(request, ArmRequest) else _deviations(request)
+    corners = [inverted @ corner @ D for corner in changes]
     pairs = zip(request.vertices(), product(corners, repeat=2), strict=True)
     for vertex, (first, second) in pairs:
         if isinstance(request, ArmRequest):
@@ -156,91 +142,39 @@ def _after_system_step(
     return _bounded(phi, noise, _bounded(middle, half, W))
 
 
-def _arm_parts(request: ArmRequest) -> _Parts:
-    """Return the exact linear flow of an arm, from its parameters without rounding."""
-    arm, flow = request.arm, request.flow
-    j1, j2, k = (Fraction(v) for v in (arm.link_inertia, arm.motor_inertia, arm.stiffness))
-    A: Rational = rational(np.zeros((4, 4)))
-    A[0], A[2] = [0, 1, 0, 0], [0, 0, 0, 1]
-    A[LINK_VELOCITY] = [-k / j1, -Fraction(arm.link_damping) / j1, 1, 0]
-    A[MOTOR_VELOCITY] = [k * k / (j1 * j2), 0, -k / j2, -Fraction(arm.motor_damping) / j2]
-    link, motor = Fraction(request.process_noise.link), Fraction(request.process_noise.motor)
-    white = np.diag(rational([0, link, 0, motor * (k / j1) ** 2]))
-    models = flow.disturbance, flow.torque_disturbance
-    drift, density = _with_disturbances(A, white, *models)
-    torques, n = rational(models[1].H), 4 + models[0].state_count
-    drift[MOTOR_VELOCITY, n:] = k / (j1 * j2) * torques[0]
-    drift[LINK_VELOCITY, n:] = torques[1] / j1
-    output, scale = rational(flow.output_matrix), [Fraction(1)] * 2 + [j1 / k] * 2
-    for row, each in zip(output, request.sensors, strict=True):
-        place = QUANTITIES.index(each.measures)
-        row[place] = scale[place]
-        if each.delay:
-            row[place + 1] = -Fraction(each.delay) * scale[place]
-    return _Parts(drift, density, output, list(_kicks(request, len(drift))))
-
-
-def _kicks(request: ArmRequest, n: int) -> Iterator[Rational]:
+def _kicks(request: ArmRequest, period: Fraction) -> Iterator[Rational]:
     """Yield half a kick of gravity and of the uncertain parameters at each corner of the domain."""
-    arm, half = request.arm, 1 / Fraction(request.rate) / 2
-    covered = request.uncertainty_model if request.certify_uncertainty else None
+    flow, uncertain, half = request.flow, request.uncertainty_model, period / 2
+    covered = uncertain if request.certify_uncertainty else None
     bounds = [Fraction(bound) for bound in request.uncertainty.values()]
-    slopes = [Fraction(1)]
-    if arm.gravity_torque:
-        slopes.insert(0, cosine_below(Fraction(request.x_max)))
-    torques = rational([request.flow.motor_torque, request.flow.link_torque])
-    linear = [] if covered is None else covered.linear_places
-    changes = rational(request.uncertainty_model.directions[linear, 0])
+    slopes = [cosine_below(Fraction(request.x_max))] * bool(flow.gravity_gain) + [Fraction(1)]
+    linear = uncertain.linear_places if covered else []
+    changes = rational(uncertain.directions[linear, 0])
+    torques = rational([flow.motor_torque, flow.link_torque])
     for slope, thetas in kick_corners(slopes, covered, bounds):
-        kick = identity(n)
+        kick = identity(flow.state_count)
         for theta, change in zip(thetas, changes, strict=True):
             kick[:4, :4] += half * theta * change[:, :4]
             kick[:4] += half * theta * (change[:, [TORQUE, EXTERNAL]] @ torques)
-        gravity = Fraction(arm.gravity_torque) / Fraction(arm.link_inertia)
-        kick[LINK_VELOCITY, LINK_ANGLE] -= half * gravity * slope
+        kick[LINK_VELOCITY, LINK_ANGLE] -= half * Fraction(flow.gravity_gain) * slope
         yield kick
 
 
-def _system_parts(request: TSRequest) -> _Parts:
-    """Return the exponential midpoint rule of a T–S system, around the mean of its rules."""
-    A = rational(request.model.A)
-    white = np.diag(rational(request.process_noise))
-    mean, density = _with_disturbances(A.sum(axis=0) / len(A), white, request.disturbance_model)
-    output = rational(request.flow.output_matrix)
-    return _Parts(mean, density, output, list(_deviations(request, mean)))
-
-
-def _deviations(request: TSRequest, mean: Rational) -> Iterator[Rational]:
+def _deviations(request: TSRequest) -> Iterator[Rational]:
     """Yield the vertex matrices less the mean of the rules, in the order of the vertices."""
-    uncertain = request.uncertainty_model
+    uncertain, drift = request.uncertainty_model, rational(request.flow.drift)
     matrices = rational(request.slope_vertices or request.model.A)
+    n = request.flow.plant_count
     changes = rational(uncertain.linear[:, :1] if request.slope_vertices else uncertain.linear)
     bounds = rational(uncertain.limits) if request.certify_uncertainty else rational([])
     for signs in product((-1, 1), repeat=len(bounds)):
         theta = bounds * np.array(signs, dtype=object)
         for i, matrix in enumerate(matrices):
-            changed = matrix + sum(
-                by * change[i % len(change)] for by, change in zip(theta, changes, strict=False)
-            )
-            deviation = 0 * mean
-            deviation[: len(matrix), : len(matrix)] = changed - mean[: len(matrix), : len(matrix)]
+            deviation = 0 * drift
+            deviation[:n, :n] = matrix - drift[:n, :n]
+            for by, change in zip(theta, changes, strict=False):
+                deviation[:n, :n] += by * change[i % len(change)]
             yield deviation
-
-
-def _with_disturbances(
-    A: Rational, white: Rational, *models: DisturbanceModel
-) -> tuple[Rational, Rational]:
-    """Return drift and density of a plant with exosystems behind it."""
-    n = len(A) + sum(model.state_count for model in models)
-    drift, density = rational(np.zeros((2, n, n)))
-    end = len(A)
-    drift[:end, :end], density[:end, :end] = A, white
-    for model in models:
-        own = slice(end, end + model.state_count)
-        drift[own, own] = rational(model.S)
-        density[own, own] = rational(model.G) @ rational(model.G).T
-        end = own.stop
-    return drift, density
 
 
 def _bounded(phi: Enclosure, noise: Enclosure, W: Rational) -> Rational:

@@ -105,6 +105,8 @@ class Flow(ABC):
         input_count: Number m of inputs and scheduled signals.
         scheduled_count: Number of scheduled signals, the last of them.
         rule_counts: Numbers of rules and of premise variables.
+        drift: Continuous matrix of x̄ of an arm without gravity, or of the mean of rules, shape (n, n).
+        density: Of the white noise on the derivative of x̄, shape (n, n).
 
     Raises:
         ModelError: The disturbance has another number of channels than the plant outputs, an entry
@@ -141,14 +143,16 @@ class Flow(ABC):
         joined = self._placed(C, 0) + self.disturbance_map
         self.output_matrix = as_matrix("C̄", joined, joined.shape)
         models = disturbance, torque_disturbance
-        self._drift = block_diagonal(A, *(model.S for model in models))
+        self.drift = block_diagonal(A, *(model.S for model in models))
         if torque_effect is not None:
-            self._drift[:n, n + disturbance.state_count :] = torque_effect
-        density = block_diagonal(np.diag(densities), *(model.noise_density for model in models))
+            self.drift[:n, n + disturbance.state_count :] = torque_effect
+        self.density = block_diagonal(
+            np.diag(densities), *(model.noise_density for model in models)
+        )
         inputs = np.zeros((self.state_count, m))
         inputs[:n] = B
         step = self.linear_share * self.period
-        turn = norm(self._drift) * step
+        turn = norm(self.drift) * step
         if not turn <= _LARGEST_TURN:
             raise ModelError(
                 f"period: expected the fastest mode to turn or decay by at most "
@@ -157,7 +161,7 @@ class Flow(ABC):
             )
         # The series converges fast for |A|t up to 1; the common step needs no doubling.
         self._reach = STRETCH * step / max(1.0, STRETCH * turn)
-        self._series, self._terms = taylor_series(self._drift, inputs, density, self._reach)
+        self._series, self._terms = taylor_series(self.drift, inputs, self.density, self._reach)
         if not all(np.isfinite(part).all() for part in self.nominal[1:4]):
             raise ModelError(
                 f"flow: every entry over a step of {step:.4g} s must be finite; "
@@ -200,7 +204,7 @@ class Flow(ABC):
 
     def augmented(self, A: Array) -> Array:
         """Return the continuous matrix of x̄, shape (n, n), for a state matrix of the plant."""
-        matrix = self._drift.copy()
+        matrix = self.drift.copy()
         matrix[: self.plant_count, : self.plant_count] = A
         return matrix
 
