@@ -8,23 +8,17 @@ alone, so the vectors that the other rows leave are found first, and that row th
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.design.problem import Channel
 from tsobs_ros.design.remedies import helpful, remedies_of_hidden_modes
 from tsobs_ros.design.request import AnyRequest, ArmRequest
 from tsobs_ros.errors import DetectabilityError
-from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY
-from tsobs_ros.model.detectability import (
-    HiddenMode,
-    format_mode,
-    hidden_modes,
-    undetectable_modes,
-)
+from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_ANGLE
+from tsobs_ros.model.detectability import HiddenMode, format_mode, undetectable_modes
 
 _PERSISTENT = -1e-9
 """Real parts above this [1/s] do not decay: the mode would outlive the robot."""
@@ -89,83 +83,53 @@ def require_detectable(
     """
     if is_detectable(request):
         return
-    lines, hidden = [f"no observer exists: {request.headline.partition(';')[0]}"], []
-    if request.disturbance_model.arbitrary:
-        unknown = [each.name for each in request.channels if each.model.arbitrary]
-        nothing = "nothing can be proved for a gain that uses it"
-        if len(unknown) == len(request.output_names):
-            nothing = "the estimate can only be an open-loop simulation"
-        names = ", ".join(unknown)
-        lines.append(f"  - arbitrary disturbance of {names}: explains every value; {nothing}")
-    else:
-        hidden = find_obstacles(request)
-        lines += [f"  - {obstacle.text}" for obstacle in hidden]
-    oscillates = any(each.eigenvalue.imag > 1e-3 for each in hidden)
-    families = remedies_of_hidden_modes(request, [each.slope for each in hidden], oscillates)
-    found = helpful(families, has_design)
-    advice = [f"  - {remedy.text}" for remedy in found] or [
-        "  - none of the changes that were tried"
-    ]
-    raise DetectabilityError("\n".join([*lines, "what would help:", *advice]), found)
+    unknown = [each.name for each in request.channels if each.model.arbitrary]
+    hidden = [] if unknown else find_obstacles(request)
+    lines = [f"no observer exists: {request.headline.partition(';')[0]}"]
+    lines += [f"  - {obstacle.text}" for obstacle in hidden]
+    if unknown:
+        lines.append(
+            f"  - arbitrary disturbance of {', '.join(unknown)}: explains every value; nothing can "
+            "be proved for a gain that uses it"
+        )
+    found = helpful(remedies_of_hidden_modes(request, [each.slope for each in hidden]), has_design)
+    advice = [remedy.text for remedy in found] or ["none of the changes that were tried"]
+    lines += ["what would help:", *(f"  - {text}" for text in advice)]
+    raise DetectabilityError("\n".join(lines), found)
 
 
 def _of_arm(request: ArmRequest) -> Iterator[Obstacle]:
-    eigenvalues, pure = [0j], []
-    for channel, place in _places(request):
-        model = channel.model
-        for eigenvalue in np.linalg.eigvals(model.S).astype(complex).tolist():
-            known = any(abs(eigenvalue - other) < 1e-6 for other in eigenvalues)
-            if not known and eigenvalue.real >= _PERSISTENT and eigenvalue.imag >= 0.0:
-                eigenvalues.append(eigenvalue)
-        for mode in hidden_modes(model.S, model.H):
-            if mode.eigenvalue.real >= _PERSISTENT and mode.eigenvalue.imag >= 0.0:
-                shape = np.zeros(request.flow.state_count, dtype=complex)
-                shape[place] = mode.shape
-                pure.append(shape)
-                parties = [f"the {kind} of {channel.name}" for kind in model.label.split("+")]
-                yield _obstacle(request, None, mode.eigenvalue, shape, parties)
-    for eigenvalue in eigenvalues:
-        yield from _shared_mode(request, eigenvalue, pure)
-
-
-def _places(request: ArmRequest) -> Iterator[tuple[Channel, slice]]:
-    """Yield the disturbances and the places of their states."""
-    begin = 4
+    """Yield the modes in which disturbances take back the arm's motion, or each other."""
+    persistent = [0j]
     for channel in request.channels:
-        end = begin + channel.model.state_count
-        yield channel, slice(begin, end)
-        begin = end
-
-
-def _shared_mode(
-    request: ArmRequest, eigenvalue: complex, pure: Sequence[Complex]
-) -> Iterator[Obstacle]:
-    """Yield the mode of an eigenvalue in which disturbances take back the arm's motion."""
+        for eigenvalue in np.linalg.eigvals(channel.model.S).astype(complex).tolist():
+            known = any(abs(eigenvalue - other) < 1e-6 for other in persistent)
+            if not known and eigenvalue.real >= _PERSISTENT and eigenvalue.imag >= 0.0:
+                persistent.append(eigenvalue)
     flow, (lowest, highest) = request.flow, request.slope_range
-    n, shows = flow.state_count, [not output.model.arbitrary for output in request.sensors]
-    A = flow.augmented(request.arm.slope_matrix(0.0)) - eigenvalue * np.eye(n)
-    pull = A[LINK_VELOCITY, LINK_ANGLE] - request.arm.slope_matrix(1.0)[LINK_VELOCITY, LINK_ANGLE]
-    others = np.delete(A, LINK_VELOCITY, axis=0)
-    kernel = _kernel(np.vstack([others, flow.output_matrix[shows], *np.conj(pure)]))
-    force, height = A[LINK_VELOCITY] @ kernel, kernel[LINK_ANGLE]
-    size = np.abs(A[LINK_VELOCITY]) @ np.abs(kernel)
-    slope: float | None = None
-    if kernel.shape[1] > 1:  # one combination of them at every slope
-        balance = (force - highest * pull * height)[np.newaxis]
-        kernel = kernel @ np.linalg.svd(balance)[2][-1:].conj().T
-    elif not kernel.size:
-        return
-    elif pull and abs(height[0]) > _TOLERANCE * np.abs(kernel[:, 0]).max():
-        at = force[0] / (pull * height[0])
-        outside = max(lowest - at.real, at.real - highest)
-        if not (abs(at.imag) <= _TOLERANCE and outside <= _TOLERANCE):
-            return
-        slope = float(min(max(at.real, lowest), highest))
-    elif abs(force[0]) > _TOLERANCE * size[0]:
-        return
-    shape = kernel[:, 0]
-    parties = list(_parties(request, eigenvalue, shape))
-    yield _obstacle(request, slope, eigenvalue, shape, parties)
+    shows = [not output.model.arbitrary for output in request.sensors]
+    pull = -request.arm.slope_matrix(1.0)[LINK_VELOCITY, LINK_ANGLE]
+    pull += request.arm.slope_matrix(0.0)[LINK_VELOCITY, LINK_ANGLE]
+    for eigenvalue in persistent:
+        A = flow.augmented(request.arm.slope_matrix(0.0)) - eigenvalue * np.eye(flow.state_count)
+        others = np.delete(A, LINK_VELOCITY, axis=0)
+        kernel = _kernel(np.vstack([others, flow.output_matrix[shows]]))
+        force, height = A[LINK_VELOCITY] @ kernel, kernel[LINK_ANGLE]
+        slope: float | None = None
+        if not kernel.size:
+            continue
+        if kernel.shape[1] > 1:  # one combination of them at every slope
+            balance = (force - highest * pull * height)[np.newaxis]
+            kernel = kernel @ np.linalg.svd(balance)[2][-1:].conj().T
+        elif pull and abs(height[0]) > _TOLERANCE * np.abs(kernel[:, 0]).max():
+            at = force[0] / (pull * height[0])
+            outside = max(lowest - at.real, at.real - highest)
+            if not (abs(at.imag) <= _TOLERANCE and outside <= _TOLERANCE):
+                continue
+            slope = float(min(max(at.real, lowest), highest))
+        elif abs(force[0]) > _TOLERANCE * (np.abs(A[LINK_VELOCITY]) @ np.abs(kernel[:, 0])):
+            continue
+        yield _obstacle(request, slope, eigenvalue, kernel[:, 0])
 
 
 def _kernel(matrix: Complex) -> Complex:
@@ -182,36 +146,32 @@ def _kernel(matrix: Complex) -> Complex:
     return np.asarray(scale[:, np.newaxis] * right[rank:].conj().T)
 
 
-def _parties(request: ArmRequest, eigenvalue: complex, shape: Complex) -> Iterator[str]:
-    """Yield what moves in a mode, in words."""
-    yield "the arm's motion" if abs(eigenvalue) > 1e-6 else "the arm's position"
-    angles = request.arm.to_physical(np.ones(4)) * shape[:4]
-    moving = shape / np.abs(angles[[0, 2]]).max()
-    for channel, place in _places(request):
-        model = channel.model
-        if abs(model.H[0] @ moving[place]) > _TOLERANCE:
-            yield f"the {model.label} of {channel.name}"
-
-
 def _obstacle(
-    request: ArmRequest,
-    slope: float | None,
-    eigenvalue: complex,
-    shape: Complex,
-    parties: Sequence[str],
+    request: ArmRequest, slope: float | None, eigenvalue: complex, shape: Complex
 ) -> Obstacle:
+    """Return a mode with its place and all that moves in it, in words."""
     place = "at every gravity slope" if request.arm.gravity_torque else "without gravity"
     if slope is not None:
         # cos(π/2) is 6e-17 in floating point.
         tidy = 0.0 if abs(slope) < 1e-12 else slope
         place = f"gravity slope c = {tidy:.4g} (|q1| = {math.degrees(math.acos(tidy)):.1f} deg)"
-    fault = "cannot be distinguished" if len(parties) > 1 else "is not shown by velocities"
     unit = shape / np.linalg.norm(shape)
     physical = unit.copy()
     physical[:4] *= request.arm.to_physical(np.ones(4))
+    size, begin = np.abs(physical[[LINK_ANGLE, MOTOR_ANGLE]]).max(), 4
+    moves = size > _TOLERANCE
+    parties = [f"the arm's {'motion' if abs(eigenvalue) > 1e-6 else 'position'}"] * bool(moves)
+    for channel in request.channels:
+        model, end = channel.model, begin + channel.model.state_count
+        # Without a motion of the arm, states of a disturbance take back each other.
+        share = model.H[0] @ unit[begin:end] / size if moves else np.abs(unit[begin:end]).sum()
+        kinds = [model.label] if moves else model.label.split("+")
+        parties += [f"the {kind} of {channel.name}" for kind in kinds if abs(share) > _TOLERANCE]
+        begin = end
+    fault = "cannot be distinguished" if len(parties) > 1 else "is not shown by velocities"
     mode = _mode_text(request, HiddenMode(eigenvalue, physical))
-    text = f"{place}: {', '.join(parties[:-1])}{' and ' * (len(parties) > 1)}{parties[-1]} {fault}"
-    return Obstacle(slope, eigenvalue, unit, f"{text}: {mode}")
+    named = " and ".join(filter(None, (", ".join(parties[:-1]), parties[-1])))
+    return Obstacle(slope, eigenvalue, unit, f"{place}: {named} {fault}: {mode}")
 
 
 def _mode_text(request: AnyRequest, mode: HiddenMode) -> str:

@@ -108,13 +108,7 @@ def load_design(path: FilePath | None = None) -> Design:
 
 
 class DesignFile(NamedTuple):
-    """A design file, whose certificate holds.
-
-    Attributes:
-        name: Its path, wherever it is from.
-        text: Its content.
-        design: The design.
-    """
+    """The path of a design file, wherever it is from, its text, and its design, which is proved."""
 
     name: str
     text: str
@@ -165,16 +159,14 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
     if type(version) is not int or version != VERSION:
         raise DesignFileError(f"{path}: version: expected {VERSION}, got {shown(version)}")
     with naming(path):
-        names = [name for name in _ANSWER if name in data]
-        answer = decode({name: data.pop(name) for name in names}, _Answer)
+        answer = decode({name: data.pop(name) for name in _ANSWER if name in data}, _Answer)
         request = (
             _arm_request(data, "design") if kind == _ARM else decode(data, _SystemFile).request()
         )
-        n, p = request.flow.state_count, request.flow.output_matrix.shape[0]
-        shape = (n,) if kind == _ARM and p == 1 else (n, p)
-        K = as_matrix("gain.K", answer.gain.K, shape).reshape(n, p)
+        p, n = request.flow.output_matrix.shape
+        K = as_matrix("gain.K", answer.gain.K, (n,) if kind == _ARM and p == 1 else (n, p))
         P = as_matrix("certificate.P", answer.certificate.P, (n, n))
-        design = Design(request, P, K, answer.solver)
+        design = Design(request, P, K.reshape(n, p), answer.solver)
         # Evaluated here, so that numbers no proof can be made of are refused with the file's name.
         _ = design.certificate
         return design
@@ -217,15 +209,14 @@ def load_request(path: FilePath) -> AnyRequest:
             if missing := [name for name in _ARM_PARAMETERS if name not in arm]:
                 expected = f"missing; an arm has all of {', '.join(_ARM_PARAMETERS)}"
                 raise DesignFileError(located(place, f"arm.{missing[0]}: {expected}"))
-        # Built here, so that a request no model can be made of is refused with the file's name.
-        _ = request.flow
-        for name in ("torque_limit", "torque_rate_limit"):
-            if getattr(request, name, None) == 0.0:
+            if 0.0 in (request.torque_limit, request.torque_rate_limit):
                 # The observer's parameter of this name means the design's by 0.
                 raise DesignFileError(
-                    f"{name}: expected a number above 0, got 0.0; left out it is generous for any "
-                    "arm, and 1e9 is no limit"
+                    "torque_limit, torque_rate_limit: expected numbers above 0, got 0.0; left out "
+                    "they are generous for any arm, and 1e9 is no limit"
                 )
+        # Built here, so that a request no model can be made of is refused with the file's name.
+        _ = request.flow
         return request
 
 
@@ -356,9 +347,9 @@ class _SystemFile:
     """What a design file of a T–S system has of its request; see `TSRequest`."""
 
     system: _System
-    names: Labels | None = None
-    units: Labels | None = None
-    disturbance: list[list[DisturbanceTerm]] | None = None
+    names: Labels = NO_LABELS
+    units: Labels = NO_LABELS
+    disturbance: list[list[DisturbanceTerm]] = field(default_factory=list)
     process_noise: Numbers
     measurement_std: Numbers
     rate: float
@@ -366,14 +357,13 @@ class _SystemFile:
     initial_std: Numbers
     certify_uncertainty: bool = False
     D_s: Numbers | None = None
-    uncertainty: dict[str, Direction] | None = None
+    uncertainty: dict[str, Direction] = field(default_factory=dict)
 
     def request(self) -> TSRequest:
         """Return the request; values out of range raise `ModelError`."""
         with within("system"):
             model = self.system.model()
         given = {name: getattr(self, name) for name in _OF_REQUEST}
-        given = {name: each for name, each in given.items() if each is not None}
         return TSRequest(model=model, slope_vertices=self.system.slope_vertices, **given)
 
 
@@ -404,8 +394,6 @@ def _system_entries(request: TSRequest) -> dict[str, Any]:
         C=model.C,
         slope_vertices=[np.asarray(matrix) for matrix in request.slope_vertices],
     )
-    own = {name: getattr(request, name) for name in _OF_REQUEST}
-    if not request.uncertainty:
-        del own["uncertainty"]
-    given = {name: each for name, each in own.items() if each is not None and each is not NO_LABELS}
-    return {"system": system, **given}
+    given = {name: encode(getattr(request, name)) for name in _OF_REQUEST}
+    left_out = (None, {})
+    return {"system": system, **{k: v for k, v in given.items() if v not in left_out}}

@@ -11,7 +11,7 @@ from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
-from tsobs_ros.design.problem import CLEAN, DisturbanceTerm, Terms
+from tsobs_ros.design.problem import CLEAN, DisturbanceTerm
 from tsobs_ros.design.request import AnyRequest, ArmRequest, Output
 from tsobs_ros.model.flow import ProcessNoise
 
@@ -48,14 +48,13 @@ def helpful(
 
 
 def remedies_of_hidden_modes(
-    request: AnyRequest, slopes: Sequence[float | None] = (), oscillates: bool = False
+    request: AnyRequest, slopes: Sequence[float | None] = ()
 ) -> Iterator[Family]:
     """Yield changes of a request whose disturbances hide a mode.
 
     Args:
         request: The request.
         slopes: Gravity slopes at which modes of an arm are hidden, None for any.
-        oscillates: Whether one of them does.
     """
     if request.disturbance_model.arbitrary:
         yield from _without_arbitrary(request)
@@ -63,8 +62,6 @@ def remedies_of_hidden_modes(
     yield from _fewer_terms(request)
     if isinstance(request, ArmRequest) and slopes and None not in slopes:
         yield _domain_above(request, max(slope for slope in slopes if slope is not None))
-    if oscillates:
-        yield _other_frequencies(request)
     yield from _decaying(request)
     for place, (name, terms) in enumerate(request.channels):
         if any(term.kind != "clean" for term in terms):
@@ -143,22 +140,6 @@ def _domain_above(request: ArmRequest, slope: float) -> Iterator[Remedy]:
             f"{x_max:g} rad has a design"
         )
         yield Remedy(text, replace(request, x_max=x_max))
-
-
-def _other_frequencies(request: AnyRequest) -> Iterator[Remedy]:
-    for factor in (1.25, 0.8, 1.6, 0.625, 2.5):
-        changed, moved = request, []
-        for place, channel in enumerate(request.channels):
-            terms: Terms = ()
-            for term in channel.terms:
-                if "frequency" in term:
-                    frequency = float(f"{factor * term['frequency']:.3g}")
-                    moved.append(f"{frequency:g} in place of {term['frequency']:g} rad/s")
-                    term = DisturbanceTerm.from_mapping({**term, "frequency": frequency})
-                terms += (term,)
-            changed = changed.with_terms(place, terms)
-        away = "a disturbance frequency away from the system's own frequencies on the domain"
-        yield Remedy(f"{away}: {', '.join(moved)}", changed)
 
 
 def _decaying(request: AnyRequest) -> Iterator[Family]:

@@ -105,7 +105,7 @@ class Flow(ABC):
         input_count: Number m of inputs and scheduled signals.
         scheduled_count: Number of scheduled signals, the last of them.
         rule_counts: Numbers of rules and of premise variables.
-        drift: Continuous matrix of x̄ of an arm without gravity, or of the mean of rules, shape (n, n).
+        drift: Continuous matrix of x̄, without gravity or of the rules' mean, shape (n, n).
         density: Of the white noise on the derivative of x̄, shape (n, n).
 
     Raises:
