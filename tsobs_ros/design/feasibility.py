@@ -118,6 +118,7 @@ def _of_arm(request: ArmRequest) -> Iterator[Obstacle]:
         slope: float | None = None
         if not kernel.size:
             continue
+        rounding = 1e-14 * np.abs(A[LINK_VELOCITY]).max() * np.abs(kernel).max()
         if kernel.shape[1] > 1:  # one combination of them at every slope
             balance = (force - highest * pull * height)[np.newaxis]
             kernel = kernel @ np.linalg.svd(balance)[2][-1:].conj().T
@@ -127,7 +128,7 @@ def _of_arm(request: ArmRequest) -> Iterator[Obstacle]:
             if not (abs(at.imag) <= _TOLERANCE and outside <= _TOLERANCE):
                 continue
             slope = float(min(max(at.real, lowest), highest))
-        elif abs(force[0]) > _TOLERANCE * (np.abs(A[LINK_VELOCITY]) @ np.abs(kernel[:, 0])):
+        elif abs(force[0]) > _TOLERANCE * np.abs(A[LINK_VELOCITY] * kernel[:, 0]).sum() + rounding:
             continue
         yield _obstacle(request, slope, eigenvalue, kernel[:, 0])
 

@@ -395,5 +395,4 @@ def _system_entries(request: TSRequest) -> dict[str, Any]:
         slope_vertices=[np.asarray(matrix) for matrix in request.slope_vertices],
     )
     given = {name: encode(getattr(request, name)) for name in _OF_REQUEST}
-    left_out = (None, {})
-    return {"system": system, **{k: v for k, v in given.items() if v not in left_out}}
+    return {"system": system, **{k: v for k, v in given.items() if v is not None and v != {}}}

@@ -38,20 +38,17 @@ NO_LABELS = Labels()
 """Those of a request that gives none."""
 
 
-def checked_names(names: Labels, counts: Sequence[int]) -> Labels:
-    """Return the names of all signals; groups without names get x1, y1, u1, s1 and so on.
+def checked_labels(names: Labels, units: Labels, counts: Sequence[int]) -> tuple[Labels, Labels]:
+    """Return the names and units of all signals, of which a request may give some.
 
-    A scheduled signal with the name of an output is that measurement. Else the names of outputs,
+    Groups without names get x1, y1, u1, s1 and so on; units without any are empty texts. A
+    scheduled signal with the name of an output is that measurement. Else the names of outputs,
     inputs and scheduled signals differ, as these are entries of one message, and so do those of
     the states.
 
-    Args:
-        names: As a request gives them.
-        counts: Number of signals of each group.
-
     Raises:
-        ModelError: There is not one name per signal, one is not plain, or two signals share one;
-            the text names the entry.
+        ModelError: There is not one text per signal, one is not plain, or two signals share a name;
+            the text has the place of the entry.
     """
     groups = zip(vars(names).values(), counts, "xyus", strict=True)
     filled = Labels(
@@ -59,35 +56,20 @@ def checked_names(names: Labels, counts: Sequence[int]) -> Labels:
     )
     plain = "a letter, then letters, digits and underscores"
     _require("names", filled, counts, plain, _PLAIN.fullmatch)
+    if units == NO_LABELS:
+        units = Labels(*(("",) * count for count in counts))
+    _require("units", units, counts, "printable characters", str.isprintable)
     for together in (("states",), ("outputs", "inputs"), ("inputs", "scheduled")):
         places: dict[str, str] = {}
         for group in together:
             for i, name in enumerate(getattr(filled, group)):
                 place = f"names.{group}[{i}]"
-                if name in places:
+                if (other := places.setdefault(name, place)) != place:
                     raise ModelError(
                         f"{place}: expected a name that no other has, got {shown(name)}, "
-                        f"which {places[name]} has"
+                        f"which {other} has"
                     )
-                places[name] = place
-    return filled
-
-
-def checked_units(units: Labels, counts: Sequence[int]) -> Labels:
-    """Return the units of all signals, empty texts if a request gives none.
-
-    Args:
-        units: As a request gives them: all of them, or none at all.
-        counts: Number of signals of each group.
-
-    Raises:
-        ModelError: There is not one unit per signal, or one is not printable; the text names the
-            entry.
-    """
-    if units == NO_LABELS:
-        return Labels(*(("",) * count for count in counts))
-    _require("units", units, counts, "printable characters", str.isprintable)
-    return units
+    return filled, units
 
 
 def labelled(names: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:

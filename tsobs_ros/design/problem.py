@@ -5,7 +5,7 @@
 import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from itertools import chain
 from typing import Any, NamedTuple, Self, TypeAlias
@@ -116,8 +116,10 @@ class Request(ABC):
         uncertainty_model: The uncertain parameters; their number is 0 if there are none.
         output_std: 1σ of one sample's noise of each output, shape (p,).
         plant_std: 1σ of the plant's states before any measurement, in design coordinates.
-        signal_names: The names of all signals, alone.
-        signal_units: The units of all signals, empty texts if they are not known.
+        state_names: Names of the plant's states.
+        state_units: Their units, empty texts if they are not known; likewise those below.
+        output_names: Names of the p outputs.
+        input_names: Names of the inputs and then of the scheduled signals.
         headline: The problem in words, for reports.
         details: What reports of this kind of problem have, too, as plain data.
         domain: The domain in words, after "for", e.g. "gravity slopes [0.7317, 1]".
@@ -129,30 +131,19 @@ class Request(ABC):
 
     rate: float
     decay_rate: float
+    channels: tuple[Channel, ...]
+    output_std: Array
+    plant_std: Array
+    state_names: tuple[str, ...]
+    state_units: tuple[str, ...]
+    output_names: tuple[str, ...]
+    output_units: tuple[str, ...]
+    input_names: tuple[str, ...]
+    input_units: tuple[str, ...]
 
     @property
     @abstractmethod
     def flow(self) -> Flow: ...
-
-    @property
-    @abstractmethod
-    def channels(self) -> tuple[Channel, ...]: ...
-
-    @property
-    @abstractmethod
-    def output_std(self) -> Array: ...
-
-    @property
-    @abstractmethod
-    def plant_std(self) -> Array: ...
-
-    @property
-    @abstractmethod
-    def signal_names(self) -> Labels: ...
-
-    @property
-    @abstractmethod
-    def signal_units(self) -> Labels: ...
 
     @abstractmethod
     def vertices(self, share: float = 1.0) -> Sequence[VertexSystem]:
@@ -183,10 +174,6 @@ class Request(ABC):
     def with_bounds(self, share: float) -> Self:
         """Return the request with a share of its bounds of uncertainty."""
 
-    def further_outputs(self) -> Iterator[tuple[str, Self]]:
-        """Yield an arm's request with one more output, undisturbed, and the output in words."""
-        return iter(())
-
     def torque_limits(self, limit: float = 0.0, rate_limit: float = 0.0) -> TorqueLimits | None:
         """Return which torques a drive of the arm can have; None for a T–S system."""
         return None
@@ -195,36 +182,6 @@ class Request(ABC):
     def period(self) -> float:
         """Sampling period T [s]."""
         return 1.0 / self.rate
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """The names of the plant's states."""
-        return self.signal_names.states
-
-    @property
-    def state_units(self) -> tuple[str, ...]:
-        """The units of the plant's states, empty texts if they are not known."""
-        return self.signal_units.states
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The names of the p outputs."""
-        return self.signal_names.outputs
-
-    @property
-    def output_units(self) -> tuple[str, ...]:
-        """The units of the p outputs, empty texts if they are not known."""
-        return self.signal_units.outputs
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """The names of the inputs and then of the scheduled signals."""
-        return self.signal_names.inputs + self.signal_names.scheduled
-
-    @property
-    def input_units(self) -> tuple[str, ...]:
-        """Their units, empty texts if they are not known."""
-        return self.signal_units.inputs + self.signal_units.scheduled
 
     @property
     def disturbance_labels(self) -> list[str]:
@@ -248,15 +205,27 @@ class Request(ABC):
         with np.errstate(over="ignore"):  # what is not finite is refused by the observer
             return fixed(np.diag(np.concatenate(std) ** 2))
 
-    def _take(self, **checked: Any) -> None:
-        """Check the rates, and set fields of the frozen request to their checked values."""
-        checked["rate"] = positive("rate", self.rate)
-        checked["decay_rate"] = non_negative("decay_rate", self.decay_rate)
-        for name, value in checked.items():
+    def _take(self, **values: Any) -> None:
+        """Set attributes of the frozen request."""
+        for name, value in values.items():
             object.__setattr__(self, name, value)
 
-    def _require_no_alias(self) -> None:
-        """Refuse tones that look slower in samples than they are, in the limit like a bias."""
+    def _label(self, names: Labels, units: Labels) -> None:
+        """Take names and units of all signals."""
+        self._take(
+            state_names=names.states,
+            state_units=units.states,
+            output_names=names.outputs,
+            output_units=units.outputs,
+            input_names=names.inputs + names.scheduled,
+            input_units=units.inputs + units.scheduled,
+        )
+
+    def _check_rates(self) -> None:
+        """Check rates, and refuse tones that look slower in samples than they are."""
+        self._take(
+            rate=positive("rate", self.rate), decay_rate=non_negative("decay_rate", self.decay_rate)
+        )
         for term in chain.from_iterable(channel.terms for channel in self.channels):
             if (frequency := term.get("frequency", 0.0)) >= math.pi * self.rate:
                 raise ModelError(

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from tsobs_ros.design.problem import CLEAN, DisturbanceTerm
 from tsobs_ros.design.request import AnyRequest, ArmRequest, Output
+from tsobs_ros.model.arm import ANGLES
 from tsobs_ros.model.flow import ProcessNoise
 
 _BIAS, _DECAYING = DisturbanceTerm("bias"), DisturbanceTerm("gauss_markov")
@@ -153,8 +154,12 @@ def _decaying(request: AnyRequest) -> Iterator[Family]:
 
 
 def _further_outputs(request: AnyRequest) -> Iterator[Family]:
-    for output, added in request.further_outputs():
-        yield [Remedy(f"a further output without disturbance: {output}", added)]
+    if isinstance(request, ArmRequest):
+        std = request.measurement_std
+        for name in (name for name in ANGLES if name not in request.output_names):
+            added = request.with_outputs([*request.sensors, Output(name, std)])
+            text = f"a further output without disturbance: {name} with 1σ of {std:.3g} rad"
+            yield [Remedy(text, added)]
 
 
 def _faster(request: AnyRequest) -> Iterator[Remedy]:

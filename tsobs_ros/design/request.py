@@ -10,7 +10,7 @@ error exactly. Without them only the blend of the rules is proved, and `TSReques
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, Fixed, as_matrix, finite, non_negative, positive, shown
-from tsobs_ros.design.names import NO_LABELS, Labels, checked_names, checked_units, labelled
+from tsobs_ros.design.names import NO_LABELS, Labels, checked_labels, labelled
 from tsobs_ros.design.problem import (
     CLEAN,
     Channel,
@@ -32,7 +32,7 @@ from tsobs_ros.design.problem import (
 )
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.options import TORQUE_RATE, TorqueLimits
-from tsobs_ros.model.arm import LINK_ANGLE, QUANTITIES, SIDES, ElasticJointArm
+from tsobs_ros.model.arm import ANGLES, LINK_ANGLE, QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise
 from tsobs_ros.model.prediction import VertexSystem
@@ -196,17 +196,28 @@ class ArmRequest(Request):
     torque_rate_limit: float | None = None
 
     default_torque_rate = TORQUE_RATE
+    sensors = tuple[Output, ...]()
+    """What is measured, one entry per output."""
 
     def __post_init__(self) -> None:
-        if self.outputs:
-            self._take_outputs()
-        given = {name: getattr(self, name) for name in ("torque_limit", "torque_rate_limit")}
-        limits = {name: limit for name, limit in given.items() if limit is not None}
+        self._take(outputs=tuple(self.outputs), disturbance=tuple(self.disturbance))
+        for name in ("disturbance", "measurement_std") if self.outputs else ():
+            given, first = getattr(self, name), getattr(self.outputs[0], name)
+            if given not in (first, getattr(ArmRequest, name)):
+                raise ModelError(
+                    f"{name}: expected in outputs, one per output, got {shown(given)} beside them"
+                )
+            self._take(**{name: first})
+        link_angle = Output(QUANTITIES[LINK_ANGLE], self.measurement_std, self.disturbance)
+        sensors = self.outputs or (link_angle,)
+        measured = tuple(each.measures for each in sensors)
+        self.arm.measured(measured, [each.delay for each in sensors])
         self._take(
-            measurement_std=positive("measurement_std", self.measurement_std),
-            outputs=tuple(self.outputs),
+            sensors=sensors,
+            measurement_std=sensors[0].measurement_std,
+            channels=(*(each.channel for each in sensors), *self.torque_disturbance.channels),
+            output_std=np.array([each.measurement_std for each in sensors]),
             x_max=finite("x_max", self.x_max),
-            disturbance=tuple(self.disturbance),
             initial_std=tuple(as_matrix("initial_std", self.initial_std, (4,)).tolist()),
             uncertainty=Fixed(
                 {
@@ -216,61 +227,32 @@ class ArmRequest(Request):
                     if name != "gravity" or self.arm.gravity_torque
                 }
             ),
-            **{name: non_negative(name, limit) for name, limit in limits.items()},
+        )
+        for name in ("torque_limit", "torque_rate_limit"):
+            if (limit := getattr(self, name)) is not None:
+                self._take(**{name: non_negative(name, limit)})
+        states, outputs = (
+            tuple("rad" if name in ANGLES else "rad/s" for name in names)
+            for names in (QUANTITIES, measured)
+        )
+        self._label(
+            Labels(tuple(QUANTITIES), measured, ("torque",)), Labels(states, outputs, ("N m",))
         )
         if not 0.0 < self.x_max <= math.pi:
             degrees = f" rad; as degrees it would be {math.radians(self.x_max):.4g} rad"
             hint = degrees if math.pi < self.x_max <= 180.0 else ""
             raise ModelError(f"x_max: expected 0 < x_max <= π, got {self.x_max!r}{hint}")
-        require_squares("measurement_std", [self.measurement_std])
         require_squares("initial_std", self.initial_std)
-        require_terms("disturbance", self.disturbance)
+        self._take(plant_std=self.arm.from_physical(self.initial_std))
+        self._check_rates()
         require_delay("torque.delay", self.torque.delay, self.period)
         for place, output in enumerate(self.outputs):
             require_delay(f"outputs[{place}].delay", output.delay, self.period)
-        self._require_no_alias()
         uncertain = self.uncertainty_model
         if self.certify_uncertainty:
             if not self.uncertainty:
                 raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
             _ = uncertain.linear_places
-
-    def _take_outputs(self) -> None:
-        """Let the first output's entries stand for those of the link angle alone."""
-        first = self.outputs[0]
-        for name in ("disturbance", "measurement_std"):
-            given, own = getattr(self, name), getattr(first, name)
-            if given not in (own, getattr(type(self), name)):
-                raise ModelError(
-                    f"{name}: expected in outputs, one per output, got {shown(given)} beside them"
-                )
-            self._take(**{name: own})
-        self.arm.measured(
-            [output.measures for output in self.outputs], [output.delay for output in self.outputs]
-        )
-
-    @cached_property
-    def sensors(self) -> tuple[Output, ...]:
-        """What is measured, one entry per output."""
-        alone = Output(QUANTITIES[LINK_ANGLE], self.measurement_std, self.disturbance)
-        return tuple(self.outputs) or (alone,)
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        return (*(output.channel for output in self.sensors), *self.torque_disturbance.channels)
-
-    @cached_property
-    def signal_names(self) -> Labels:
-        measured = tuple(output.measures for output in self.sensors)
-        return Labels(tuple(QUANTITIES), measured, ("torque",))
-
-    @cached_property
-    def signal_units(self) -> Labels:
-        states, outputs = (
-            tuple("rad" if name.endswith("_angle") else "rad/s" for name in names)
-            for names in (self.signal_names.states, self.signal_names.outputs)
-        )
-        return Labels(states, outputs, ("N m",))
 
     @property
     def torque_sides(self) -> tuple[str, ...]:
@@ -296,14 +278,6 @@ class ArmRequest(Request):
     @cached_property
     def uncertainty_model(self) -> Uncertainty:
         return arm_uncertainty(self.arm, self.uncertainty)
-
-    @property
-    def output_std(self) -> Array:
-        return np.array([output.measurement_std for output in self.sensors])
-
-    @property
-    def plant_std(self) -> Array:
-        return self.arm.from_physical(self.initial_std)
 
     def torque_limits(self, limit: float = 0.0, rate_limit: float = 0.0) -> TorqueLimits:
         """Return which torques a drive of the arm can have.
@@ -405,20 +379,8 @@ class ArmRequest(Request):
 
     def with_outputs(self, outputs: Sequence[Output]) -> Self:
         """Return the request with other outputs."""
-        first = outputs[0]
-        return replace(
-            self,
-            outputs=tuple(outputs),
-            disturbance=first.disturbance,
-            measurement_std=first.measurement_std,
-        )
-
-    def further_outputs(self) -> Iterator[tuple[str, Self]]:
-        std = self.measurement_std
-        for name in ("link_angle", "motor_angle"):
-            if name not in self.output_names:
-                added = self.with_outputs([*self.sensors, Output(name, std)])
-                yield f"{name} with 1σ of {std:.3g} rad", added
+        first = {name: getattr(outputs[0], name) for name in ("disturbance", "measurement_std")}
+        return replace(self, outputs=tuple(outputs), **first)
 
     def on_share(self, share: float) -> tuple[str, Self] | None:
         x_max = share * self.x_max
@@ -471,25 +433,37 @@ class TSRequest(Request):
     default_torque_rate, max_angle, reach, torque_sides = 0.0, math.inf, None, ()
 
     def __post_init__(self) -> None:
-        n, p = self.model.state_count, self.model.C.shape[0]
+        model, (n, p) = self.model, (self.model.state_count, len(self.model.C))
+        for name, shape in (
+            ("process_noise", (n,)),
+            ("measurement_std", (p,)),
+            ("initial_std", (n,)),
+            ("D_s", np.shape(self.D_s or ())),
+        ):
+            if (given := getattr(self, name)) is not None:
+                self._take(**{name: as_matrix(name, given, shape)})
+        for name in ("measurement_std", "initial_std"):
+            require_squares(name, getattr(self, name).tolist())
         self._take(
-            process_noise=as_matrix("process_noise", self.process_noise, (n,)),
-            measurement_std=as_matrix("measurement_std", self.measurement_std, (p,)),
-            D_s=None if self.D_s is None else as_matrix("D_s", self.D_s, np.shape(self.D_s)),
-            initial_std=as_matrix("initial_std", self.initial_std, (n,)),
             disturbance=tuple(map(tuple, self.disturbance or p * [CLEAN])),
             slope_vertices=tuple(
                 as_matrix(f"slope_vertices[{i}]", matrix, (n, n))
                 for i, matrix in enumerate(self.slope_vertices)
             ),
+            output_std=self.measurement_std,
+            plant_std=self.initial_std,
         )
-        for name in ("measurement_std", "initial_std"):
-            require_squares(name, getattr(self, name).tolist())
         known = self.uncertainty_model
         each = zip(known.names, known.linear, known.limits.tolist(), strict=True)
         self._take(uncertainty=Fixed({name: Direction(E, bound) for name, E, bound in each}))
-        _ = self.flow, self.signal_names, self.signal_units
-        self._require_no_alias()
+        counts = n, p, model.input_count, int(model.schedule.shape[1])
+        self._label(*checked_labels(self.names, self.units, counts))
+        numbered = [f"channel {i + 1}" for i in range(len(self.disturbance))]
+        names = numbered if self.D_s is not None else self.output_names
+        pairs = zip(names, self.disturbance, strict=False)  # a wrong number is refused by `flow`
+        self._take(channels=tuple(Channel(name, tuple(terms)) for name, terms in pairs))
+        self._check_rates()
+        _ = self.flow
         if self.slope_vertices and self.model.premise_known:
             raise ModelError(
                 "slope_vertices: expected none, the premise is made of scheduled signals only "
@@ -518,27 +492,12 @@ class TSRequest(Request):
     def uncertainty_model(self) -> Uncertainty:
         return system_uncertainty(self.model, self.uncertainty)
 
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        numbered = tuple(f"channel {i + 1}" for i in range(len(self.disturbance)))
-        names = self.output_names if self.D_s is None else numbered
-        pairs = zip(names, self.disturbance, strict=True)
-        return tuple(Channel(name, tuple(terms)) for name, terms in pairs)
-
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:
         for place, terms in enumerate(self.disturbance):
             require_terms(f"disturbance[{place}]", terms)
         joined = per_channel([Channel("", tuple(terms)).model for terms in self.disturbance])
         return joined if self.D_s is None else joined.through(self.D_s)
-
-    @property
-    def output_std(self) -> Array:
-        return np.asarray(self.measurement_std)
-
-    @property
-    def plant_std(self) -> Array:
-        return np.asarray(self.initial_std)
 
     @property
     def covers_estimated_premise(self) -> bool:
@@ -567,19 +526,6 @@ class TSRequest(Request):
                 "as the disturbance model does"
             )
         return text
-
-    @cached_property
-    def signal_names(self) -> Labels:
-        return checked_names(self.names, self._signal_counts)
-
-    @cached_property
-    def signal_units(self) -> Labels:
-        return checked_units(self.units, self._signal_counts)
-
-    @property
-    def _signal_counts(self) -> tuple[int, ...]:
-        model = self.model
-        return model.state_count, len(model.C), model.input_count, int(model.schedule.shape[1])
 
     @property
     def headline(self) -> str:
