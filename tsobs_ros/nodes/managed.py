@@ -31,7 +31,7 @@ that they would end the process, are refused.
 import math
 import time
 import traceback
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from typing import Any, Generic, TypeVar
@@ -88,6 +88,8 @@ class ManagedNode(LifecycleNode, Generic[P]):
         **node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
 
     Attributes:
+        parameters: The current parameters; the same object until a set is accepted.
+        active: Whether the node works.
         steady: A clock that is never set, for timers.
         ticker: Ticks for `runtime.run` to make, set by `configure`; None after the clean-up.
 
@@ -102,7 +104,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **node_kwargs)
         self.steady = SteadyClock(clock_type=ClockType.STEADY_TIME)
         self._acquired: ExitStack | None = None
-        self._active = False
+        self.active = False
         self._finalized_at = math.inf
         self._failure: Exception | None = None
         self._starting = False
@@ -110,7 +112,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         for service in self.services:
             service.callback = partial(self._answer, service.callback)
         try:
-            self._values = declare(self, schema, self._overrides or {})
+            self.parameters = declare(self, schema, self._overrides or {})
             self.add_pre_set_parameters_callback(partial(converted, schema))
             self.add_on_set_parameters_callback(self._check_set)
             self.add_post_set_parameters_callback(self._take_set)
@@ -137,19 +139,9 @@ class ManagedNode(LifecycleNode, Generic[P]):
         """Take over parameters of which some were set, while the node is configured."""
 
     @property
-    def parameters(self) -> P:
-        """The current parameters; the same object until a set is accepted."""
-        return self._values
-
-    @property
     def configured(self) -> bool:
         """Whether the node holds what `configure` acquires: inactive or active."""
         return self._acquired is not None
-
-    @property
-    def active(self) -> bool:
-        """Whether the node works."""
-        return self._active
 
     @property
     def finished(self) -> bool:
@@ -157,12 +149,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         return time.monotonic() > self._finalized_at + _FAREWELL
 
     def at_cleanup(self, callback: Callable[..., object], *args: Any) -> None:
-        """Call back when the node is cleaned up, latest first, before its entities are destroyed.
-
-        Args:
-            callback: Releases something acquired by or after `configure`.
-            *args: Its arguments.
-        """
+        """Call back at the clean-up, latest first, before entities are destroyed."""
         assert self._acquired is not None, "nothing is cleaned up before it is configured"
         self._acquired.callback(callback, *args)
 
@@ -245,9 +232,10 @@ class ManagedNode(LifecycleNode, Generic[P]):
         Raises:
             TsobsError: Something could not be finished; all has been released anyway.
         """
-        with ExitStack() as stack:
-            stack.callback(self._clean_up)
-            stack.callback(self._deactivate)
+        try:
+            self._deactivate()
+        finally:
+            self._clean_up()
 
     def destroy_node(self) -> None:
         """Close, then destroy the node."""
@@ -291,7 +279,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Deactivate, for rclpy's lifecycle; a failure means that the node stays active."""
         result = self._attempt("deactivate", self._deactivate)
-        self._active = result is _FAILURE
+        self.active = result is _FAILURE
         return result
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -309,7 +297,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         return _SUCCESS
 
     def _configure(self) -> None:
-        lasting = set(self._entities())
+        lasting = self._entities()
         with ExitStack() as acquired:
             acquired.callback(self._destroy_all_but, lasting)
             self._acquired = acquired
@@ -322,11 +310,11 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
     def _activate(self) -> None:
         self.activate()
-        self._active = True
+        self.active = True
 
     def _deactivate(self) -> None:
-        if self._active:
-            self._active = False
+        if self.active:
+            self.active = False
             self.deactivate()
 
     def _clean_up(self) -> None:
@@ -337,35 +325,28 @@ class ManagedNode(LifecycleNode, Generic[P]):
                 finally:
                     self._acquired = self.ticker = None
 
-    def _entities(self) -> Iterator[tuple[Any, Callable[[Any], object]]]:
-        """Yield the node's entities in ROS, each with the function that destroys it."""
-        for entities, destroy in (
-            (self.timers, self.destroy_timer),
-            (self.subscriptions, self.destroy_subscription),
-            (self.services, self.destroy_service),
-            (self.clients, self.destroy_client),
-            (self.publishers, self.destroy_publisher),
-        ):
-            for entity in entities:
-                yield entity, destroy
+    def _entities(self) -> set[tuple[str, Any]]:
+        """Return the kind of each of the node's entities in ROS, and the entity."""
+        kinds = ("timer", "subscription", "service", "client", "publisher")
+        return {(kind, entity) for kind in kinds for entity in getattr(self, f"{kind}s")}
 
-    def _destroy_all_but(self, lasting: set[tuple[Any, Callable[[Any], object]]]) -> None:
-        for entity, destroy in set(self._entities()) - lasting:
+    def _destroy_all_but(self, lasting: set[tuple[str, Any]]) -> None:
+        for kind, entity in self._entities() - lasting:
             # rclpy itself subscribes to /clock as soon as use_sim_time is set.
             if getattr(getattr(entity, "callback", None), "func", None) != self._take_time:
-                destroy(entity)
+                getattr(self, f"destroy_{kind}")(entity)
 
     def _check_set(self, proposal: Sequence[Parameter]) -> SetParametersResult:
         try:
-            self.check(updated(self._values, proposal))
+            self.check(updated(self.parameters, proposal))
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _take_set(self, accepted: Sequence[Parameter]) -> None:
-        self._values = updated(self._values, accepted)
+        self.parameters = updated(self.parameters, accepted)
         if self.configured:
-            self.retune(self._values, {each.name for each in accepted})
+            self.retune(self.parameters, {each.name for each in accepted})
 
     def _attempt(self, what: str, step: Callable[[], None]) -> TransitionCallbackReturn:
         """Take a step; log why it failed, unless `start` is going to raise it."""

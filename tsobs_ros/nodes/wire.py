@@ -17,7 +17,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache, reduce
+from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
@@ -45,15 +45,6 @@ MAX_LAYOUTS = 256
 
 _FEW = 32
 _NAME = re.compile(r"([A-Za-z]\w*)/(msg|srv|action)/([A-Za-z]\w*)", flags=re.ASCII)
-# Places of the classes that a service or an action sends, within its own class.
-_NESTED = {
-    "srv": {"_Event": "Event"},
-    "action": {
-        "_SendGoal_Event": "Impl.SendGoalService.Event",
-        "_GetResult_Event": "Impl.GetResultService.Event",
-        "_FeedbackMessage": "Impl.FeedbackMessage",
-    },
-}
 
 
 class _DrainedGroup(CallbackGroup):
@@ -222,7 +213,7 @@ def message_class(name: str) -> type[Any]:
     """Return the class of a message type.
 
     Args:
-        name: The type, `package/msg/Type`, or one that belongs to a service or an action, such as
+        name: The type, `package/msg/Type`, or one of a service or an action, such as
             `package/srv/Type_Event`.
 
     Raises:
@@ -234,14 +225,11 @@ def message_class(name: str) -> type[Any]:
     # Names come from bags and networks, and importing runs code: of interface packages only.
     if not any((folder / package / kind).is_dir() for folder in share_folders()):
         raise NodeError(f"{name} is not installed")
-    path = type_name
-    for suffix, nested in _NESTED.get(kind, {}).items():
-        if type_name.endswith(suffix):
-            path = f"{type_name.removesuffix(suffix)}.{nested}"
-            break
     try:
         module: Any = import_module(f"{package}.{kind}")
-        found: type[Any] = reduce(getattr, path.split("."), module)
+        # That of a service or an action has the classes of all that it sends.
+        where = getattr(module, type_name.partition("_")[0]).__module__
+        found: type[Any] = getattr(sys.modules[where], type_name)
     except (ImportError, AttributeError) as error:
         raise NodeError(f"the Python module of {name} is not installed: {error}") from error
     return found
