@@ -115,8 +115,7 @@ class BagReader:
         try:
             return read_metadata(self.path)
         except BagReadError as error:
-            denied = isinstance(error.__cause__, PermissionError)
-            if not denied and any(self.path.glob("*.mcap")):
+            if any(self.path.glob("*.mcap")):
                 raise BagReadError(f"{error}; {RECOVER_HINT}") from error
             raise
 

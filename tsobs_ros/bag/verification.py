@@ -192,7 +192,8 @@ def _by_name(information: dict[str, Any]) -> dict[str, Any]:
         for each in information["topics_with_message_count"]
     }
     files = {Path(each["path"]).name: each | {"path": ""} for each in information["files"]}
-    totals = "starting_time", "duration", "message_count", "storage_identifier"
+    totals = ["starting_time", "duration", "message_count", "storage_identifier"]
+    totals += ["relative_file_paths"]
     return {key: information.get(key) for key in totals} | {"topics": topics, "files": files}
 
 
