@@ -30,11 +30,11 @@ EXAMPLE = JointState(5_000_000_007, ("elastic_joint",), (1.5,), (), (-2.0,), "ba
 
 
 def encoded(message: JointState) -> bytes:
-    encode = JointStateEncoder(message.names, message.frame_id)
+    encode = JointStateEncoder(message.names)
     return encode(message.stamp, message.position, message.velocity, message.effort)
 
 
-def by_rosbags(message: JointState, little_endian: bool = True) -> bytes:
+def by_rosbags(message: JointState) -> bytes:
     sec, nanosec = divmod(message.stamp, 10**9)
     stamp = TYPES.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
     made = TYPES.types["sensor_msgs/msg/JointState"](
@@ -44,9 +44,7 @@ def by_rosbags(message: JointState, little_endian: bool = True) -> bytes:
         velocity=np.array(message.velocity, dtype=np.float64),
         effort=np.array(message.effort, dtype=np.float64),
     )
-    return bytes(
-        TYPES.serialize_cdr(made, "sensor_msgs/msg/JointState", little_endian=little_endian)
-    )
+    return bytes(TYPES.serialize_cdr(made, "sensor_msgs/msg/JointState"))
 
 
 def by_rclpy(message: JointState) -> bytes:
@@ -60,6 +58,7 @@ def by_rclpy(message: JointState) -> bytes:
 @settings(max_examples=25)
 @given(MESSAGES)
 def test_a_message_has_the_bytes_that_rosbags_and_rclpy_write(message: JointState) -> None:
+    message = message._replace(frame_id="")
     data, theirs = encoded(message), by_rclpy(message)
 
     assert data == by_rosbags(message)
@@ -71,10 +70,10 @@ def test_a_message_has_the_bytes_that_rosbags_and_rclpy_write(message: JointStat
 
 
 @settings(max_examples=25)
-@given(st.lists(st.tuples(MESSAGES, st.booleans()), max_size=12), st.integers(1, 3))
-def test_messages_in_either_byte_order_come_back_one_by_one_and_at_once(items, copies) -> None:
-    messages = [message for message, _ in items] * copies
-    data = [by_rosbags(message, little) for message, little in items] * copies
+@given(st.lists(MESSAGES, max_size=12), st.integers(1, 3))
+def test_messages_come_back_one_by_one_and_at_once(items, copies) -> None:
+    messages = items * copies
+    data = [by_rosbags(message) for message in messages]
     decode = JointStateDecoder()
     assert [decode(each) for each in data] == messages
     back: dict[int, JointState] = {}
@@ -104,7 +103,7 @@ def test_messages_of_another_layout_are_left_out_of_a_group() -> None:
 @settings(max_examples=25)
 @given(MESSAGES, st.lists(STAMPS, min_size=1, max_size=4))
 def test_many_messages_encoded_at_once_are_those_encoded_one_by_one(message, stamps) -> None:
-    encode = JointStateEncoder(message.names, message.frame_id)
+    encode = JointStateEncoder(message.names)
     arrays = [np.array([numbers] * len(stamps)) for numbers in message[2:5]]
 
     assert list(map(bytes, encode.encode_rows(np.array(stamps), *arrays))) == [
@@ -115,8 +114,8 @@ def test_many_messages_encoded_at_once_are_those_encoded_one_by_one(message, sta
 @pytest.mark.parametrize(
     ("change", "match"),
     [
-        (lambda d: b"", "0 bytes are too few"),
-        (lambda d: b"\x00\x03" + d[2:], "encoding 0x0003 is not plain CDR"),
+        (lambda d: b"", "0 bytes, .* not plain little-endian CDR"),
+        (lambda d: b"\x00\x03" + d[2:], "encoding 0x0003.*: not plain little-endian CDR"),
         (lambda d: d[:8], "header.stamp: expected 8 bytes at 4"),
         (lambda d: d[:12] + b"\xff\xff\xff\x7f" + d[16:], "header.frame_id: 2147483647 elements"),
         (lambda d: d.replace(b"base\0", b"base!"), "header.frame_id: .* does not end in a zero"),
@@ -127,7 +126,7 @@ def test_many_messages_encoded_at_once_are_those_encoded_one_by_one(message, sta
     ],
 )
 def test_what_is_no_message_is_refused_with_its_place(change, match: str) -> None:
-    data = encoded(EXAMPLE)
+    data = by_rosbags(EXAMPLE)
     decode = JointStateDecoder()
     assert decode(data) == EXAMPLE
 

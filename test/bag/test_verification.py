@@ -284,8 +284,11 @@ def defined(text: str) -> tuple[str, str, bytes]:
         ({"channel_id": 7}, "a message is of channel 7, which is not there before it"),
         ({"log_time": 2**63}, "/a: a time does not fit 63 bits"),
         ({"data": HELLO[:-3]}, "/a: the message at 5 ns is not whole: its"),
-        ({"data": b""}, "not begin with the header of plain CDR"),
-        ({"data": HELLO + bytes(4)}, "/a: the message at 5 ns is not whole: 4 bytes follow"),
+        ({"data": b""}, "not plain little-endian CDR"),
+        (
+            {"data": HELLO + bytes(4)},
+            "/a: the message at 5 ns is not whole: its values need 14 bytes, but it has 18",
+        ),
         ({"channels": [A, A]}, "more than one channel"),
         ({"repeat_schemas": False}, "does not repeat the schema"),
         ({"repeat_channels": False}, "does not repeat the channel"),

@@ -24,11 +24,15 @@ from tsobs_ros.series import NANOSECONDS
 HEADER = 4
 """Bytes before the body, from whose end alignment counts."""
 
-ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
-"""Byte order, as `struct` writes it, by the first half of the header."""
-
 LITTLE = b"\x00\x01\x00\x00"
-"""The header of messages in little-endian order."""
+"""The header of messages: plain CDR in little-endian order, as all middlewares send it."""
+
+
+def require_header(data: bytes) -> None:
+    """Raise `MessageError` unless a message begins with the header of little-endian CDR."""
+    if len(data) < HEADER or data[:2] != LITTLE[:2]:
+        found = bytes(data[:HEADER]).hex()
+        raise MessageError(f"{len(data)} bytes, encoding 0x{found}: not plain little-endian CDR")
 
 
 class CdrReader:
@@ -38,21 +42,15 @@ class CdrReader:
         data: The message with its header.
 
     Attributes:
-        order: The byte order, as `struct` writes it.
         place: The next byte to read, counted from the beginning of the header.
 
     Raises:
-        MessageError: The header is missing, or announces another encoding than plain CDR.
+        MessageError: The header is missing, or announces another encoding.
     """
 
     def __init__(self, data: bytes) -> None:
-        if len(data) < HEADER:
-            raise MessageError(f"{len(data)} bytes are too few for a CDR header")
-        order = ORDERS.get(bytes(data[:2]))
-        if order is None:
-            raise MessageError(f"encoding 0x{bytes(data[:2]).hex()} is not plain CDR")
+        require_header(data)
         self._data = data
-        self.order = order
         self.place = HEADER
 
     @property
@@ -104,7 +102,7 @@ class CdrReader:
 
     def _unpack(self, kinds: str, alignment: int, size: int, what: str) -> tuple[Any, ...]:
         self.place += -(self.place - HEADER) % alignment
-        return struct.unpack_from(f"{self.order}{kinds}", self._data, self.skip(size, what))
+        return struct.unpack_from(f"<{kinds}", self._data, self.skip(size, what))
 
 
 def encode_text(text: str) -> bytes:

@@ -3,14 +3,12 @@
 """Message definitions from the installed interface packages, as rosbag2 stores them in a bag.
 
 Every interface package installs `share/<package>/msg/<Type>.msg`, its text, or only `<Type>.idl`,
-and `<Type>.json`, which carries the RIHS01 hash of the type. They are read from disk: no ROS import
-is needed.
+and `<Type>.json`, which carries the RIHS01 hash of the type. No ROS import is needed.
 
-The messages that make services and actions visible, `package/srv/<Type>_Event` and
-`package/action/<Type>_FeedbackMessage`, have no file of their own. rosbag2 stores the `.srv` file
-in the place of their definition, and nothing for actions, at which readers fail. Here they get
-the definition they have, put together from the parts of the `.srv` and `.action` files, so that
-readers can decode them; rosbag2 itself does not look at it.
+The messages of services and actions, such as `package/srv/<Type>_Event`, have no file of their own.
+rosbag2 stores the `.srv` file in the place of their definition, and nothing for actions. Here they
+get the definition they have, put together from the parts of the files, so that readers can decode
+them.
 
 A definition also gives the length of a message, so that messages can be checked.
 """
@@ -21,9 +19,9 @@ import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
-from tsobs_ros.bag.cdr import HEADER, ORDERS
+from tsobs_ros.bag.cdr import HEADER, require_header
 from tsobs_ros.errors import BagWriteError, MessageError
 
 _SEPARATOR = "=" * 80
@@ -265,17 +263,13 @@ class MessageLayout:
         Raises:
             MessageError: It is too short or too long, or not plain CDR.
         """
-        order = ORDERS.get(data[:2])
-        if order is None or len(data) < HEADER:
-            raise MessageError(f"{len(data)} bytes that do not begin with the header of plain CDR")
+        require_header(data)
         try:
-            end = _walk(self._fields, data, HEADER, "big" if order == ">" else "little")
+            end = _walk(self._fields, data, HEADER)
         except RecursionError as error:
             raise MessageError("nested too deep") from error
-        if end > len(data):
+        if not 0 <= len(data) - end < 4:
             raise MessageError(f"its values need {end} bytes, but it has {len(data)}")
-        if len(data) - end >= 4:
-            raise MessageError(f"{len(data) - end} bytes follow its last value")
 
     def _fields_of(self, name: str, within: tuple[str, ...]) -> _Fields:
         if known := self._types.get(name):
@@ -290,11 +284,11 @@ class MessageLayout:
             match = _FIELD.match(line)
             if match is None or match["size"] == "0":
                 raise ValueError(f"{name}: '{line[:60]}' is not a field")
-            if match["constant"]:
-                continue
             kind, count = match["type"], 1
             if match["array"]:
                 count = 0 if match["bound"] else int(match["size"] or 0)
+            if match["constant"]:
+                continue
             if kind in ("wstring", "wchar"):
                 raise UnknownLayoutError(f"{name} has a {kind}")
             if kind in _PRIMITIVES:
@@ -311,35 +305,33 @@ class MessageLayout:
 
 def _short(name: str) -> str:
     """Return `package/Type`, as definitions write it."""
-    parts = name.split("/")
-    return f"{parts[0]}/{parts[-1]}"
+    package, _, rest = name.partition("/")
+    return f"{package}/{rest.rpartition('/')[2]}"
 
 
-def _walk(fields: _Fields, data: bytes, place: int, order: Literal["big", "little"]) -> int:
+def _walk(fields: _Fields, data: bytes, place: int) -> int:
     """Return where values end that begin at a place; beyond the message it gives up."""
-    size = len(data)
     for kind, number in fields:
-        count = number
-        if not number:
-            place += -(place - HEADER) % 4 + 4
-            count = int.from_bytes(data[place - 4 : place], order) if place <= size else 0
-        if type(kind) is int:
-            if count:
-                place += -(place - HEADER) % kind + count * kind
-        else:
-            for _ in range(count):
-                if isinstance(kind, list):
-                    place = _walk(kind, data, place, order)
-                else:
-                    place += -(place - HEADER) % 4 + 4
-                    if place <= size and (text := int.from_bytes(data[place - 4 : place], order)):
-                        place += text
-                        if place <= size and data[place - 1]:
-                            raise MessageError(
-                                f"the text up to byte {place} has no zero at its end"
-                            )
-                if place > size:  # a hostile count must not keep us busy
-                    break
-        if place > size:  # a definition can ask for 2^60 parts in 60 lines
+        place, count = (place, number) if number else _length_at(data, place)
+        if isinstance(kind, int):
+            place += -(place - HEADER) % kind + count * kind if count else 0
+            count = 0
+        for _ in range(count):
+            if isinstance(kind, list):
+                place = _walk(kind, data, place)
+            else:
+                place, size = _length_at(data, place)
+                place += size
+                if size and place <= len(data) and data[place - 1]:
+                    raise MessageError(f"the text up to byte {place} has no zero at its end")
+            if place > len(data):  # a hostile count must not keep us busy
+                return place
+        if place > len(data):  # a definition can ask for 2^60 parts in 60 lines
             break
     return place
+
+
+def _length_at(data: bytes, place: int) -> tuple[int, int]:
+    """Return where what has a length begins, and its length; 0 beyond the message."""
+    place += -(place - HEADER) % 4 + 4
+    return place, int.from_bytes(data[place - 4 : place], "little") if place <= len(data) else 0

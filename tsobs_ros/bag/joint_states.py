@@ -30,9 +30,6 @@ _MOST_TEMPLATES = 64
 _CONSTANT = HEADER + 8
 """Where what comes after the stamp begins."""
 
-_FIELDS = ["header", "sec", "nanosec", "constant", "position", "velocity", "effort"]
-_FIELDS += ["velocity count", "effort count"]
-
 Places = NDArray[np.intp]
 """Which messages of a sequence, ascending."""
 
@@ -80,19 +77,13 @@ class JointStates(NamedTuple):
 class _Template:
     """What messages with the same names and lengths (of position, velocity, effort) share.
 
-    `constant` are the bytes between the stamp and the positions, `order` is that of bytes.
+    `constant` are the bytes between the stamp and the positions.
     """
 
     def __init__(
-        self,
-        header: bytes,
-        constant: bytes,
-        lengths: tuple[int, int, int],
-        order: str,
-        names: tuple[str, ...],
-        frame_id: str,
+        self, constant: bytes, lengths: tuple[int, ...], names: tuple[str, ...], frame_id: str = ""
     ) -> None:
-        self._header, self._constant, self._lengths = header, constant, lengths
+        self._constant, self._lengths = constant, lengths
         self._names, self._frame_id = names, frame_id
         begins, counts = [_CONSTANT + len(constant)], list[int]()
         for before, length in pairwise(lengths):
@@ -102,53 +93,46 @@ class _Template:
             begins.append(counts[-1] + 4 + padding)
         pads = [begin - count - 4 for begin, count in zip(begins[1:], counts, strict=True)]
         arrays = f"{lengths[0]}dI{pads[0]}x{lengths[1]}dI{pads[1]}x{lengths[2]}d"
-        self._struct = struct.Struct(f"{order}4siI{len(constant)}s{arrays}")
-        doubles = [(f"{order}f8", (length,)) for length in lengths]
+        self._struct = struct.Struct(f"<4siI{len(constant)}s{arrays}")
+        doubles = [("<f8", (length,)) for length in lengths]
         self._dtype = {
-            "names": _FIELDS,
-            "formats": [f"V{HEADER}", f"{order}i4", f"{order}u4", f"V{len(constant)}", *doubles]
-            + [f"{order}u4"] * 2,
+            "names": ["header", "sec", "nanosec", "constant", *JointState._fields[2:5], *"ve"],
+            "formats": [f"V{HEADER}", "<i4", "<u4", f"V{len(constant)}", *doubles, "<u4", "<u4"],
             "offsets": [0, HEADER, HEADER + 4, _CONSTANT, *begins, *counts],
         }
-        first = 4 + lengths[0]
-        self._position, self._velocity = slice(4, first), slice(first + 1, first + 1 + lengths[1])
-        self._effort = slice(self._velocity.stop + 1, None)
+        # The places of the counts of velocities and efforts in the struct.
+        self._velocities = 4 + lengths[0]
+        self._efforts = self._velocities + 1 + lengths[1]
 
     def pack(self, stamp: int, *numbers: Sequence[float]) -> bytes:
         """Return the message with position, velocity and effort, as many as the lengths are."""
         position, velocity, effort = numbers
         _, velocities, efforts = self._lengths
-        front = self._header, *divmod(stamp, NANOSECONDS), self._constant
+        front = LITTLE, *divmod(stamp, NANOSECONDS), self._constant
         return self._struct.pack(*front, *position, velocities, *velocity, efforts, *effort)
 
     def unpack(self, data: bytes) -> JointState | None:
         """Return the message if the bytes, of which there are enough, fit the template."""
         fields = self._struct.unpack_from(data)
-        if (
-            fields[0] != self._header
-            or fields[3] != self._constant
-            or fields[self._velocity.start - 1] != self._lengths[1]
-            or fields[self._velocity.stop] != self._lengths[2]
-        ):
+        velocities, efforts = self._velocities, self._efforts
+        counts = fields[velocities], fields[efforts]
+        if (fields[0], fields[3], counts) != (LITTLE, self._constant, self._lengths[1:]):
             return None
         return JointState(
             fields[1] * NANOSECONDS + fields[2],
             self._names,
-            fields[self._position],
-            fields[self._velocity],
-            fields[self._effort],
+            fields[4:velocities],
+            fields[velocities + 1 : efforts],
+            fields[efforts + 1 :],
             self._frame_id,
         )
 
     def unpack_rows(self, places: Places, data: NDArray[np.uint8]) -> JointStates:
         """Return those of the messages, a row each, that fit the template."""
         rows = self._rows(np.ascontiguousarray(data))
-        fits = rows["header"] == np.void(self._header)
-        fits &= rows["constant"] == np.void(self._constant)
-        fits &= rows["velocity count"] == self._lengths[1]
-        fits &= rows["effort count"] == self._lengths[2]
-        if not fits.all():
-            places, rows = places[fits], rows[fits]
+        fits = (rows["header"] == np.void(LITTLE)) & (rows["constant"] == np.void(self._constant))
+        fits &= (rows["v"] == self._lengths[1]) & (rows["e"] == self._lengths[2])
+        places, rows = places[fits], rows[fits]
         return JointStates(
             places,
             self._names,
@@ -160,9 +144,9 @@ class _Template:
         """Return many messages, a row each, of as many numbers as the lengths are."""
         data = np.zeros((len(stamps), self._struct.size), np.uint8)
         rows = self._rows(data)
-        rows["header"], rows["constant"] = np.void(self._header), np.void(self._constant)
+        rows["header"], rows["constant"] = np.void(LITTLE), np.void(self._constant)
         rows["sec"], rows["nanosec"] = np.divmod(stamps, NANOSECONDS)
-        rows["velocity count"], rows["effort count"] = self._lengths[1:]
+        rows["v"], rows["e"] = self._lengths[1:]
         rows["position"], rows["velocity"], rows["effort"] = numbers
         return data
 
@@ -177,11 +161,10 @@ class JointStateEncoder:
 
     Args:
         names: The joints.
-        frame_id: Of the header.
     """
 
-    def __init__(self, names: Sequence[str], frame_id: str = "") -> None:
-        self._names, self._frame_id = tuple(names), frame_id
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = tuple(names)
         self._templates: dict[tuple[int, int, int], _Template] = {}
 
     def __call__(
@@ -191,13 +174,13 @@ class JointStateEncoder:
         velocity: Sequence[float] = (),
         effort: Sequence[float] = (),
     ) -> bytes:
-        """Return a message in little-endian CDR.
+        """Return a message in CDR, with the numbers of each joint, or none.
 
         Args:
             stamp: Of its header, ns since the epoch.
-            position: Of each joint [rad or m], or empty.
-            velocity: Of each joint [rad/s or m/s], or empty.
-            effort: Of each joint [N m or N], or empty.
+            position: [rad or m].
+            velocity: [rad/s or m/s].
+            effort: [N m or N].
 
         Raises:
             MessageError: The stamp does not fit into a message, or a value is not a number.
@@ -215,7 +198,7 @@ class JointStateEncoder:
         velocity: Array = _NO_VALUES,
         effort: Array = _NO_VALUES,
     ) -> NDArray[np.uint8]:
-        """Return m messages, each as if encoded on its own, as rows of bytes, shape (m, size).
+        """Return messages, each as if encoded on its own, as rows of bytes.
 
         Args:
             stamps: Of the headers, ns since the epoch, shape (m,).
@@ -234,12 +217,10 @@ class JointStateEncoder:
         return self._template(lengths).pack_rows(stamps, position, velocity, effort)
 
     def _template(self, lengths: tuple[int, int, int]) -> _Template:
-        if (known := self._templates.get(lengths)) is not None:
-            return known
-        constant = _constant(self._frame_id, self._names, lengths[0])
-        made = _Template(LITTLE, constant, lengths, "<", self._names, self._frame_id)
-        self._templates[lengths] = made
-        return made
+        if lengths not in self._templates:
+            constant = _constant(self._names, lengths[0])
+            self._templates[lengths] = _Template(constant, lengths, self._names)
+        return self._templates[lengths]
 
 
 class JointStateDecoder:
@@ -249,7 +230,7 @@ class JointStateDecoder:
         self._templates: dict[int, _Template] = {}
 
     def __call__(self, data: bytes) -> JointState:
-        """Return the message in CDR bytes of either byte order.
+        """Return the message in little-endian CDR.
 
         Raises:
             MessageError: The bytes are not a JointState; the text names the field, its place in the
@@ -305,10 +286,10 @@ def joint_names(messages: Iterable[bytes]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _constant(frame_id: str, names: tuple[str, ...], positions: int) -> bytes:
+def _constant(names: tuple[str, ...], positions: int) -> bytes:
     """Return the bytes between the stamp and the positions."""
     body = bytearray()  # what is in front of it is a multiple of 8 long
-    for item in (frame_id, len(names), *names, positions):
+    for item in ("", len(names), *names, positions):
         raw = item.encode() + b"\0" if isinstance(item, str) else b""
         count = len(raw) if isinstance(item, str) else item
         body += bytes(-len(body) % 4) + struct.pack("<I", count) + raw
@@ -328,6 +309,5 @@ def _parse(data: bytes) -> tuple[JointState, _Template]:
         raise MessageError(f"{reader.left} bytes are left at {reader.place}, after the effort")
     lengths = (len(position), len(velocity), len(effort))
     # Padding may hold anything, but is usually the same in the next message.
-    header, constant = bytes(data[:HEADER]), bytes(data[_CONSTANT:begin])
-    template = _Template(header, constant, lengths, reader.order, names, frame_id)
+    template = _Template(bytes(data[_CONSTANT:begin]), lengths, names, frame_id)
     return JointState(stamp, names, position, velocity, effort, frame_id), template
