@@ -3,7 +3,6 @@
 """What pip installs is a ROS package: marker, manifest, config, and launchers for `ros2 run`."""
 
 import os
-import re
 import shlex
 import shutil
 import subprocess
@@ -165,16 +164,6 @@ def requirements(wheel: ZipFile) -> set[str]:
     lines = wheel.read(f"{STEM}.dist-info/METADATA").decode().splitlines()
     found = (line.partition("Requires-Dist: ")[2].partition(";")[0].strip() for line in lines)
     return {each for each in found if each}
-
-
-def test_the_demo_installs_no_library_that_it_does_not_use(wheel: ZipFile) -> None:
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    (extras,) = re.findall(r"^DEMO_EXTRAS \?= (.*)$", makefile, re.MULTILINE)
-    lines = wheel.read(f"{STEM}.dist-info/METADATA").decode().splitlines()
-    chosen = [one for one in lines for extra in extras.split(",") if f'extra == "{extra}"' in one]
-
-    assert len(chosen) >= 5
-    assert not [one for one in chosen if re.search(r": (pyarrow|distributed|cvxpy|scipy)\b", one)]
 
 
 def test_the_readme_installs_what_the_package_requires(wheel: ZipFile) -> None:

@@ -168,13 +168,6 @@ def test_a_wrong_parameter_is_named(bag: Path, capsys, parameter, said) -> None:
     assert said in capsys.readouterr().err
 
 
-def test_a_parameter_file_for_others_is_refused(bag: Path, tmp_path, capsys) -> None:
-    (tmp_path / "other.yaml").write_text("player:\n  ros__parameters: {rate: 2.0}\n")
-
-    assert main(["compare", str(bag), "--params-file", str(tmp_path / "other.yaml")]) == 1
-    assert "no ros__parameters of observer; sections: player" in capsys.readouterr().err
-
-
 def test_compare_leaves_out_what_does_not_fit_the_arm_and_says_why(bag, tmp_path, capsys) -> None:
     text = config_path(FIXED_DESIGN).read_text(encoding="utf-8")
     other = tmp_path / "other.design.yaml"
@@ -193,19 +186,6 @@ def test_compare_leaves_out_what_does_not_fit_the_arm_and_says_why(bag, tmp_path
 
     assert main([*command, "--method", "paper"]) == 1
     assert "the method's Example 3" in capsys.readouterr().err
-
-
-def test_a_log_is_estimated(arms, tmp_path, capsys) -> None:
-    lines = [f"{k * 5}\t{arms.y[k, 0]!s}\t{arms.u[k, 0]!s}" for k in range(100)]
-    (tmp_path / "log.csv").write_text("\n".join(["a\tb\tc", *lines]), encoding="utf-8")
-    command = ["estimate", str(tmp_path / "log.csv"), "--units", "time=ms"]
-
-    assert main([*command, "--columns", "time=a,angle=b,torque=c", "--joints", "knee"]) == 0
-
-    out = capsys.readouterr().out
-    assert "100 measurements of knee over 0.5 s" in out
-    assert "1 s was added to all times" in out
-    assert (tmp_path / "log_estimates" / "metadata.yaml").is_file()
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import tsobs_ros as ts
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.design.request import ArmRequest
@@ -89,21 +88,6 @@ def test_a_recorded_run_is_reproduced(arms, write_bag, estimate, tmp_path, joint
     assert again.rewinds == live.rewinds > 0
 
 
-def test_what_comes_together_is_used_by_its_stamps(arms, write_bag, estimate) -> None:
-    """Blocks in reverse order; every tick finds a whole one."""
-    messages = arms.messages(310)
-    backwards = messages[:50]
-    for first in range(50, 300, 50):
-        block = messages[first : first + 50]
-        backwards += [(*one[:2], block[-1][2] + k) for k, one in enumerate(block[::-1])]
-    backwards += messages[300:]
-
-    run = estimate(write_bag(backwards), rate=100.0)
-
-    assert run.used == 310
-    assert run.rewinds == 0
-
-
 @pytest.mark.parametrize(
     ("lost", "settings", "reason", "counts"),
     [
@@ -129,16 +113,6 @@ def test_the_reason_of_a_difference_is_named(
         assert getattr(agreement, name) == counts.get(name, 0)
     if lost == "measurements":
         assert agreement.first_difference == START + 40 * PERIOD
-
-
-def test_a_tick_log_alone_leaves_nothing_to_reproduce(
-    arms, write_bag, estimate, tmp_path, design
-) -> None:
-    estimate(write_bag(arms.messages(50)), output="live")
-    ticks = [one for one in observed(tmp_path / "live") if one[0] == "/observer/ticks"]
-    bag = write_bag(sorted([*arms.messages(50), *ticks], key=LOG_TIME), "other")
-
-    assert ts.estimate_bag(bag, design).reproduced is None
 
 
 @pytest.mark.parametrize(("joints", "window"), [(1, 2**31), (2, 16)])
@@ -172,20 +146,6 @@ def test_an_observer_that_had_run_before_is_recognised(arms, write_bag, estimate
     assert agreement.reproduced == 0
     assert "the live observer had run before the recording of it began" in agreement.text()
     assert "design" not in agreement.text()
-
-
-def test_an_observer_of_the_second_pass_of_a_loop_did_not_receive_the_first(
-    arms, write_bag, estimate, tmp_path
-) -> None:
-    once = arms.messages(100)
-    again = [(topic, data, time + 5 * 10**9) for topic, data, time in once]
-    estimate(write_bag(again), output="live")
-    both = sorted([*once, *again, *observed(tmp_path / "live")], key=LOG_TIME)
-
-    agreement = estimate(write_bag(both, "both"), window=64).agreement()
-
-    assert agreement.reproduced == agreement.recorded == 100, agreement.text()
-    assert agreement.not_received == 100
 
 
 def test_without_a_tick_log_estimates_are_at_the_measurements_and_a_note_says_so(
@@ -259,13 +219,3 @@ def test_what_is_not_there_is_said_with_what_is(arms, write_bag, topic, options,
 
     with pytest.raises(BagReadError, match=match):
         BagSource(bag, **options).observe([ArmRequest()])
-
-
-def test_a_bag_whose_messages_name_nothing_is_refused(write_bag) -> None:
-    data = JointStateEncoder([])(START, [], (), [])
-    bag = write_bag([("/joint_measurements", data, START)])
-
-    with pytest.raises(BagReadError, match=r"link_angle of system .*it has: none"):
-        ts.estimate_bag(bag)
-    with pytest.raises(BagReadError, match="names a joint"):
-        BagSource(bag).observe([])

@@ -39,15 +39,6 @@ def opened(path: Path, **options: Any) -> LogSource:
     return source
 
 
-def stamps_of(source: LogSource) -> list[int]:
-    """Return the stamps as the log has them."""
-    return [stamp - source.moved_by for stamp in samples(source).stamps.tolist()]
-
-
-def samples(source: LogSource) -> Any:
-    return source.samples
-
-
 @pytest.mark.parametrize(
     ("header", "options"),
     [
@@ -67,9 +58,9 @@ def test_columns_are_found_by_name_or_named(tmp_path, header, options) -> None:
     source = opened(log(tmp_path, header, *rows), **options)
 
     assert source.joints == tuple(options.get("joints", ["elastic_joint"]))
-    assert samples(source).stamps.tolist() == [1_500_000_000, 1_505_000_000]
-    assert samples(source).y[:, 0].tolist() == [[0.25], [1e-3]]
-    assert samples(source).u[:, 0].tolist() == [[-2.0], [0.0]]
+    assert source.samples.stamps.tolist() == [1_500_000_000, 1_505_000_000]
+    assert source.samples.y[:, 0].tolist() == [[0.25], [1e-3]]
+    assert source.samples.u[:, 0].tolist() == [[-2.0], [0.0]]
 
 
 FORMS = {
@@ -90,9 +81,9 @@ def test_logs_of_many_forms_are_read(tmp_path, form) -> None:
 
     source = opened(path)
 
-    assert stamps_of(source) == [5_000_000, 10_000_000]
-    assert samples(source).y[:, 0, 0].tolist() == pytest.approx([0.1, -0.2])
-    assert samples(source).u[:, 0, 0].tolist() == pytest.approx([1.0, 2.5])
+    assert (source.samples.stamps - source.moved_by).tolist() == [5_000_000, 10_000_000]
+    assert source.samples.y[:, 0, 0].tolist() == pytest.approx([0.1, -0.2])
+    assert source.samples.u[:, 0, 0].tolist() == pytest.approx([1.0, 2.5])
 
 
 @pytest.mark.parametrize(
@@ -105,7 +96,7 @@ def test_logs_of_many_forms_are_read(tmp_path, form) -> None:
     ],
 )
 def test_units_are_understood(tmp_path, header, row, units, expected) -> None:
-    found = samples(opened(log(tmp_path, header, row), units=units))
+    found = opened(log(tmp_path, header, row), units=units).samples
 
     assert (int(found.stamps[0]), found.y[0, 0, 0], found.u[0, 0, 0]) == pytest.approx(expected)
 
@@ -122,7 +113,7 @@ def test_units_are_understood(tmp_path, header, row, units, expected) -> None:
     ],
 )
 def test_times_are_read_to_the_nanosecond(tmp_path, title, text, stamp) -> None:
-    found = samples(opened(log(tmp_path, f"{title},angle,torque", f"{text},1,2")))
+    found = opened(log(tmp_path, f"{title},angle,torque", f"{text},1,2")).samples
 
     assert found.stamps.tolist() == [stamp]
 
@@ -132,8 +123,8 @@ def test_times_that_begin_at_zero_are_moved(tmp_path) -> None:
 
     assert source.moved_by == SECOND
     # An empty cell stays without time.
-    assert samples(source).stamps.tolist() == [SECOND, 0, SECOND + 10_000_000]
-    assert np.isnan(samples(source).y[1, 0, 0])
+    assert source.samples.stamps.tolist() == [SECOND, 0, SECOND + 10_000_000]
+    assert np.isnan(source.samples.y[1, 0, 0])
 
 
 def test_a_last_line_that_is_cut_off_is_left_out(tmp_path) -> None:
@@ -149,7 +140,7 @@ def test_several_joints_have_columns_of_their_own(tmp_path) -> None:
 
     assert opened(path).joints == ("a", "b")
     one = opened(path, joints=["b"])
-    assert (samples(one).y.tolist(), samples(one).u.tolist()) == ([[[3.0]]], [[[5.0]]])
+    assert (one.samples.y.tolist(), one.samples.u.tolist()) == ([[[3.0]]], [[[5.0]]])
     named = {"angle.x": "q.b", "torque.x": "tau.a"}
     assert opened(path, columns=named).joints == ("x",)
     with pytest.raises(LogError, match=r"no column is called link_angle of c.*'q.a', 'q.b'"):
@@ -179,10 +170,7 @@ def test_a_log_is_estimated_and_becomes_a_bag(arms, estimate, tmp_path) -> None:
         (("t,x,tau", "1,2,3"), {}, "no column is called link_angle; .*'t', 'x', 'tau'"),
         (("t,q", "1,2"), {}, "no column is called torque.*assume_zero_torque=true"),
         (("t,q,tau", "1,2,3", "2,abc,3"), {}, "line 3, column 'q': expected a number in rad, got"),
-        (("t,q [deg],tau", "1,1;2,3"), {}, "line 2, column 'q .deg.': expected a number in deg"),
-        (("t,q,tau", "1,2,3", "", "now,2,3"), {}, "line 4, column 't': expected a time in s, or"),
         (("t,q,tau", "4e18,2,3"), {}, "line 2, column 't': expected a time in s below 68 years"),
-        (("t,q,tau", "1e999999999,2,3"), {}, "line 2, column 't': expected a time"),
         (("t,q,tau", "2024-13-01T00:00:00,2,3"), {}, "line 2, column 't': expected a time"),
         (
             ("t,q,tau", *["1,2,3"] * 20, '1,"2,3', *["1,2,3"] * 300, '1,"2,3'),
@@ -226,12 +214,6 @@ def test_what_is_no_log_is_refused(tmp_path, content, match) -> None:
 
     with pytest.raises(LogError, match=match):
         opened(path)
-
-
-def test_a_log_without_torque_may_be_taken_for_unloaded(tmp_path) -> None:
-    source = opened(log(tmp_path, "t,q", "1,2"), assume_zero_torque=True)
-
-    assert samples(source).u.tolist() == [[[0.0]]]
 
 
 def test_a_log_may_have_any_name_but_no_report(tmp_path, arms, write_bag, capsys) -> None:
