@@ -180,6 +180,8 @@ class _Node:
         """End the process cleanly, by force only if that fails."""
         if self.running:
             self._process.send_signal(signal.SIGINT)
+        assert self._process.stdin is not None
+        self._process.stdin.close()
         try:
             self._process.wait(_STOP_TIMEOUT)
         except subprocess.TimeoutExpired:
