@@ -325,8 +325,10 @@ def prelude(page: Path) -> dict[str, Any]:
             stamps = {"log_time_ns": first.log_time, "publish_time_ns": first.publish_time}
             return {**times, **stamps, "cdr_bytes": first.data}
         case "faults":
-            numbers = {"y": 0.1, "innovation": 0.01, "expected_std": 0.03, "now": 2 * 10**9}
-            return {"design": design, "stamp": 10**9, "disturbance": 0.0, "bound": 0.01, **numbers}
+            stamps, y, u = np.array([10**9]), np.full((1, 1), 0.1), np.zeros((1, 1))
+            tracker = ts.make_tracker(design)
+            return {"design": design, "tracker": tracker, "stamps": stamps, "y": y, "u": u,
+                    "now": 10**9}  # fmt: skip
         case "method":
             example = import_module("tsobs_ros.paper.examples").example_1()
             return {"system": example.system, "alpha": example.alpha}
