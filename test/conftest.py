@@ -101,20 +101,6 @@ def check_shown() -> Callable[[str], None]:
 
 
 @pytest.fixture(scope="session")
-def runge_kutta() -> Callable[[Callable[[Any], Any], Any, float], Any]:
-    """Moves a state, or a batch, by one classical step of order four."""
-
-    def step(derivative: Callable[[Any], Any], x: Any, duration: float) -> Any:
-        k1 = derivative(x)
-        k2 = derivative(x + 0.5 * duration * k1)
-        k3 = derivative(x + 0.5 * duration * k2)
-        k4 = derivative(x + duration * k3)
-        return x + (duration / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
-
-    return step
-
-
-@pytest.fixture(scope="session")
 def predicted() -> Callable[..., Any]:
     """Moves augmented states, with a covariance if given, by the core's steps of a flow."""
     import numpy as np

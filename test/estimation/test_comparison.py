@@ -1,22 +1,19 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""PO, PIO and EKF against their definitions, exact solutions and an independent filter."""
+"""PO, PIO and EKF against their definitions."""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
-from bayesian_filters.kalman import KalmanFilter
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import (
     THETA_STD,
     THETA_WANDER,
-    extended_kalman,
     high_gain,
     high_gain_matrix,
     proportional_integral,
@@ -32,8 +29,6 @@ from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 Array = NDArray[np.float64]
 
 ARM = ElasticJointArm()
-# So little gravity that the arm is linear to rounding.
-LINEAR = ElasticJointArm(gravity_torque=1e-12)
 PERIOD = 0.005
 RUN = simulate(SCENARIOS["noise"], [3], 20.0)
 SHIPPED = load_design(config_path(SHIPPED_DESIGN))
@@ -53,27 +48,6 @@ def test_observers_have_their_poles(theta: float) -> None:
 
 def stamps_of(count: int) -> NDArray[np.int64]:
     return 10**9 + 5_000_000 * np.arange(count)
-
-
-def test_an_ekf_is_the_textbook_filter_on_a_linear_arm() -> None:
-    request = ArmRequest(arm=LINEAR, disturbance=(DisturbanceTerm("bias"),))
-    flow, covariances = request.flow, (request.measurement_covariance, request.initial_covariance)
-    ekf = extended_kalman(flow, *covariances, gate=np.inf)
-    textbook = KalmanFilter(dim_x=5, dim_z=1, dim_u=1)
-    step = flow.transition(PERIOD)
-    textbook.F, textbook.B, textbook.Q = step.phi, step.gamma, step.noise
-    textbook.H, textbook.R = flow.output_matrix, request.measurement_covariance
-    textbook.P = request.initial_covariance.copy()
-    random = np.random.default_rng(2)
-    y, u = random.normal(0.0, 0.3, (300, 1)), random.normal(size=(300, 1))
-    rows = Tracker(ekf, x_max=0.75).follow(stamps_of(300), y, u)
-    for k in range(300):
-        textbook.update(y[k])
-        states = LINEAR.to_physical(textbook.x[:4, 0])
-        np.testing.assert_allclose(rows.state[k], states, atol=1e-7)
-        bound = np.sqrt(textbook.P[4, 4])
-        np.testing.assert_allclose(rows.disturbance_bound[k], bound, rtol=1e-6)
-        textbook.predict(u[k, :, None])
 
 
 def test_parameters_of_an_ekf_are_as_states() -> None:
