@@ -11,19 +11,22 @@ from dataclasses import replace
 import numpy as np
 
 from tsobs_ros.campaign.batches import observe, recorded
+from tsobs_ros.campaign.premises import violated
+from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import THETA_STD
 from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
-from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_tracker
+from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender
 from tsobs_ros.model import disturbance
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import arm_uncertainty
+from tsobs_ros.replay.estimate import Observer, without_misfits
 from tsobs_ros.report.comparison import HIGH_GAIN, THETAS
 from tsobs_ros.report.metrics import JUMP, measure
 from tsobs_ros.report.scenario_table import BOUNDS, Cell, ScenarioComparison, ScenarioRow
-from tsobs_ros.simulation.integrator import Friction, Payload
-from tsobs_ros.simulation.plant import Scenario, TorqueDisturbance, Trajectories
+from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import GaussMarkov, StuckSensor
@@ -43,6 +46,16 @@ and a force that the model lacks."""
 
 _TUNED_ON = 1
 """Runs of a scenario on which the best θ is looked for."""
+
+_OFFSET_STD = 0.3
+"""1σ of the sensor's offset beforehand [rad], as of the default disturbance model."""
+
+_KNOWN = ArmRequest(uncertainty={})
+_UNBOUNDED = {
+    "friction", "payload", "backlash", "torque disturbance", "torque error", "coloured noise",
+    "bursts", "latency", "resolution",
+}  # fmt: skip
+"""What the bound's model lacks, as `violated` names it."""
 
 
 def compare_scenarios(
@@ -87,38 +100,30 @@ def compare_scenarios(
         raise ModelError(
             f"scenarios: expected a design without a delay, got outputs[0].delay {delay}"
         )
-    contenders, remarks = {}, []
-    for name in methods:
-        chosen = contender(settings or ObserverSettings(), name)
-        try:
-            make_tracker(design, chosen)
-        except ModelError as error:
-            remarks.append(f"{name} is left out: {error}")
-            continue
-        if name == "certified_fixed" and not request.uncertainty_model.count:
-            remarks.append(f"{name} is left out: the design calls no parameter uncertain")
-            continue
-        contenders[name] = chosen
-    if not contenders:
-        raise ModelError("; ".join(remarks))
+    file = DesignFile.of(design)
+    observers, remarks = without_misfits(
+        Observer(name, contender(settings or ObserverSettings(), name), (file,)) for name in methods
+    )
 
     def compared(name: str) -> ScenarioRow:
         scenario = fitted(SCENARIOS[name], design)
         runs = simulate(scenario, range(seeds), duration)
         cells, thetas = {}, {}
-        for method, chosen in contenders.items():
-            if method in HIGH_GAIN:
+        for one in observers:
+            chosen = one.settings
+            if chosen.method in HIGH_GAIN:
                 chosen = _tuned(design, chosen, runs)
-                thetas[method] = chosen.theta
-            cells[method] = _measured(design, chosen, runs)
+                thetas[one.name] = chosen.theta
+            cells[one.name] = _measured(design, chosen, runs)
             advance(seeds)
         reason = why_unbounded(scenario)
-        bounds = {} if reason else _bounds(design, scenario, runs)
-        return ScenarioRow(name, cells, bounds, reason, thetas)
+        cells |= {} if reason else _bounds(design, scenario, runs)
+        return ScenarioRow(name, cells, reason, thetas)
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         rows = tuple(pool.map(compared, scenarios))
-    return ScenarioComparison(rows, tuple(contenders), seeds, tuple(remarks))
+    names = tuple(one.name for one in observers)
+    return ScenarioComparison(rows, names, seeds, tuple(remarks))
 
 
 def fitted(scenario: Scenario, design: Design) -> Scenario:
@@ -155,24 +160,9 @@ def _tuned(design: Design, settings: ObserverSettings, runs: Trajectories) -> Ob
 
 def why_unbounded(scenario: Scenario) -> str:
     """Return why a scenario has no Cramér–Rao bound, empty if it has one."""
-    sensor = scenario.sensor
-    friction = replace(scenario.friction) != Friction()
-    for there, why in (
-        (friction, "friction, which no method has a model of"),
-        (scenario.payload != Payload(), "a payload, which no method has a model of"),
-        (scenario.backlash > 0.0, "backlash, which no method has a model of"),
-        (scenario.torque_disturbance != TorqueDisturbance(), "torques that no method knows"),
-        (bool(scenario.torque_error), "a wrong torque, which no method has a model of"),
-        (sensor.noise_time_constant > 0.0, "noise that is not white"),
-        (sensor.burst_interval > 0.0, "noise in bursts"),
-        (sensor.latency > 0.0, "a latency, which no method has a model of"),
-        (sensor.resolution > 0.0, "an encoder's steps, which are no white noise"),
-        (sensor.noise_std == 0.0, "no noise"),
-        (any(isinstance(each, StuckSensor) for each in scenario.disturbance), "a stuck sensor"),
-    ):
-        if there:
-            return why
-    return ""
+    found = [name for name in violated(scenario, _KNOWN) if name in _UNBOUNDED]
+    stuck = any(isinstance(each, StuckSensor) for each in scenario.disturbance)
+    return ", ".join([*found, *["a stuck sensor"] * stuck])
 
 
 def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str, Cell]:
@@ -215,7 +205,3 @@ def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str,
         }
         found[name] = Cell.of([measure(recorded(runs, 0, least))])
     return found
-
-
-_OFFSET_STD = 0.3
-"""1σ of the sensor's offset beforehand [rad], as of the default disturbance model."""

@@ -36,6 +36,7 @@ def violated(scenario: Scenario, request: ArmRequest) -> tuple[str, ...]:
     uncertain = request.uncertainty
     found = {
         "payload": any(payload.total),
+        "backlash": scenario.backlash,
         "torque error": scenario.torque_error,
         "process noise": _is_more(noise.link, designed.link)
         or _is_more(noise.motor, designed.motor),

@@ -18,7 +18,7 @@ from tsobs_ros.cli.common import (
 from tsobs_ros.cli.estimate import METHODS, add_observer_options, estimate, given_parameters
 from tsobs_ros.errors import ParameterError, printable
 
-FILES = ("compare.png", "compare.json", "compare.md")
+FILES = ("compare.png", "compare.json")
 """What is written of a comparison on scenarios."""
 
 _OF_RECORDINGS = (
@@ -102,10 +102,9 @@ def _on_scenarios(options: argparse.Namespace) -> int:
         from tsobs_ros.report.scenario_figure import draw_comparison
 
         with written_whole(options.output, force=options.force) as folder:
-            figure, data, page = (folder / name for name in FILES)
+            figure, data = (folder / name for name in FILES)
             draw_comparison(found, figure)
             data.write_text(json_text(mapping) + "\n", encoding="utf-8")
-            page.write_text(found.markdown(figure.name), encoding="utf-8")
         text += f"\n\nwrote {', '.join(printable(str(path)) for path in paths)}"
     seconds = time.monotonic() - begin
     show(mapping, f"{text}\n{runs} runs in {seconds:.0f} s", options.json)

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from tsobs_ros.report.comparison import DIVERGED, number_text
-from tsobs_ros.report.scenario_table import BOUNDS, Cell, ScenarioComparison
+from tsobs_ros.report.comparison import number_text
+from tsobs_ros.report.scenario_table import BOUNDS, ScenarioComparison
 from tsobs_ros.style import INK, MUTED, STYLE
 
 _MARKERS = {
@@ -29,6 +28,8 @@ _MARKERS = {
 
 _WIDTH, _ROW, _FRAME, _DPI = 10.0, 0.9, 1.75, 140
 _FEWEST, _MOST = 10.0, 90.0
+# One that diverged must not squeeze the others into a corner.
+_LARGEST = 3.0
 
 
 def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
@@ -46,18 +47,32 @@ def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
         figure = Figure(figsize=(_WIDTH, _FRAME + _ROW * count), layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.subplots()
-        first_bounded = next((row for row in comparison.rows if row.bounds), None)
-        for number, row in enumerate(comparison.rows):
-            for place, name in enumerate(comparison.observers):
-                height = number + 0.72 * ((place + 0.5) / len(comparison.observers) - 0.5)
-                _draw_observer(axes, name, row.cells[name], height, labelled=number == 0)
-            for name, style in zip(BOUNDS, (":", "-"), strict=True):
-                if (bound := row.bounds.get(name)) is not None and bound.typical is not None:
-                    label = name if row is first_bounded else None
-                    axes.plot(
-                        [bound.typical] * 2, [number - 0.42, number + 0.42],
-                        color=INK, linestyle=style, linewidth=1.6, label=label,
+        places = np.arange(len(comparison.observers)) + 0.5
+        heights = 0.72 * (places / len(comparison.observers) - 0.5)
+        for name, height in zip(comparison.observers, heights.tolist(), strict=True):
+            marker, colour = _MARKERS[name]
+            axes.plot([], [], marker, color=colour, label=name)
+            for number, row in enumerate(comparison.rows):
+                typical = row.cells[name].typical
+                if typical is None or not typical <= _LARGEST:
+                    axes.text(
+                        0.995, number + height, f"{name}: {number_text(typical)} →",
+                        transform=axes.get_yaxis_transform(), ha="right", va="center",
+                        fontsize=7.5, color=MUTED,
                     )  # fmt: skip
+                    continue
+                reach = np.percentile(row.cells[name].normalised, (_FEWEST, _MOST))
+                axes.plot(reach, [number + height] * 2, color=colour, linewidth=1.4)
+                axes.plot(
+                    [typical], [number + height], marker, color=colour, markersize=6.5,
+                    markeredgecolor="white", markeredgewidth=0.6,
+                )  # fmt: skip
+        for name, style in zip(BOUNDS, (":", "-"), strict=True):
+            axes.plot([], [], color=INK, linestyle=style, linewidth=1.6, label=name)
+            for number, row in enumerate(comparison.rows):
+                if name in row.cells and (least := row.cells[name].typical) is not None:
+                    ends = [number - 0.42, number + 0.42]
+                    axes.plot([least] * 2, ends, color=INK, linestyle=style, linewidth=1.6)
         axes.set_yticks(range(count), [row.scenario for row in comparison.rows])
         axes.set_ylim(count - 0.5, -0.5)
         axes.set_yticks(np.arange(0.5, count - 1), minor=True)
@@ -65,9 +80,7 @@ def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
         axes.grid(visible=True, axis="y", which="minor", color="#C4C9D0")
         axes.tick_params(axis="y", length=0, which="both", labelcolor=INK, labelsize=10)
         axes.set_xscale("log")
-        low, high = axes.get_xlim()
-        # One that diverged must not squeeze the others into a corner.
-        axes.set_xlim(low, min(high, 3.0))
+        axes.set_xlim(right=min(axes.get_xlim()[1], _LARGEST))
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axes.xaxis.set_minor_formatter(NullFormatter())
@@ -81,22 +94,3 @@ def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
         )  # fmt: skip
         figure.legend(loc="outside lower left", ncols=6, fontsize=9)
         figure.savefig(path, dpi=_DPI, metadata={"Software": None})
-
-
-def _draw_observer(axes: Axes, name: str, cell: Cell, height: float, *, labelled: bool) -> None:
-    marker, colour = _MARKERS[name]
-    label = name if labelled else None
-    typical = cell.typical
-    if typical is None or not typical <= 3.0:
-        beyond = f"{number_text(typical)} →" if typical is not None else "no estimate"
-        axes.text(
-            0.995, height, f"{name}: {beyond}", transform=axes.get_yaxis_transform(),
-            ha="right", va="center", fontsize=7.5, color=MUTED,
-        )  # fmt: skip
-    if typical is None or not typical <= DIVERGED:
-        axes.plot([], [], marker, color=colour, label=label)
-        return
-    reach = np.percentile(cell.normalised, (_FEWEST, _MOST))
-    axes.plot(reach, [height, height], color=colour, linewidth=1.4, solid_capstyle="butt")
-    axes.plot([typical], [height], marker, color=colour, markersize=6.5, label=label,
-              markeredgecolor="white", markeredgewidth=0.6)  # fmt: skip

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of observers on simulated scenarios, as a table for terminals, Markdown and JSON."""
+"""Errors of observers on simulated scenarios, as a table for terminals and for JSON."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.estimation.baselines import GATE
+from tsobs_ros.methods import METHODS
 from tsobs_ros.report.comparison import aligned, number_text
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics
 from tsobs_ros.report.quantities import QUANTITIES
@@ -19,28 +19,22 @@ BOUNDS = ("pcrb", "pcrb_augmented")
 """Names of the posterior Cramér–Rao bound with known parameters, and with those as states."""
 
 ABOUT = {
-    "certified": "ours, which learns what the design calls uncertain",
-    "certified_fixed": "ours without learning",
-    "ekf_plain": "extended Kalman filter with the design's model, disturbance, noise and start",
-    "ekf": f"the same, gated at {GATE:g}σ",
-    "ekf_augmented": "gated, with the uncertain parameters as states",
-    "high_gain": "proportional observer (PO), with the best θ of the scenario's first run",
-    "proportional_integral": "with an integral besides (PIO), θ likewise",
-    "paper": "the published method's observer, with the printed gains",
+    **METHODS,
+    "certified_fixed": "the same without learning",
     "pcrb": "least error of an estimator that is not biased by the sensor's offset, if it knows "
     "the arm, the rest of the disturbance and when it jumps (posterior Cramér–Rao bound)",
     "pcrb_augmented": "the same if it does not know the uncertain parameters",
 }
-"""What each column of the table is."""
+"""What each row of the table is."""
 
 _BIASED = {
-    "takes the parameters for known, so that pcrb holds for it if they are right": (
+    "take the parameters for known, so that pcrb holds if they are right": (
         "certified_fixed",
         "ekf_plain",
         "ekf",
     ),
-    "takes an offset of the sensor for motion, so that no bound holds for it, and estimates no "
-    "disturbance of it": ("high_gain", "proportional_integral"),
+    "take an offset of the sensor for motion, so that no bound holds; their θ is the best one of "
+    "the scenario's first run": ("high_gain", "proportional_integral"),
     "uses no measurement of the arm, see docs/method.md": ("paper",),
 }
 """Why the bound does not hold for observers."""
@@ -90,21 +84,18 @@ class Cell(NamedTuple):
         }
 
 
-@dataclass(frozen=True)
-class ScenarioRow:
+class ScenarioRow(NamedTuple):
     """A scenario.
 
     Attributes:
         scenario: Its name.
-        cells: Errors by observer.
-        bounds: Least errors, by the names of `BOUNDS`, of a single run.
+        cells: Errors by observer, and least errors of a run by the names of `BOUNDS`.
         unbounded: Why there are no bounds; empty if there are.
         thetas: θ of the observers of high gain [rad/s].
     """
 
     scenario: str
     cells: dict[str, Cell]
-    bounds: dict[str, Cell]
     unbounded: str
     thetas: Mapping[str, float]
 
@@ -128,7 +119,7 @@ class ScenarioComparison:
     @property
     def names(self) -> tuple[str, ...]:
         """The observers, and the bounds that any scenario has."""
-        bounds = (name for name in BOUNDS if any(name in row.bounds for row in self.rows))
+        bounds = (name for name in BOUNDS if any(name in row.cells for row in self.rows))
         return (*self.observers, *bounds)
 
     def as_mapping(self) -> dict[str, Any]:
@@ -138,7 +129,7 @@ class ScenarioComparison:
             "observers": {name: ABOUT[name] for name in self.names},
             "scenarios": {
                 row.scenario: {
-                    **{name: one.as_mapping() for name, one in (row.cells | row.bounds).items()},
+                    **{name: one.as_mapping() for name, one in row.cells.items()},
                     "theta": dict(row.thetas),
                     "unbounded": row.unbounded or None,
                 }
@@ -160,50 +151,14 @@ class ScenarioComparison:
             lines += [f"{', '.join(own)}: {reason}"] * bool(own)
         return [*lines, *self.remarks]
 
-    def table(self, quantity: int | None = None) -> list[list[str]]:
-        """Return a table of the observers over the scenarios, with a head.
-
-        Args:
-            quantity: Place of that whose RMSE is shown; the normalised RMSE of all states if None.
-        """
-        rows = [["", *(row.scenario for row in self.rows)]]
-        for name in self.names:
-            cells = [row.cells.get(name) or row.bounds.get(name) for row in self.rows]
-            known = (
-                None
-                if one is None
-                else _root_mean(one.normalised if quantity is None else one.rmse[:, quantity])
-                for one in cells
-            )
-            rows.append([name, *map(number_text, known)])
-        return rows
-
     def __str__(self) -> str:
+        table = [["", *(row.scenario for row in self.rows)]]
+        for name in self.names:
+            cells = (row.cells.get(name) for row in self.rows)
+            table.append([name, *(number_text(one and one.typical) for one in cells)])
         width = max(map(len, self.names))
         about = [f"{name:<{width}}  {ABOUT[name]}" for name in self.names]
-        return "\n".join([*aligned(self.table(), text_columns=1), "", *about, "", *self.notes()])
-
-    def markdown(self, figure: str) -> str:
-        """Return the page: the figure of a file name, and a table of each quantity."""
-        measure, *notes = self.notes()
-        parts = [
-            "# Observers on the same scenarios",
-            f"{measure[0].upper()}{measure[1:]}.",
-            f"![Errors of all observers]({figure})",
-            _markdown_table(self.table()),
-            "\n".join(f"- `{name}`: {ABOUT[name]}" for name in self.names),
-        ]
-        if notes:
-            parts += ["## Notes", "\n".join(f"- {note}" for note in notes)]
-        for place, quantity in enumerate(QUANTITIES):
-            parts += [f"## RMSE of the {quantity.name} [{quantity.unit}]"]
-            parts += [_markdown_table(self.table(place))]
-        return "\n\n".join(parts) + "\n"
-
-
-def _markdown_table(rows: Sequence[Sequence[str]]) -> str:
-    lines = ["| " + " | ".join(row) + " |" for row in rows]
-    return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
+        return "\n".join([*aligned(table, text_columns=1), "", *about, "", *self.notes()])
 
 
 def _root_mean(values: Array) -> float | None:
