@@ -12,17 +12,15 @@ import numpy as np
 
 from tsobs_ros.campaign.batches import observe, recorded
 from tsobs_ros.campaign.premises import violated
-from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import THETA_STD
 from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
-from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender
+from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_estimator
 from tsobs_ros.model import disturbance
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import arm_uncertainty
-from tsobs_ros.replay.estimate import Observer, without_misfits
 from tsobs_ros.report.comparison import HIGH_GAIN, THETAS
 from tsobs_ros.report.metrics import JUMP, measure
 from tsobs_ros.report.scenario_table import BOUNDS, Cell, ScenarioComparison, ScenarioRow
@@ -100,21 +98,26 @@ def compare_scenarios(
         raise ModelError(
             f"scenarios: expected a design without a delay, got outputs[0].delay {delay}"
         )
-    file = DesignFile.of(design)
-    observers, remarks = without_misfits(
-        Observer(name, contender(settings or ObserverSettings(), name), (file,)) for name in methods
-    )
+    contenders, remarks = dict[str, ObserverSettings](), list[str]()
+    for name in methods:
+        chosen = contender(settings or ObserverSettings(), name)
+        try:
+            make_estimator(design, chosen)
+            contenders[name] = chosen
+        except ModelError as error:
+            remarks.append(f"{name} is left out: {error}")
+    if not contenders:
+        raise ModelError("; ".join(remarks))
 
     def compared(name: str) -> ScenarioRow:
         scenario = fitted(SCENARIOS[name], design)
         runs = simulate(scenario, range(seeds), duration)
         cells, thetas = {}, {}
-        for one in observers:
-            chosen = one.settings
-            if chosen.method in HIGH_GAIN:
+        for method, chosen in contenders.items():
+            if method in HIGH_GAIN:
                 chosen = _tuned(design, chosen, runs)
-                thetas[one.name] = chosen.theta
-            cells[one.name] = _measured(design, chosen, runs)
+                thetas[method] = chosen.theta
+            cells[method] = _measured(design, chosen, runs)
             advance(seeds)
         reason = why_unbounded(scenario)
         cells |= {} if reason else _bounds(design, scenario, runs)
@@ -122,8 +125,7 @@ def compare_scenarios(
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         rows = tuple(pool.map(compared, scenarios))
-    names = tuple(one.name for one in observers)
-    return ScenarioComparison(rows, names, seeds, tuple(remarks))
+    return ScenarioComparison(rows, tuple(contenders), seeds, tuple(remarks))
 
 
 def fitted(scenario: Scenario, design: Design) -> Scenario:

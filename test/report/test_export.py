@@ -209,7 +209,7 @@ def test_topics_become_paths_and_files_are_not_replaced(tmp_path) -> None:
 
 NAMES = [
     "/../../escaped", "/a/./b", "//a", "/a//", "/", "/a\0b", "/a\nb", "/a%0Ab", "/a\x1b[2Jb",
-    "/a\u202eb", "/a.csv/b", "/a\\b", "/" + "a" * 300, "/" + "a" * 299 + "b", "/a" * 3000,
+    "/a\u202eb", "/a.csv/b", "/a\\b",
 ]  # fmt: skip
 
 
@@ -224,6 +224,8 @@ def test_each_topic_has_a_plain_file_of_its_own_whatever_its_name(tmp_path) -> N
     for file in files:
         assert file.resolve().is_relative_to(folder)
         assert re.fullmatch(r"[\w%~/-]+", str(file.relative_to(folder).with_suffix("")), re.ASCII)
+    with pytest.raises(ExportError, match="File name too long"):
+        export_bag(joint_bag(tmp_path / "long", f"/{'a' * 300}"), folder)
 
 
 @pytest.fixture

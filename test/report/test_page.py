@@ -55,9 +55,7 @@ def page(simulated, troubled, diagnosed, tmp_path):
     shown = picture(run, metrics, (0.03,), diagnosed=diagnosed)
     path = tmp_path / "run.html"
     table = Table("A table", ("what", "number"), [(HOSTILE, "1")], 1, HOSTILE)
-    write_html(
-        shown, path, About(Summary(Level.WARN, "It went so-so."), (table,), ((HOSTILE, "2"),))
-    )
+    write_html(shown, path, About(Summary(Level.WARN, "It went so-so."), (table,)))
     return path
 
 

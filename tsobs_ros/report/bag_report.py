@@ -142,15 +142,17 @@ class BagReport:
             for _, time, event in self.events
         ]
         rejected = [(reason, str(count)) for reason, count in self.diagnosed.rejected.items()]
+        health = () if self.health is None else self.health.lines()
         columns = ("sensor", "fault", "level", "since [s]", "until [s]", "size")
         tables = [
             Table("Errors and bounds", head, rows, 2, self._note),
             Table("Faults of sensors", columns, faults, 3),
             Table("Events", ("time [s]", "level", "what"), events, 3),
             Table("Rejected measurements", ("reason", "number"), rejected),
+            Table("What it was made with", ("what", "value"), self.facts, 2),
+            Table("Remarks", ("",), [(line,) for line in [*health, *self.remarks]], 1),
         ]
-        remarks = (*(() if self.health is None else self.health.lines()), *self.remarks)
-        return About(self.summary, tables, self.facts, remarks)
+        return About(self.summary, tables)
 
 
 def make_bag_report(

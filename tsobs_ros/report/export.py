@@ -9,7 +9,6 @@ is a Vector3 in rad/s. A field that is not listed has no unit.
 """
 
 import csv
-import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -40,8 +39,6 @@ _BLOCK = 16_384
 _MAX_INT64 = 2**63 - 1
 # A spreadsheet takes text with such a first character for a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
-# Characters of a topic that becomes a path, of a file's name, and of the start of a shortened one.
-_MAX_TOPIC, _MAX_NAME, _MAX_START = 1000, 240, 100
 
 Units: TypeAlias = Mapping[str, Mapping[str, str]]
 """Units of fields by type, or of a JointState's fields by entry."""
@@ -85,17 +82,13 @@ class _Column:
     """A column: its name without unit, its unit, one of its values, and the largest number."""
 
     name: str
-    unit: str = ""
+    unit: str
     example: Any = 0.0
     largest: int = 0
 
 
 class _Table:
-    """A topic as a table.
-
-    The first columns are `time`, in seconds since the bag's first message, and the times at which
-    the message was received and published. They are followed by the message's own, in the order
-    in which they first appear.
+    """A topic as a table: three times, then the columns in the order in which they first appear.
 
     Raises:
         BagReadError: The topic's messages cannot be decoded at all: their definition is malformed
@@ -204,35 +197,24 @@ def _type_of(value: Any) -> str:
 def _units_of_systems(reader: BagReader) -> dict[str, dict[str, str]]:
     """Return the units of the entries of T–S systems by field, as recorded designs have them."""
     units: dict[str, dict[str, str]] = {}
-    for topic in reader.topics.values():
-        if not topic.name.endswith(f"/{DESIGN}"):
-            continue
+    end = f"/{DESIGN}"
+    for name in [name.removesuffix(end) for name in reader.topics if name.endswith(end)]:
         with suppress(TsobsError):  # without the design there are no units
-            ran = recorded_observer(reader, topic.name.removesuffix(f"/{DESIGN}"))
+            ran = recorded_observer(reader, name)
             for joint, (design, *_) in ran.designs.items():
-                if design.text is None:
-                    continue
-                request = parse_design(f"{design.file:.200}", design.text).request
-                if not isinstance(request, TSRequest):
-                    continue
-                own = signals(request, joint, alone=len(ran.designs) == 1)
-                places = (*own.states, *own.inputs, *own.outputs)
-                given = (*request.state_units, *request.input_units, *request.output_units)
-                for place, unit in zip(places, given, strict=True):
-                    units[place.name] = {"position": unit, "velocity": f"{unit}/s" if unit else ""}
+                request = parse_design(design.file, design.text).request
+                if isinstance(request, TSRequest):
+                    own = signals(request, joint, alone=len(ran.designs) == 1)
+                    places = (*own.states, *own.inputs, *own.outputs)
+                    given = (*request.state_units, *request.input_units, *request.output_units)
+                    for place, unit in zip(places, given, strict=True):
+                        rate = f"{unit}/s" if unit else ""
+                        units[place.name] = {"position": unit, "velocity": rate}
     return units
 
 
 class Exported(NamedTuple):
-    """A file that was written.
-
-    Attributes:
-        topic: The topic.
-        path: The file.
-        rows: Number of messages.
-        columns: Number of columns.
-        damage: The place where reading ended early, if it did.
-    """
+    """A file that was written, and the damage to the bag that ended reading early, if any."""
 
     topic: str
     path: Path
@@ -244,13 +226,9 @@ class Exported(NamedTuple):
 def export_bag(
     bag: str | Path, output: str | Path, *, topics: Sequence[str] = (), format: str = "csv"
 ) -> list[Exported]:
-    """Write each topic to a file of its name, below a folder.
+    """Write each topic, by default all that have messages, to a file of its name below a folder.
 
-    Args:
-        bag: Bag folder or MCAP file.
-        output: The folder; it is created, but no file in it is replaced.
-        topics: The topics; all that have messages if empty.
-        format: One of `FORMATS`.
+    No file is replaced. The format is one of `FORMATS`.
 
     Raises:
         BagReadError: The bag cannot be read, has no such topic, or a topic cannot be decoded.
@@ -258,9 +236,7 @@ def export_bag(
         ModuleNotFoundError: Parquet is asked for, but pyarrow is not installed.
     """
     reader, output = BagReader(bag), Path(output)
-    if unknown := [topic for topic in topics if topic not in reader.topics]:
-        has = ", ".join(reader.topics) or "none"
-        raise BagReadError(f"{bag}: no topic {', '.join(unknown)}; topics: {has}")
+    reader.require(topics)
     chosen = topics or [name for name, info in reader.topics.items() if info.count]
     write = _write_parquet if format == "parquet" else _write_csv
     paths = {topic: _file_of(topic, output, format) for topic in chosen}
@@ -283,17 +259,11 @@ def export_bag(
 
 def _file_of(topic: str, output: Path, format: str) -> Path:
     """Return a topic's file, which is below the folder whatever the topic's name is."""
-    names = topic.removeprefix("/").split("/") if len(topic) <= _MAX_TOPIC else [topic]
-    parts = list(map(_file_name, names))
+    names = topic.removeprefix("/").split("/")
+    parts = [
+        quote(one, safe="", errors="surrogatepass").replace(".", "%2E") or "%" for one in names
+    ]
     return output.joinpath(*parts[:-1], f"{parts[-1]}.{format}")
-
-
-def _file_name(name: str) -> str:
-    """Return a part of a topic's name for a file: as it is if ROS allows it, else encoded."""
-    encoded = quote(name, safe="", errors="surrogatepass").replace(".", "%2E") or "%"
-    if len(encoded) <= _MAX_NAME:
-        return encoded
-    return f"{encoded[:_MAX_START]}~{hashlib.sha256(encoded.encode()).hexdigest()[:16]}"
 
 
 def _write_csv(table: _Table, path: Path) -> None:

@@ -116,16 +116,12 @@ def _draw(axes: Axes, plot: Plot, picture: Picture) -> None:
         axes.fill_between(band.times, band.lower, band.upper, color=BAND_COLOUR, alpha=_FAINT, lw=0)
     for curve in plot.curves:
         colour, width, dash = curve.style
-        look: dict[str, Any] = {"ls": dash, "lw": width}
+        look: dict[str, Any] = {"ls": dash, "lw": width, "solid_capstyle": "butt"}
         if dash == ".":
             look = {"ls": "", "marker": ".", "ms": 2.2, "mew": 0}
         axes.plot(curve.times, curve.values, color=colour, label=_plain(curve.name), **look)
     if plot.own:
-        axes.legend(loc="upper left", fontsize=7.5, ncols=4, borderpad=0.1, handlelength=1.2)
-    for place, name in enumerate(plot.rows):
-        for strip in plot.strips:
-            if strip.name == name:
-                axes.hlines(place, strip.begin, strip.end, color=strip.colour, lw=9)
+        axes.legend(loc="upper left", fontsize=7.5, ncols=2, borderpad=0.1, handlelength=1.2)
     if plot.rows:
         axes.set_yticks(range(len(plot.rows)), [_plain(name) for name in plot.rows])
     if plot.level is not None:

@@ -62,8 +62,11 @@ def write_page(path: Path, fit: Fit, names: str) -> None:
         ("rate", f"{fit.request.rate:g} Hz"),
         ("version of this report", f"tsobs_ros {__version__}"),
     ]
-    elsewhere = "the tables have the numbers"
-    about = About(_verdict(fit, part), (), facts, fit.notes, elsewhere, list(_tables(fit, part)))
+    tables = (
+        Table("What it was made with", ("what", "value"), facts, 2),
+        Table("Remarks", ("",), [(note,) for note in fit.notes], 1),
+    )
+    about = About(_verdict(fit, part), tables, list(_tables(fit, part)))
     headline = f"{counts}  ·  figures: {part}"
     write_html(Picture(f"Fit to {names}", headline, tuple(_rows(fit)), (begin, end)), path, about)
 

@@ -59,5 +59,5 @@ async function draw() {
 
 draw().catch((error) => {
   const failure = document.getElementById("failure");
-  failure.textContent = `The figures cannot be drawn: ${error.message}; ${failure.dataset.elsewhere}.`;
+  failure.textContent = `The figures cannot be drawn: ${error.message}.`;
 });

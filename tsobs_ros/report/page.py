@@ -35,21 +35,15 @@ _NUMBER = ' class="number"'
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
 
 
-def write_html(picture: Picture, path: Path, about: About | None = None) -> None:
+def write_html(picture: Picture, path: Path, about: About) -> None:
     """Write a page that needs nothing but itself: no network, no second file.
 
     plotly.js is in it, compressed, which is most of the page: with a script beside it, a page
     that is sent or moved alone would be blank.
 
-    Args:
-        picture: What is shown.
-        path: The page; it is replaced.
-        about: What it has beside the plots.
-
     Raises:
         OSError: The page cannot be written.
     """
-    about = about or About()
     own = Path(__file__)
     style = own.with_suffix(".css").read_text(encoding="utf-8")
     script = own.with_suffix(".js").read_text(encoding="utf-8")
@@ -63,7 +57,8 @@ def write_html(picture: Picture, path: Path, about: About | None = None) -> None
         )
         page.writelines(_head(picture, about))
         page.write(figures)
-        page.writelines(_tail(about))
+        page.writelines(_tables(about.tables))
+        page.write("</main>\n")
         content = json.dumps(drawn, separators=(",", ":"), allow_nan=False)
         for name, text in (("library", get_plotlyjs()), ("content", content)):
             data = base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode("ascii")
@@ -77,9 +72,8 @@ def _head(picture: Picture, about: About) -> Iterator[str]:
         kind, verdict = _VERDICTS.get(about.summary.level, ("error", "✗ Bad:"))
         yield f'<p class="verdict {kind}"><strong>{verdict}</strong>{text}</p>\n'
     yield f'<p class="muted">{escape(picture.headline)}</p>\n</header>\n<main>\n'
-    elsewhere = escape(about.elsewhere)
-    yield f'<p id="failure" role="status" data-elsewhere="{elsewhere}"></p>\n'
-    yield f"<noscript><p>The figures need JavaScript; {elsewhere}.</p></noscript>\n"
+    yield '<p id="failure" role="status"></p>\n'
+    yield "<noscript><p>The figures need JavaScript; the tables do not.</p></noscript>\n"
     yield from _tables(about.first)
 
 
@@ -89,20 +83,6 @@ def _tables(tables: Sequence[Table]) -> Iterator[str]:
         yield f"<section>\n<h2>{escape(table.title)}</h2>\n"
         yield f'<div class="wide" tabindex="0" role="region" aria-label="{escape(table.title)}">'
         yield f"<table{text}>{_table(table)}</table></div>\n</section>\n"
-
-
-def _tail(about: About) -> Iterator[str]:
-    yield from _tables(about.tables)
-    if about.facts:
-        facts = "".join(
-            f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in about.facts
-        )
-        yield f"<section>\n<h2>What it was made with</h2>\n<dl>{facts}</dl>\n</section>\n"
-    if about.remarks:
-        yield "<section>\n<h2>Remarks</h2>\n"
-        yield "".join(f"<p>{escape(remark)}</p>\n" for remark in about.remarks)
-        yield "</section>\n"
-    yield "</main>\n"
 
 
 def _table(table: Table) -> str:
@@ -196,11 +176,6 @@ def _traces(plot: Plot) -> Iterator[dict[str, Any]]:
             look = {"mode": "markers", "marker": {"size": 2.5, "color": colour}}
         trace = _trace(curve.name, curve.times, curve.values, **look)
         yield trace | (_switch(curve.name, colour) if curve.name in STYLES else {})
-    for strip in plot.strips[:_MAX_ROWS]:
-        height = float(plot.rows.index(strip.name))
-        ends = np.array([strip.begin, strip.end]), np.full(2, height)
-        name = ", ".join(filter(None, (strip.name, strip.words)))
-        yield _trace(name, *ends, line={"color": strip.colour, "width": 14})
 
 
 _DASHES = {"-": "solid", "--": "dash", ":": "dot", ".": "solid"}

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.estimation.records import Hypothesis
-from tsobs_ros.replay.health import CLAIMED, HYPOTHESIS
+from tsobs_ros.replay.health import CLAIMED
 from tsobs_ros.report.diagnosed import Diagnosed, FaultSpan
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics, inside_windows
 from tsobs_ros.report.quantities import Quantity, inputs_of, measured_states, outputs_of
@@ -27,6 +26,7 @@ MAX_CURVE, MAX_BAND = 5000, 1500
 TIME = "time since the first sample [s]"
 EVENT_COLOUR, SETTLING_COLOUR, MEASUREMENT_COLOUR = RED, "#F1F3F5", "#8A8F98"
 _LEVEL_COLOURS = {Level.OK: "#56B4E9", Level.WARN: ORANGE}
+_MAX_FAULTS = 200
 
 # Measurements may be ahead of the estimates [s].
 _MAX_AHEAD = 4.0
@@ -76,16 +76,6 @@ class Band(NamedTuple):
     upper: Array
 
 
-class Strip(NamedTuple):
-    """A bar: its row, from where to where [s or the axis's unit], its colour, and more words."""
-
-    name: str
-    begin: float
-    end: float
-    colour: str
-    words: str = ""
-
-
 class Plot(NamedTuple):
     """What is drawn into one pair of axes.
 
@@ -96,7 +86,7 @@ class Plot(NamedTuple):
         curves: Curves, the first below the others.
         remark: Phrases on it.
         bands: Bands below the curves, the widest first.
-        strips: Bars, such as times for which something is reported, in place of curves.
+        rows: Names of the values 0, 1, …, if these are no numbers.
         spans: Parts of the time that are marked, (begin, end) in seconds.
         level: Size of a constant ± line, e.g. of what is expected of noise.
         axis: Label of the horizontal axis; another one than `TIME` does not follow the others.
@@ -108,7 +98,7 @@ class Plot(NamedTuple):
     curves: tuple[Curve, ...] = ()
     remark: tuple[str, ...] = ()
     bands: tuple[Band, ...] = ()
-    strips: tuple[Strip, ...] = ()
+    rows: tuple[str, ...] = ()
     spans: tuple[tuple[float, float], ...] = ()
     level: float | None = None
     axis: str = TIME
@@ -122,12 +112,7 @@ class Plot(NamedTuple):
     def own(self) -> tuple[Curve, ...]:
         """Its curves that need a legend of its own."""
         own = tuple(curve for curve in self.curves if curve.name not in STYLES)
-        return own if len(own) > 1 else ()
-
-    @property
-    def rows(self) -> tuple[str, ...]:
-        """The names of its strips, from below."""
-        return tuple(dict.fromkeys(strip.name for strip in self.strips))
+        return own if len(own) > 1 and not self.rows else ()
 
 
 class TimingSummary(NamedTuple):
@@ -136,7 +121,7 @@ class TimingSummary(NamedTuple):
     Attributes:
         rate: Median rate [Hz]; None without two measurements.
         jitter: Standard deviation of the intervals between stamps, without gaps [s].
-        max_interval: The largest interval [s].
+        max_interval: The largest one [s].
         lost: Number of samples that are missing by the stamps.
         gaps: Number of intervals longer than `MAX_GAP`.
     """
@@ -152,13 +137,10 @@ class Picture(NamedTuple):
     """What the figure and the page of a run, or of a fit, show.
 
     Attributes:
-        name: Its origin.
-        headline: A line on it as a whole.
         rows: A plot, or one of values and one of their errors.
         time_range: Begin and end of the time axis [s]: all measurements and estimates.
         unsettled: Parts that do not count as settled, (begin, end) in seconds.
         jumps: Times [s] of the true disturbances' jumps, each with a label.
-        timing: How regular measurements came.
     """
 
     name: str
@@ -185,12 +167,8 @@ def picture(
 ) -> Picture:
     """Return what is shown of a run.
 
-    Args:
-        run: The recorded run.
-        metrics: Its metrics.
-        innovation_std: 1σ the design expects of each output's innovation; empty if unknown.
-        diagnosed: What the observer's diagnostics have.
-        rival: The run of an EKF.
+    `innovation_std` is the 1σ that the design expects of each output's innovation, empty if
+    unknown; `rival` is the run of an EKF.
     """
     diagnosed = diagnosed or Diagnosed()
     last, outputs = float(run.times[-1]), outputs_of(run.request)
@@ -249,73 +227,52 @@ def _headline(metrics: RunMetrics, run: RecordedRun) -> str:
     return "  ·  ".join(parts)
 
 
-def thin(times: Array, values: Array) -> tuple[Array, Array]:
-    """Return the lowest and the highest point of each of equal times, if there are too many.
+def thin(values: Array) -> NDArray[np.intp]:
+    """Return the places of the lowest and the highest value of each of equal groups of them.
 
-    Args:
-        times: In ascending order, shape (n,).
-        values: Shape (n,).
+    All if there are not too many. NaN stays where a group has nothing else.
     """
-    if len(times) <= MAX_CURVE:
-        return times, values
-    begins = _begins(times, MAX_CURVE // 2)
-    owner = np.repeat(np.arange(len(begins)), np.diff(begins, append=len(times)))
-    finite = np.isfinite(values)
-    lowest = np.minimum.reduceat(np.where(finite, values, np.inf), begins)[owner]
-    highest = np.maximum.reduceat(np.where(finite, values, -np.inf), begins)[owner]
-    low, high = np.flatnonzero(values == lowest), np.flatnonzero(values == highest)
-    kept = np.zeros(len(times), np.bool_)
-    kept[low[np.diff(owner[low], prepend=-1) != 0]] = True
-    kept[high[np.diff(owner[high], append=-1) != 0]] = True
-    kept[begins[np.isinf(lowest[begins])]] = True
-    return times[kept], values[kept]
+    if len(values) <= MAX_CURVE:
+        return np.arange(len(values))
+    size = -(-2 * len(values) // MAX_CURVE)
+    groups = np.pad(values, (0, -len(values) % size), constant_values=np.nan).reshape(-1, size)
+    known, begins = np.isfinite(groups), size * np.arange(len(groups))
+    low = begins + np.where(known, groups, np.inf).argmin(axis=1)
+    high = begins + np.where(known, groups, -np.inf).argmax(axis=1)
+    return np.unique(np.concatenate([low, high]))
 
 
-def _begins(times: Array, count: int) -> NDArray[np.intp]:
-    """Return the place of the first time in each of as many equal times that has any."""
-    edges = np.linspace(times[0], times[-1], count + 1)[:-1]
-    begins = np.searchsorted(times, edges)
-    return begins[np.diff(begins, append=len(times)) > 0]
-
-
-def _with_gaps(times: Array, values: Array, max_gap: float) -> tuple[Array, Array]:
-    """Return values with NaN in the middle of each longer gap [s]."""
-    steps = np.diff(times, prepend=times[:1])
-    (places,) = np.nonzero(steps > max_gap)
-    between = times[places] - 0.5 * steps[places]
-    return np.insert(times, places, between), np.insert(values, places, np.nan, axis=0)
+def _with_gaps(
+    times: Array, kept: NDArray[np.intp], values: Array, max_gap: float
+) -> tuple[Array, Array]:
+    """Return kept times and their values, with NaN in the middle of each longer gap [s]."""
+    (places,) = np.nonzero(np.diff(times) > max_gap)
+    between = 0.5 * (times[places] + times[places + 1])
+    where = np.searchsorted(times[kept], between)
+    return np.insert(times[kept], where, between), np.insert(values, where, np.nan, axis=0)
 
 
 def thinned_curve(
     name: str, times: Array, values: Array, style: Style | None = None, max_gap: float = MAX_GAP
 ) -> Curve:
-    """Return a curve of no more points than `MAX_CURVE`, with NaN in its gaps.
+    """Return a curve of no more points than `MAX_CURVE`, with NaN in gaps longer than so [s].
 
-    Args:
-        name: Its name.
-        times: In ascending order [s], shape (n,).
-        values: Shape (n,).
-        style: Its look; that of its name if None.
-        max_gap: A longer time without a value is a gap [s].
+    Times ascend [s]; times and values have shape (n,). The look is by default that of the name.
     """
-    style = style or STYLES[name]
-    if style.dash == "." and len(times) > MAX_CURVE:
+    style, kept = style or STYLES[name], thin(values)
+    if style.dash == "." and len(kept) < len(values):
         style = style._replace(dash="-")  # only the extremes are left
-    return Curve(name, *thin(*_with_gaps(times, values, max_gap)), style)
+    return Curve(name, *_with_gaps(times, kept, values[kept], max_gap), style)
 
 
 def _bands(times: Array, centre: Array, bound: Array, max_gap: float = MAX_GAP) -> tuple[Band, ...]:
     """Return the bands of 3σ and 1σ; thinned, each is as wide as it ever was at its time."""
-    made = []
+    groups, made = np.arange(0, len(times), max(1, -(-len(times) // MAX_BAND))), []
     for sigmas in (SIGMAS, 1.0):
-        edges = np.stack([centre - sigmas * bound, centre + sigmas * bound], axis=1)
-        at, (lower, upper) = times, _with_gaps(times, edges, max_gap)[1].T
-        at = _with_gaps(times, times, max_gap)[0]
-        if len(at) > MAX_BAND:
-            begins = _begins(at, MAX_BAND)
-            at = at[begins]
-            lower, upper = np.fmin.reduceat(lower, begins), np.fmax.reduceat(upper, begins)
-        made.append(Band(f"bound {sigmas:g}σ", at, lower, upper))
+        lower = np.fmin.reduceat(centre - sigmas * bound, groups)
+        upper = np.fmax.reduceat(centre + sigmas * bound, groups)
+        at, edges = _with_gaps(times, groups, np.stack([lower, upper], axis=1), max_gap)
+        made.append(Band(f"bound {sigmas:g}σ", at, *edges.T))
     return tuple(made)
 
 
@@ -330,12 +287,7 @@ def lines(
 
 
 def limits_around(values: Iterable[Array], *, zero: bool = False) -> tuple[float, float]:
-    """Return a range with all finite values and a margin.
-
-    Args:
-        values: Of any shape.
-        zero: Whether it has zero too.
-    """
+    """Return a range with all finite values, zero if asked for, and a margin."""
     finite = [each[np.isfinite(each)] for each in values]
     ends = [float(end) for each in finite if len(each) for end in (each.min(), each.max())]
     low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
@@ -379,9 +331,7 @@ def _of_quantity(
         wrong.append(thinned_curve("EKF", at, theirs.error))
     curves.append(thinned_curve("estimated", times, one.values))
     wrong.append(thinned_curve("estimated", times, one.error))
-    low, high = (min(edges), max(edges)) if edges else (-1.0, 1.0)
-    margin = 0.08 * (high - low) or 0.1
-    bands, limits = _bands(times, one.values, one.bounds), (low - margin, high + margin)
+    bands, limits = _bands(times, one.values, one.bounds), limits_around([np.array(edges)])
     plot = Plot(quantity.name, quantity.unit, limits, tuple(curves), bands=bands)
     remark = _remark(metrics, quantity)
     if not np.isfinite(one.error).any():
@@ -415,21 +365,16 @@ def _max_error(run: RecordedRun, metrics: RunMetrics, error: Array, bounds: Arra
 
 
 def _faults(faults: Sequence[FaultSpan]) -> Plot:
-    names = {Level.OK: "small", Level.WARN: "warning"}
-    strips = tuple(
-        Strip(
-            f"{one.kind}: {one.output}" if one.output else one.kind,
-            one.begin,
-            max(one.end, one.begin + 0.1),
-            _LEVEL_COLOURS.get(one.level, EVENT_COLOUR),
-            one.level.name,
-        )
-        for one in faults
-    )
-    levels = sorted({one.level for one in faults})
-    remark = (f"level: {', '.join(names.get(level, 'error') for level in levels)}",)
-    count = len({strip.name for strip in strips})
-    return Plot("sensor fault", "", (-0.6, count - 0.4), remark=remark, strips=strips)
+    """Return the plot of faults as bars, a row for each sensor and kind."""
+    names = [f"{one.kind}: {one.output}" if one.output else one.kind for one in faults]
+    rows, curves = tuple(dict.fromkeys(names)), []
+    for name, one in zip(names, faults[:_MAX_FAULTS], strict=False):
+        ends = np.array([one.begin, max(one.end, one.begin + 0.1)])
+        style = Style(_LEVEL_COLOURS.get(one.level, EVENT_COLOUR), 9.0)
+        values = np.full(2, float(rows.index(name)))
+        curves.append(Curve(f"{name}, {one.level.name}", ends, values, style))
+    remark = ("blue: small", "orange: warning", "red: error")
+    return Plot("sensor fault", "", (-0.6, len(rows) - 0.4), tuple(curves), remark, rows=rows)
 
 
 def _innovations(
@@ -476,16 +421,6 @@ def _learnt(run: RecordedRun) -> Iterator[Plot]:
 def _health(times: Array, values: Array) -> Plot:
     """Return the plot of noise scale and coloured power, and of when no bound is claimed."""
     scale, coloured, void = values[:, 0], values[:, 1], values[:, CLAIMED] == 0.0
-    known = scale[np.isfinite(scale)]
-    sizes = "not known"
-    if len(known):
-        sizes = f"median {np.median(known):.2f}, at most {known.max():.2f}"
-    shares = ((one, float(np.mean(values[:, HYPOTHESIS] == one))) for one in Hypothesis)
-    remark = (
-        sizes,
-        f"marked: no bound is claimed, {100.0 * void.mean():.3g} %",
-        *(f"{100.0 * share:.3g} % {one.words}" for one, share in shares if share),
-    )
     (edges,) = np.nonzero(np.diff(np.concatenate([[False], void, [False]])))
     ends = times[edges.clip(max=len(times) - 1)]
     return Plot(
@@ -496,7 +431,7 @@ def _health(times: Array, values: Array) -> Plot:
             thinned_curve("noise scale", times, scale, Style(BLUE), _SLOW_GAP),
             thinned_curve("coloured power", times, coloured, Style(MUTED, 1.0, "--"), _SLOW_GAP),
         ),
-        remark,
+        (f"marked: no bound is claimed, {100.0 * void.mean():.3g} %",),
         spans=tuple(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True)),
     )
 

@@ -46,22 +46,10 @@ class Summary(NamedTuple):
 
 
 class About(NamedTuple):
-    """What a page has beside the panels.
-
-    Attributes:
-        summary: How the run went.
-        tables: Its tables below the panels, in order.
-        facts: Names and values of what it was made with.
-        remarks: Limits of the report.
-        elsewhere: What shows the same without JavaScript.
-        first: Tables above the panels, in order.
-    """
+    """What a page has beside the panels: a verdict, and tables below and above the panels."""
 
     summary: Summary = Summary()
     tables: Sequence[Table] = ()
-    facts: Sequence[tuple[str, str]] = ()
-    remarks: Sequence[str] = ()
-    elsewhere: str = "report.png has them too"
     first: Sequence[Table] = ()
 
 
