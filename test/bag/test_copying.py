@@ -182,7 +182,6 @@ def damaged(file: Path, place: int, new: int) -> None:
     [
         (4, {}, r"the file is damaged: at byte \d+: .*checksum"),
         (-22, {"enable_crcs": False}, "channel 9, which is not described"),
-        (-30, {"enable_crcs": False}, "bytes that are no record"),
     ],
 )
 def test_a_damaged_chunk_is_not_copied(

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A recording is complete by file and after a pause; latched messages are in each."""
+"""A recording is complete by file; latched messages are in each."""
 
 from collections.abc import Iterator
 from itertools import count
@@ -61,17 +61,6 @@ def test_every_file_begins_with_what_is_latched(folder: Path) -> None:
     assert begins == [("/map", 1, 1), ("/map", 11, 1), ("/map", 21, 1), ("/map", 30, 30)]
     assert recording.file_count == 4
     assert recording.counts == {"/map": 2, "/a": 23}
-
-
-def test_what_is_latched_during_a_pause_comes_after_it(folder: Path) -> None:
-    recording = begin(folder)
-    recording.record(message("/a", 1))
-    for topic, latch in (("/a", None), ("/map", ONE), ("/map", ONE)):
-        recording.discard(message(topic, 2, MAP), latch)
-    recording.record(message("/a", 5))
-    recording.close()
-    assert stored(folder) == [("/a", 1, 1), ("/map", 5, 2), ("/a", 5, 5)]
-    assert (recording.discarded, recording.bytes) == (3, 2 * len(EMPTY) + len(MAP))
 
 
 def test_a_disk_that_fails_to_sync_ends_the_recording(tmp_path: Path, monkeypatch) -> None:

@@ -28,7 +28,6 @@ HELLO = cdr("hello")
 DEFINITION = find_definition(STRING)
 # Of the names before the first joint: header, stamp, frame and an empty sequence of names.
 EMPTY_JOINTS = b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0" + bytes(16)
-SEPARATOR = "=" * 80
 
 
 @pytest.fixture
@@ -103,22 +102,12 @@ def list_first_as(values: dict[str, Any], name: str) -> None:
     [
         (lambda v: v.update(storage_identifier="sqlite3"), "is stated as sqlite3, but is mcap"),
         (lambda v: v.update(duration={"nanoseconds": 7}), "duration: .* is stated as 7, but is 19"),
-        (lambda v: v.update(message_count=3), "message_count is stated as 3, but is 40"),
-        (
-            lambda v: v["topics_with_message_count"][0].update(message_count=3),
-            "/a: message_count is stated as 3, but is 20",
-        ),
         (lambda v: v["topics_with_message_count"].pop(0), "topics: /a is stated as None, but is"),
         (
             lambda v: v["files"][0].update(duration={"nanoseconds": 1}),
             r"files: bag_0.mcap: duration: .* is stated as 1, but is 10",
         ),
         (lambda v: other_topic(v, type=JOINTS), f"/a: type is stated as {JOINTS}"),
-        (lambda v: other_topic(v, serialization_format="json"), "is stated as json, but is cdr"),
-        (
-            lambda v: other_topic(v, type_description_hash="RIHS01_" + "0" * 64),
-            "/a: type_description_hash is stated",
-        ),
         (lambda v: other_topic(v, offered_qos_profiles=[]), "/a: offered_qos_profiles is stated"),
         (lambda v: list_first_as(v, "./bag_0.mcap"), r"'\./bag_0.mcap' is not given by its name"),
     ],
@@ -202,8 +191,6 @@ def overwritten(opcode: Opcode, place: int, new: bytes) -> Callable[[bytes], byt
     [
         (rewritten(Opcode.HEADER, profile="ros1"), "its profile is stated as ros1, but is ros2"),
         (rewritten(Opcode.STATISTICS, message_count=9), "number of messages is stated as 9"),
-        (rewritten(Opcode.STATISTICS, chunk_count=9), "9 chunks, but 3 in the index"),
-        (rewritten(Opcode.STATISTICS, message_start_time=9), r"log time is stated as \(9, 15\)"),
         (rewritten(Opcode.STATISTICS, channel_message_counts={1: 9}), "messages by channel is"),
         (rewritten(Opcode.CHUNK_INDEX, message_start_time=1), "index of the file does not state"),
         (rewritten(Opcode.CHUNK_INDEX, chunk_length=1), "index of the file does not state"),
@@ -221,14 +208,9 @@ def overwritten(opcode: Opcode, place: int, new: bytes) -> Callable[[bytes], byt
         (rewritten(Opcode.SCHEMA, encoding="ros2xyz"), "does not repeat the schema of std_msgs"),
         (rewritten(Opcode.CHANNEL, topic="/b"), "does not repeat the channel of /a"),
         (overwritten(Opcode.CHUNK, 6, b"\xff"), "at byte .* not a record"),
-        (overwritten(Opcode.CHUNK, 25, b"\x00"), "states .* bytes of content"),
-        (overwritten(Opcode.METADATA, 9, b"\xff"), "at byte .*: not a record"),
         (lambda d: d.replace(b"hello", b"HELLO"), "at byte .* checksum .*tsobs bag recover"),
         (lambda d: d[:-1], "has no end.*tsobs bag recover"),
-        (lambda d: b"", "not an MCAP file"),
-        (lambda d: MAGIC * 2, "has no end|damaged"),
         (lambda d: d[:-12] + b"abcd" + MAGIC, "checksum .* of its summary"),
-        (lambda d: MAGIC + d[d.index(b"\x0c") :], "does not start with a header"),
     ],
 )
 def test_a_damaged_file_is_an_error(
@@ -272,9 +254,7 @@ def defined(text: str) -> tuple[str, str, bytes]:
     ("options", "pattern"),
     [
         ({"schema": ("String", "ros2msg", b"string data\n")}, "'String' is not named as"),
-        ({"schema": (STRING, "jsonschema", b"{}")}, "in 'jsonschema', not in ros2msg"),
         ({"schema": defined("Other data\n")}, "std_msgs/Other is used, but not defined"),
-        ({"schema": defined(f"int8 a\n\n{SEPARATOR}\nX: a/B\n")}, "is not 'MSG: package/Type'"),
         ({"channels": [("/a", "json", 1, CHANNEL)]}, "/a: is encoded in 'json', not in cdr"),
         (
             {"channels": [("/a", "cdr", 7, CHANNEL)]},
@@ -291,9 +271,7 @@ def defined(text: str) -> tuple[str, str, bytes]:
         ),
         ({"channels": [A, A]}, "more than one channel"),
         ({"repeat_schemas": False}, "does not repeat the schema"),
-        ({"repeat_channels": False}, "does not repeat the channel"),
         ({"use_statistics": False}, "has no index; 'tsobs bag recover'"),
-        ({"index_types": IndexType.NONE}, "1 chunks, but 0 in the index"),
         ({"index_types": IndexType.CHUNK | IndexType.METADATA}, "has no message index of channel"),
     ],
 )

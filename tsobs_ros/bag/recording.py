@@ -3,7 +3,7 @@
 """A bag being recorded: synced to the disk, with the latched messages in every file.
 
 A map or a transform is published once and meant for all who come later. A file that starts an hour
-into a recording and what follows a pause make sense only with it.
+into a recording makes sense only with it.
 """
 
 from collections import Counter
@@ -20,7 +20,7 @@ _MAX_PUBLISHERS = 64
 
 
 class BufferedMessage(NamedTuple):
-    """A message as it goes to the bag; times in ns since the epoch, before 0 if not yet logged."""
+    """A message as it goes to the bag; times in ns since the epoch."""
 
     topic: str
     data: bytes
@@ -51,7 +51,7 @@ class Recording(BagWriter):
     Attributes:
         counts: The messages recorded, by topic.
         bytes: The bytes of these messages.
-        discarded: The number of messages that arrived during pauses.
+        discarded: The number of messages that were not recorded, for those who record to count.
 
     Raises:
         BagWriteError: As `BagWriter`; or the disk has failed to sync.
@@ -84,22 +84,11 @@ class Recording(BagWriter):
             message: The message.
             latch: Its publisher's, if it is latched.
         """
-        for hidden in self._latched.log(message.log_time_ns):
-            self._store(hidden)
         if latch is not None:
             self._latched.keep(message, latch)
-        self._store(message)
-
-    def discard(self, message: BufferedMessage, latch: Latch | None = None) -> None:
-        """Count a message that is not recorded; a latched one will be with the next that is.
-
-        Args:
-            message: The message; its log time does not matter.
-            latch: Its publisher's, if it is latched.
-        """
-        self.discarded += 1
-        if latch is not None:
-            self._latched.keep(message._replace(log_time_ns=-1), latch)
+        self.counts[message.topic] += 1
+        self.bytes += len(message.data)
+        self.write(*message)
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system: it survives a kill."""
@@ -112,11 +101,6 @@ class Recording(BagWriter):
         self._stopping.set()
         self._syncing.join()
         super().close()
-
-    def _store(self, message: BufferedMessage) -> None:
-        self.counts[message.topic] += 1
-        self.bytes += len(message.data)
-        self.write(*message)
 
     def _make_room(self, log_time_ns: int) -> None:
         super()._make_room(log_time_ns)
@@ -137,14 +121,12 @@ class LatchedMessages:
     """
 
     def __init__(self) -> None:
-        self._has_unlogged = False
         # The messages of a topic, with their publishers' counts of them.
         self._topics: dict[str, list[tuple[BufferedMessage, int | None]]] = {}
 
     def keep(self, message: BufferedMessage, latch: Latch) -> None:
         """Keep a message, and drop what it replaces."""
         number = latch.number
-        self._has_unlogged |= message.log_time_ns < 0
         kept = self._topics.setdefault(message.topic, [])
         kept.append((message, number))
         surplus = len(kept) - min(latch.publishers, _MAX_PUBLISHERS)
@@ -159,21 +141,7 @@ class LatchedMessages:
         del kept[: max(0, len(kept) - _MAX_PUBLISHERS)]
 
     def before(self, log_time_ns: int) -> list[BufferedMessage]:
-        """Return what was logged before a time [ns], or not yet, with that log time.
-
-        It is in order of publication.
-        """
+        """Return what was logged before a time [ns] with that log time, by publication."""
         kept = (message for each in self._topics.values() for message, _ in each)
         found = [m._replace(log_time_ns=log_time_ns) for m in kept if m.log_time_ns < log_time_ns]
-        return sorted(found, key=attrgetter("publish_time_ns"))
-
-    def log(self, log_time_ns: int) -> list[BufferedMessage]:
-        """Return what was not logged, in order of publication; it is now logged at a time [ns]."""
-        found: list[BufferedMessage] = []
-        for kept in self._topics.values() if self._has_unlogged else ():
-            for place, (message, number) in enumerate(kept):
-                if message.log_time_ns < 0:
-                    found.append(message._replace(log_time_ns=log_time_ns))
-                    kept[place] = (found[-1], number)
-        self._has_unlogged = False
         return sorted(found, key=attrgetter("publish_time_ns"))

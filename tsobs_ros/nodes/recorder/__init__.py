@@ -7,7 +7,7 @@ topics:
   /diagnostics (out)  diagnostic_msgs/msg/DiagnosticArray: counts and losses, once a second
 
 services, std_srvs/srv/Trigger:
-  ~/pause             discard what arrives
+  ~/pause             discard what arrives, unless it is latched
   ~/resume            go on
   ~/split_bagfile     go on in another file
 """
@@ -86,12 +86,12 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     def activate(self) -> None:
         """Record what arrives from here on."""
-        self._discard()
+        self._take(is_recording=False)
 
     def deactivate(self) -> None:
         """Record what has arrived, and discard what arrives from here on."""
         if not (self._paused or self._failed):
-            self._record()
+            self._take(is_recording=True)
 
     def cleanup(self) -> None:
         """Log what the bag holds before it is closed."""
@@ -189,17 +189,10 @@ class Recorder(ManagedNode[RecorderParameters]):
             self.log(Level.OK, f"recording {topic.name} [{topic.definition.type}]")
 
     def _drain(self) -> None:
-        if self.active and not self._paused:
-            self._record()
-        else:
-            self._discard()
+        self._take(is_recording=self.active and not self._paused)
 
-    def _discard(self) -> None:
-        for topic in self._finder.recorded.values():
-            for message, latch in topic.drain(self.parameters.queue_depth):
-                self.recording.discard(message, latch)
-
-    def _record(self) -> None:
+    def _take(self, *, is_recording: bool) -> None:
+        """Record what has arrived; in a pause only what is latched."""
         simulated_ns = None
         if self.get_clock().ros_time_is_active:
             simulated_ns = self.get_clock().now().nanoseconds
@@ -212,7 +205,10 @@ class Recorder(ManagedNode[RecorderParameters]):
         for message, latch in batch:
             if simulated_ns is not None:
                 message = message._replace(log_time_ns=simulated_ns)
-            self.recording.record(message, latch)
+            if is_recording or latch:
+                self.recording.record(message, latch)
+            else:
+                self.recording.discarded += 1
 
     def _flush(self) -> None:
         self.recording.flush()
