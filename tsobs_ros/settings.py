@@ -142,14 +142,8 @@ class Setting:
 def setting(default: T, description: str, **rules: Any) -> T:
     """Declare a dataclass field as a setting, of type bool, int, float, str or tuples of these.
 
-    Args:
-        default: Value if the user gives none.
-        description: One line, without the unit.
-        **rules: Other attributes of `Setting`: `unit`, `minimum`, `maximum`, `choices`, `live` and
-            `hidden`.
-
-    Returns:
-        A dataclass field, typed as the default so that annotations check.
+    The rules are other attributes of `Setting`: `unit`, `minimum`, `maximum`, `choices`, `live` and
+    `hidden`. The field is typed as the default so that annotations check.
     """
     return field(default=default, metadata={_KEY: Setting(default, description, **rules)})
 
@@ -258,11 +252,7 @@ def schema_of(make: Any) -> Schema:
 
 
 def check(record: Any) -> None:
-    """Refuse an instance of a dataclass of settings with a value that is not accepted.
-
-    Raises:
-        ParameterError: The first such value.
-    """
+    """Raise a ParameterError if a dataclass of settings has a value that is not accepted."""
     schema = schema_of(type(record))
     for name, value in schema.values_of(record).items():
         schema.entries[name].converted(value)
@@ -272,7 +262,6 @@ def changed(record: T, values: Mapping[str, Any]) -> T:
     """Return an instance of a dataclass of settings with some of them changed.
 
     Args:
-        record: The instance.
         values: By their full names; text is converted.
 
     Raises:

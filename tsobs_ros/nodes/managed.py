@@ -83,7 +83,6 @@ class ManagedNode(LifecycleNode, Generic[P]):
     they need them, and call `start` at the end of their constructor.
 
     Args:
-        name: The node's name.
         schema: The dataclass of its parameters.
         **node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
 
@@ -175,10 +174,8 @@ class ManagedNode(LifecycleNode, Generic[P]):
     def offer_diagnostics(self, hardware_id: str, make: Callable[[], Statuses]) -> None:
         """Publish statuses once a second, in real time: a paused simulation has some, too.
 
-        Args:
-            hardware_id: The hardware that those of the node are about.
-            make: Returns those of the node, named "<node>: <concern>", and of parts of the hardware
-                such as joints: "<node>: <part>: <concern>" with the part as hardware id.
+        Those of the node are named "<node>: <concern>", and have the hardware id; those of parts
+        "<node>: <part>: <concern>", with the part as hardware id.
         """
         publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         prefix = f"{self.get_fully_qualified_name().lstrip('/')}: "

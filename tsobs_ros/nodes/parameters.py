@@ -67,12 +67,7 @@ class SelectingParameters(ManagedParameters):
 
 
 def design_paths(joints: Sequence[str], own: Sequence[str], common: str) -> dict[str, str]:
-    """Return the path of each joint's design file, empty if there is none.
-
-    Args:
-        joints: Names of the joints.
-        own: The parameter `joint_designs`: a path for each of them, empty for `common`, or none.
-        common: The parameter `design`.
+    """Return the path of each joint's design file: its own in `joint_designs`, else `design`.
 
     Raises:
         ParameterError: A name is empty or comes twice, or there is another number of paths.
@@ -89,12 +84,7 @@ def design_paths(joints: Sequence[str], own: Sequence[str], common: str) -> dict
 
 
 def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:
-    """Declare the parameters of a dataclass of settings, and return it with the overrides.
-
-    Args:
-        node: The node.
-        make: The frozen dataclass.
-        given: Values of the overrides by their names.
+    """Declare the parameters of a dataclass of settings, and return it with overrides by name.
 
     Raises:
         ParameterError: An override has the wrong type, breaks a rule, or the values contradict

@@ -70,14 +70,11 @@ class Ticker:
     time, which passes only in an executor, the tick is an ordinary timer.
 
     Args:
-        node: The node. Its ticks are an executor's as long as it follows simulated time.
+        node: Its ticks are an executor's as long as it follows simulated time.
         period: Time between ticks [s], the longest if the callback decides.
         callback: What to do; returns the time until the next tick [ns], or None for the period.
         executor_clock: The clock of an executor's ticks, if not the node's, which stands still
             while simulated time does.
-
-    Attributes:
-        running: Whether there are ticks.
     """
 
     def __init__(
@@ -161,8 +158,7 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
     """Print the help if it is asked for, and refuse what neither the node nor ROS understands.
 
     Args:
-        module: The node's module: its docstring describes the node and its topics, its
-            `Parameters` are the dataclass of its parameters.
+        module: The node's: its docstring has the topics, its `Parameters` are the dataclass of them.
         arguments: Command line including the program's name.
 
     Raises:
@@ -197,16 +193,13 @@ def run(
     args: Sequence[str] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> int:
-    """Create a node, spin it until something ends the process, and tear it down.
+    """Create a node, spin it until something ends the process, and return the exit code.
 
     Args:
         create: Makes the node, on the default context.
         args: Command line including the program's name; `sys.argv` if None.
         stop: Returns whether to end; called before every wait of at most 0.2 s. If None, the
             signals of `StopFlag` are caught here, which only the main thread may do.
-
-    Returns:
-        The process's exit code.
     """
     if stop is None:
         with StopFlag() as flag:

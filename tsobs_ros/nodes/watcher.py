@@ -71,7 +71,6 @@ class ObserverFeed:
     """Subscribes to an observer's topics and keeps the newest message of each.
 
     Args:
-        node: The node that subscribes.
         observer: The observer's name, relative to the node's namespace or full.
         wanted: Topics of JointStates, those of `estimate_topics` below the observer's name, and of
             `TRUTH`.
@@ -113,13 +112,7 @@ class ObserverFeed:
                     self.latest[key] = self._decode(taken[-1][0])
 
     def values(self, field: str, topic: str, max_age: float = math.inf) -> dict[str, float]:
-        """Return the numbers in the newest message of a topic, by name; none if it is too old.
-
-        Args:
-            field: Which of its fields.
-            topic: One of those wanted, or `MEASUREMENTS`.
-            max_age: Time since it was read [s].
-        """
+        """Return a field of the newest message of a topic, by name; none if it is too old [s]."""
         message = self.latest.get(topic)
         if message is None or time.monotonic() - self.arrived[topic] >= max_age:
             return {}
@@ -180,10 +173,6 @@ class Watcher(Node):
         observer: Full name of the observer, or relative to the root.
         period: Time between two views [s].
         show: Takes a view; returns whether there shall be another.
-
-    Attributes:
-        finished: Whether the process may end.
-        ticker: Ticks for `runtime.run`.
 
     Raises:
         NodeError: The observer's name is not one of a node.

@@ -69,9 +69,6 @@ class DrainedSubscription:
     fit into `depth` between two drains, oldest first.
 
     Args:
-        node: The node that owns the subscription.
-        msg_type: The message class.
-        topic: The topic name; relative names are resolved and remapped by the node.
         qos: The requested QoS profile, whose depth covers the longest time between drains.
         raw: Take CDR bytes as they came off the wire, instead of messages.
         on_arrival: Called by an executor as soon as messages have come, to drain them.
@@ -164,15 +161,7 @@ class DrainedSubscription:
 class JointStatePublisher:
     """Publishes JointStates of any of some parts, such as joints.
 
-    Args:
-        node: The node that owns the publisher.
-        topic: The topic name.
-        parts: The places of each part's numbers; of two in the same place the later one counts.
-        qos: The offered QoS profile.
-        events: Callbacks of QoS events.
-
-    Attributes:
-        publisher: The rclpy publisher.
+    `parts` are the places of each part's numbers; of two in the same place the later one counts.
     """
 
     def __init__(
@@ -192,12 +181,7 @@ class JointStatePublisher:
         self._layout = layout
 
     def publish(self, stamp: int, rows: Mapping[int, Sequence[float]]) -> None:
-        """Send a message of the numbers of some parts, by their index, unless there are none.
-
-        Args:
-            stamp: Of the message [ns].
-            rows: Of each part as many of its first numbers as there are.
-        """
+        """Send a message, unless it is empty: of some parts, by index, as many numbers as given."""
         if rows:
             layout = self._layout(tuple([(part, len(row)) for part, row in rows.items()]))
             numbers = [number for row in rows.values() for number in row]
@@ -210,11 +194,7 @@ def set_stamp(stamp: Any, nanoseconds: int) -> None:
 
 
 def message_class(name: str) -> type[Any]:
-    """Return the class of a message type.
-
-    Args:
-        name: The type, `package/msg/Type`, or one of a service or an action, such as
-            `package/srv/Type_Event`.
+    """Return the class of a type, `package/msg/Type`, or as `package/srv/Type_Event`.
 
     Raises:
         NodeError: The name is not one of a type, or the type is not installed.

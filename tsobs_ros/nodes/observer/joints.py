@@ -45,15 +45,9 @@ _SIGNIFICANT = 3.0
 class TorqueWatch:
     """Watches the torque disturbance of one joint for a contact.
 
-    The link's is compared with the level, or the motor's if the design has no other. A contact may
-    be shorter than the time between two statuses, and is then in the next one all the same.
-
-    Args:
-        sides: The sides whose torque is estimated, some of motor and link.
-
-    Attributes:
-        level: Size from which on it is a warning [N m]; 0: never. May be changed at any time.
-        hold: How long it must be smaller before that is over [s]. May be changed at any time.
+    The link's is compared with `level` [N m], 0 for never; the motor's if the design has no other.
+    It must be smaller for `hold` [s] before a contact is over. Both may be changed at any time. A
+    contact that is shorter than the time between two statuses is in the next one all the same.
     """
 
     def __init__(self, sides: Sequence[str], level: float, hold: float) -> None:
@@ -97,26 +91,11 @@ class TorqueWatch:
 class ObservedJoint:
     """A joint with its tracker, monitors and counts.
 
-    Args:
-        name: The joint's name.
-        loaded: Its design.
-        estimator: The design's estimator.
-        parameters: Of the node.
-        source: Where its measurements come from, for events.
-
     Attributes:
-        name: The joint's name.
-        loaded: Its design.
-        request: What that was made for.
         signals: Places of its signals in messages.
         learnt: Names of the learnt parameters.
-        tracker: Orders its measurements and estimates.
         received: Number of its samples since the start: used + rejected.
         latest: The latest estimate, None before the first.
-        faults: Recognises the faults of its outputs.
-        events: Finds changes of what its estimates are worth.
-        torques: Watches its torque disturbance.
-        method: Name of the method that estimates.
         recent: Counts over the last minute: `received`, the reasons of rejection, `FAILURES` and
             the estimator's events, by name.
         newly: The same since the counts before, a second or so.
@@ -214,20 +193,12 @@ class ObservedJoint:
         return codes, innovations
 
     def count(self, steady: int) -> None:
-        """Enter the counts there are into those of the last minute.
-
-        Args:
-            steady: Time that neither stands still nor goes back [ns].
-        """
+        """Enter the counts there are, at a steady time [ns], into those of the last minute."""
         own = {"received": self.received, FAILURES: self.tracker.failures}
         self.newly = self.recent.update(steady, {**own, **self.rejected, **self.tracker.events})
 
     def pace_news(self, steady: int) -> tuple[Level, str] | None:
-        """Measure the rate of samples since the last call; return a change that has lasted.
-
-        Args:
-            steady: Time that neither stands still nor goes back [ns].
-        """
+        """Measure the rate since the last call, at a steady time [ns]; return a lasting change."""
         stamps, self._stamps = np.sort(self._stamps), []
         if len(stamps) < _ENOUGH:
             return None
@@ -244,11 +215,7 @@ class ObservedJoint:
         return Counter({reason.value: n for reason, n in self.tracker.rejected.items()})
 
     def estimate(self, now: int) -> Estimate | None:
-        """Return the estimate to publish; of a stale joint the latest without bounds, or none.
-
-        Args:
-            now: Time on the node's clock [ns].
-        """
+        """Return the estimate to publish at a time [ns]; of a stale joint as the parameters say."""
         if self.phase(now) in (Phase.WAITING, Phase.STALE):
             # To predict through a long silence would take long, and tell nothing.
             return self._held() if self._parameters.when_stale == "hold" else None
@@ -261,13 +228,7 @@ class ObservedJoint:
         return estimate
 
     def news(self, now: int, estimate: Estimate | None, due: bool) -> Iterator[tuple[Level, str]]:
-        """Yield what is to be logged of an estimate, or of there being none.
-
-        Args:
-            now: Time on the node's clock [ns].
-            estimate: That for `now`.
-            due: Whether its health is published.
-        """
+        """Yield what is to be logged of the estimate for a time [ns]; `due`: as is its health."""
         events: Sequence[Event] = ()
         if estimate is None:
             events = self.events.silence(now)
@@ -293,10 +254,6 @@ def observed_joints(
     parameters: ObserverParameters, source: str = "joint_measurements"
 ) -> list[ObservedJoint]:
     """Return the joints that the parameters name; those with the same design share estimators.
-
-    Args:
-        parameters: Of the node.
-        source: Where their measurements come from, for events.
 
     Raises:
         DesignFileError: A design file is missing or malformed, or the method cannot run it.

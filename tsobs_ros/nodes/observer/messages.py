@@ -62,10 +62,6 @@ class MeasurementReader:
     """Finds the samples of the node's joints in messages of any joints, in any order.
 
     A sample has an output at least, and all inputs.
-
-    Args:
-        joints: Places of each joint's signals, by the joint's name.
-        assume_zero_torque: Whether a message without effort means torque 0.
     """
 
     def __init__(self, joints: Mapping[str, Signals], assume_zero_torque: bool) -> None:
@@ -172,11 +168,6 @@ class EstimatePublisher:
 
     There are topics of torque disturbances and of learnt parameters only if there are any. The
     topic of ticks is reliable, as a lost message would leave it open what the estimates include.
-
-    Args:
-        node: The node.
-        joints: Places of each joint's signals, by the joint's name.
-        learnt: Names of the learnt parameters of each joint.
     """
 
     def __init__(
@@ -205,12 +196,7 @@ class EstimatePublisher:
         self._slow_since = dict.fromkeys((topics.PARAMETERS, topics.HEALTH), -topics.SLOW_PERIOD)
 
     def publish(self, stamp: int, estimates: Mapping[int, Estimate]) -> None:
-        """Publish estimates of joints by their index; what they lack is left out.
-
-        Args:
-            stamp: Of the messages [ns].
-            estimates: Of the joints that have one.
-        """
+        """Publish estimates of joints, by index, at a stamp [ns]; what they lack is left out."""
         valid = {joint: each for joint, each in estimates.items() if each.parameters_valid}
         is_due = bool(valid) and self._is_due(topics.PARAMETERS, stamp)
         for topic, output in self._outputs.items():
@@ -242,14 +228,7 @@ class EstimatePublisher:
                 self._innovation.publish(stamp, rows)
 
     def publish_restart(self, stamp: int, number: int) -> None:
-        """Publish that the joints have no past from now on, for those who come later too.
-
-        Ticks count from 1 again.
-
-        Args:
-            stamp: Time on the node's clock [ns].
-            number: Number of restarts up to this one, 0 at the start.
-        """
+        """Publish at a stamp [ns] how many restarts there have been; ticks count from 1 again."""
         self._tick, self._taken = 0, []
         self._restarts.publish(stamp, dict.fromkeys(range(self._count), (float(number),)))
 
@@ -258,12 +237,7 @@ class EstimatePublisher:
         self._taken += messages
 
     def publish_tick(self, stamp: int, *, estimated: bool) -> None:
-        """Publish a tick with measurements or estimates, before these; see `bag.tick_log`.
-
-        Args:
-            stamp: Time on the node's clock [ns].
-            estimated: Whether there are estimates.
-        """
+        """Publish a tick at a stamp [ns] that has measurements or estimates, before these."""
         if self._taken or estimated:
             self._tick += 1
             if self._ticks.get_subscription_count():

@@ -23,15 +23,7 @@ _FASTEST = 100
 def statuses_of(
     joints: Sequence[ObservedJoint], timing: Status, now: int, *, resets: int, enabled: bool
 ) -> Statuses:
-    """Return the statuses of the node, and of each of several joints.
-
-    Args:
-        joints: The joints, which have been counted.
-        timing: That of the node's ticks.
-        now: Time on the node's clock [ns].
-        resets: Number of restarts of the whole node.
-        enabled: Whether the node works.
-    """
+    """Return the statuses of the node at a time [ns], and of each of several joints."""
     parts = {joint.name: _joint_statuses(joint, now) for joint in joints}
     state = max((own[0] for own in parts.values()), key=lambda status: status.level)
     state = state._replace(values={"resets": str(resets), **state.values})
@@ -189,11 +181,7 @@ def _certificate_status(joint: ObservedJoint, now: int) -> Status:
 
 
 class TickMeter:
-    """Measures how regular ticks are and how long they take; `status` starts a new interval.
-
-    Args:
-        rate: The wanted rate [Hz].
-    """
+    """Measures how regular ticks are and how long they take; `status` starts a new interval."""
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
@@ -206,12 +194,7 @@ class TickMeter:
         self._recent = LastMinute()
 
     def begin(self, now: int, *, tick: bool = True) -> None:
-        """Note the start of work.
-
-        Args:
-            now: Time on the node's clock [ns].
-            tick: Whether a tick starts it; ticks are missed only between two of them.
-        """
+        """Note the start of work at a time [ns]; ticks are missed only between two of them."""
         steady = time.monotonic_ns()
         if self._latest is not None:
             before, began, was_tick = self._latest
@@ -236,11 +219,7 @@ class TickMeter:
         self._latest = None
 
     def status(self, steady: int) -> Status:
-        """Return achieved rate, tick time and latency since the last call, and missed ticks.
-
-        Args:
-            steady: Time that neither stands still nor goes back [ns].
-        """
+        """Return rate, tick time and latency since the last call, at a steady time [ns]."""
         periods, self._periods = self._periods, []
         apart, self._between_ticks = self._between_ticks, []
         times, self._times = self._times, {name: [] for name in self._times}
