@@ -24,23 +24,19 @@ from tsobs_ros.series import NANOSECONDS
 
 TIMEOUT = 120.0
 COUNT = 10_000
-WRONG = RejectReason.WRONG_JOINT.value
+WRONG = RejectReason.WRONG_JOINT
 BEST_EFFORT = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
 Make = Callable[[Arm, int, int], Any]
-
 """A message from the arm, the stamp of its newest good one [ns], and its number in the flood."""
 
 
-def alone(**changes: Any) -> Make:
-    return lambda arm, newest, _: arm.message(newest + 1000, **changes)
-
-
-def stamped(shift: Callable[[int], int]) -> Make:
-    """A good sample, but for its stamp; no two have the same angle."""
+def fresh(message: Callable[[Arm, int, int], dict[str, Any]], early: int = 0) -> Make:
+    """A good sample, changed, with a stamp of its own and an angle unlike the last."""
 
     def make(arm: Arm, newest: int, number: int) -> Any:
         y = float(arm.measurement(newest).y[0]) + 0.01 * math.sin(7.0 * number)
-        return arm.message(newest + shift(number), position=[y])
+        stamp = newest + number - early
+        return arm.message(stamp, **{"position": [y], **message(arm, newest, number)})
 
     return make
 
@@ -49,24 +45,15 @@ def as_bytes(change: Callable[[bytes], bytes]) -> Make:
     return lambda arm, newest, _: change(bytes(serialize_message(arm.message(newest))))
 
 
-FLOODS: dict[str, tuple[Make, str | None]] = {
-    "nan angle": (alone(position=[math.nan]), RejectReason.NON_FINITE.value),
-    "infinite torque": (
-        lambda arm, newest, number: arm.message(
-            newest + number, position=[0.01 * (number % 5)], effort=[math.inf]
-        ),
-        RejectReason.IMPLAUSIBLE_TORQUE.value,
-    ),
-    "foreign joint": (alone(name=["elbow"]), WRONG),
+FLOODS: dict[str, tuple[Make, RejectReason | None]] = {
+    "nan angle": (fresh(lambda *_: {"position": [math.nan]}), RejectReason.NON_FINITE),
+    "infinite torque": (fresh(lambda *_: {"effort": [math.inf]}), RejectReason.IMPLAUSIBLE_TORQUE),
+    "foreign joint": (fresh(lambda *_: {"name": ["elbow"]}), WRONG),
     "truncated bytes": (as_bytes(lambda data: data[:50]), WRONG),
     "random bytes": (as_bytes(lambda _: b"\x00\x01\x00\x00" + b"\xff" * 60), WRONG),
-    "clock since boot": (stamped(lambda _: -3600 * NANOSECONDS), RejectReason.TOO_OLD.value),
-    "outliers in a row": (
-        lambda arm, newest, number: arm.message(newest + number, position=[9.0 + number]),
-        RejectReason.GATED.value,
-    ),
-    "descending": (stamped(lambda number: -20_000 * number), None),
-    "late in turn": (stamped(lambda number: -(number % 2) * 200_000_000 - 100 * number), None),
+    "clock since boot": (fresh(lambda *_: {}, 3600 * NANOSECONDS), RejectReason.TOO_OLD),
+    "outliers in a row": (fresh(lambda _, __, n: {"position": [9.0 + n]}), RejectReason.GATED),
+    "descending": (lambda arm, newest, number: arm.message(newest - 20_000 * number), None),
 }
 
 
@@ -122,7 +109,7 @@ def test_after_each_flood_the_observer_goes_on_and_a_signal_ends_it_in_the_last(
     began = time.monotonic()
     goes_on(lambda: len(estimated) > 100, "the first estimates")
     for name, (make, reason) in FLOODS.items():
-        grow = ["received"] if reason is None else ["received", f"rejected: {reason}"]
+        grow = ["received"] if reason is None else ["received", f"rejected: {reason.value}"]
         limits = {key: counts()[key] + 1000 for key in grow}
         sensor.flood(make)
         end = time.time_ns()

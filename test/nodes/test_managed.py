@@ -29,7 +29,7 @@ POSSIBLE = {
     ("active", "deactivate"): ("inactive", ["deactivate"]),
     ("inactive", "cleanup"): ("unconfigured", ["cleanup", "release"]),
 }
-WAY_TO: dict[str, list[str]] = {
+WAY_TO = {
     "unconfigured": [],
     "inactive": ["configure"],
     "active": ["configure", "activate"],

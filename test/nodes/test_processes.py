@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from textwrap import dedent
 from typing import Any
 
 import pytest
@@ -23,12 +22,15 @@ ROOT = Path(__file__).resolve().parents[2]
 PREAMBLE = f"""
 import ctypes, os, signal, sys, traceback
 sys.path.insert(0, {str(ROOT)!r})
+import rclpy
 from rclpy.node import Node
 from tsobs_ros.errors import NodeError
 from tsobs_ros.nodes import runtime
 from tsobs_ros.nodes.parameters import ManagedParameters as Parameters
 
 class Worker(Node):
+    finished = False
+
     def __init__(self):
         super().__init__("worker")
         self.ticks = 0
@@ -46,80 +48,6 @@ class Worker(Node):
         print("destroyed worker", flush=True)
         super().destroy_node()
 """
-
-
-@pytest.fixture
-def script(ros_process, tmp_path):
-    """Start a Python script made of the preamble and the given body."""
-
-    def start(body: str, *arguments: str):
-        path = tmp_path / "script.py"
-        path.write_text(PREAMBLE + dedent(body))
-        return ros_process([sys.executable, str(path), *arguments])
-
-    return start
-
-
-CLOSED, DESTROYED = "closed worker\n", "destroyed worker\n"
-BUGGY = """
-class Case(Worker):
-    finished = {finished}
-    def {where}(self):
-        super().{where}()
-        raise KeyError("bug")
-"""
-SIGNALLED = """
-class Case(Worker):
-    def close(self):
-        os.kill(os.getpid(), signal.SIGINT)
-        os.kill(os.getpid(), signal.SIGTERM)
-        super().close()
-"""
-ENDS: dict[str, tuple[str, tuple[int, str, str]]] = {
-    "a finished node": (
-        """
-        class Case(Worker):
-            @property
-            def finished(self):
-                return self.ticks >= 3
-        """,
-        (0, "ticking\n" + CLOSED + DESTROYED, ""),
-    ),
-    "a shutdown of the context": (
-        """
-        import rclpy
-        class Case(Worker):
-            def tick(self):
-                rclpy.shutdown()
-        """,
-        (0, CLOSED + DESTROYED, ""),
-    ),
-    "a known error at the start": (
-        """
-        def Case():
-            raise NodeError("no design:\\n  elastic_joint.yaml is missing")
-        """,
-        (1, "", "error: no design: elastic_joint.yaml is missing\n"),
-    ),
-    "a known error in a close": (
-        """
-        class Case(Worker):
-            finished = True
-            def close(self):
-                raise NodeError("the bag cannot be closed")
-        """,
-        (1, DESTROYED, "error: the bag cannot be closed\n"),
-    ),
-    # Each bug has its traceback, and costs no other step.
-    "a bug": (
-        BUGGY.format(where="tick", finished=False),
-        (1, "ticking\n" + CLOSED + DESTROYED, "bug"),
-    ),
-    "a bug at the end": (
-        BUGGY.format(where="close", finished=True),
-        (1, CLOSED + DESTROYED, "bug"),
-    ),
-}
 RUN = """
 try:
     code = runtime.run(Case)
@@ -129,54 +57,92 @@ except KeyError:
 print(code, end="\\0", flush=True)
 print(end="\\0", file=sys.stderr, flush=True)
 """
+TICKING, CLOSED, DESTROYED = "ticking\n", "closed worker\n", "destroyed worker\n"
+BUGGY = """
+class Case(Worker):
+    finished = {finished}
+    def {where}(self):
+        super().{where}()
+        raise KeyError("bug")
+"""
+# A process's body, its exit code, what it prints, and its errors.
+ENDS: dict[str, tuple[str, int, str, str]] = {
+    "a finished node": (
+        "class Case(Worker):\n    finished = property(lambda self: self.ticks >= 3)",
+        0, TICKING + CLOSED + DESTROYED, "",
+    ),
+    "a shutdown of the context": (
+        "class Case(Worker):\n    tick = lambda self: rclpy.shutdown()", 0, CLOSED + DESTROYED, "",
+    ),
+    "a known error at the start": (
+        "def Case():\n    raise NodeError('no design:\\n  elastic_joint.yaml is missing')",
+        1, "", "error: no design: elastic_joint.yaml is missing\n",
+    ),
+    "a known error in a close": (
+        "class Case(Worker):\n    finished = True\n"
+        "    def close(self):\n        raise NodeError('the bag cannot be closed')",
+        1, DESTROYED, "error: the bag cannot be closed\n",
+    ),
+    # Each bug has its traceback, and costs no other step.
+    "a bug": (BUGGY.format(where="tick", finished=False), 1, TICKING + CLOSED + DESTROYED, "bug"),
+    "a bug at the end": (BUGGY.format(where="close", finished=True), 1, CLOSED + DESTROYED, "bug"),
+}  # fmt: skip
+SIGNALLED = """
+class Case(Worker):
+    def close(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGTERM)
+        super().close()
+sys.exit(runtime.run(Case))
+"""
 HANGS = """
 class Case(Worker):
     finished = True
     def destroy_node(self):
         ctypes.PyDLL(None).pause()  # for ever, in C, holding the GIL
-
 runtime._TEARDOWN_TIMEOUT = 0.5
+sys.exit(runtime.run(Case))
 """
 
 
-def test_every_end_closes_destroys_and_is_reported_in_a_line(script) -> None:
-    """One after the other in a process, as starting one takes its time."""
-    finished = script("".join(dedent(body) + RUN for body, _ in ENDS.values())).finish(60.0)
+@pytest.fixture
+def script(ros_process: Any) -> Callable[[str], Any]:
+    """Start a Python script made of the preamble and the given body."""
+    return lambda body: ros_process([sys.executable, "-c", PREAMBLE + body])
 
-    for end, out, err in zip(
-        ENDS, finished.stdout.split("\0"), finished.stderr.split("\0"), strict=False
-    ):
-        exit_code, expected_out, expected_err = ENDS[end][1]
-        assert out == f"{expected_out}{exit_code}", end
-        if "bug" in end:
-            bugs = re.findall(r"^KeyError: '(bug)'$", err, re.MULTILINE)
-            assert " ".join(bugs) == expected_err
-        else:
-            assert err == expected_err, end
-    assert finished.stdout.count("\0") == len(ENDS)
+
+def test_every_end_closes_destroys_and_is_reported_in_a_line(script: Any) -> None:
+    """One after the other in a process, as starting one takes its time."""
+    finished = script("".join(f"{body}\n{RUN}" for body, *_ in ENDS.values())).finish(60.0)
+
+    outs, errs = finished.stdout.split("\0"), finished.stderr.split("\0")
+    assert len(outs) == len(ENDS) + 1
+    for (end, (_, code, out, err)), printed, errors in zip(ENDS.items(), outs, errs, strict=False):
+        assert printed == f"{out}{code}", end
+        bugs = re.findall(r"^KeyError: '(bug)'$", errors, re.MULTILINE)
+        assert err == (bugs[0] if bugs else errors), end
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
-def test_a_signal_ends_it_and_more_change_nothing(script, number: signal.Signals) -> None:
-    process = script(SIGNALLED + "sys.exit(runtime.run(Case))")
+def test_a_signal_ends_it_and_more_change_nothing(script: Any, number: signal.Signals) -> None:
+    process = script(SIGNALLED)
     process.wait_for_line("ticking")
     process.signal(number)
-    assert process.finish() == (0, "ticking\n" + CLOSED + DESTROYED, "")
+    assert process.finish() == (0, TICKING + CLOSED + DESTROYED, "")
 
 
-def test_a_teardown_that_hangs_is_ended_after_all_is_closed(script) -> None:
-    assert script(HANGS + "sys.exit(runtime.run(Case))").finish() == (-signal.SIGALRM, CLOSED, "")
+def test_a_teardown_that_hangs_is_ended_after_all_is_closed(script: Any) -> None:
+    assert script(HANGS).finish() == (-signal.SIGALRM, CLOSED, "")
 
 
-def test_a_signal_during_the_imports_ends_the_process_at_once(ros_process, tmp_path: Path) -> None:
+def test_a_signal_during_the_imports_ends_the_process_at_once(script: Any, tmp_path: Path) -> None:
     source = "os.kill(os.getpid(), signal.SIGTERM)\nprint('still importing')\ncreate = Worker\n"
     (tmp_path / "some_node.py").write_text(PREAMBLE + source)
-    program = f"""if True:
-        import sys; sys.path.insert(0, {str(ROOT)!r})
-        import tsobs_ros.nodes; tsobs_ros.nodes.__path__.append({str(tmp_path)!r})
-        from tsobs_ros.executables import run; sys.exit(run('some_node'))
-    """
-    assert ros_process([sys.executable, "-c", program]).finish() == (0, "", "")
+    program = f"""
+import tsobs_ros.nodes; tsobs_ros.nodes.__path__.append({str(tmp_path)!r})
+from tsobs_ros.executables import run; sys.exit(run('some_node'))
+"""
+    assert script(program).finish() == (0, "", "")
 
 
 TIMEOUT = 60.0

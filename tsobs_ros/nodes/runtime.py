@@ -158,7 +158,7 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
     """Print the help if it is asked for, and refuse what neither the node nor ROS understands.
 
     Args:
-        module: The node's: its docstring has the topics, its `Parameters` are the dataclass of them.
+        module: The node's, with the topics in its docstring and its parameters as `Parameters`.
         arguments: Command line including the program's name.
 
     Raises:
