@@ -25,8 +25,8 @@ from tsobs_ros.replay.health import PROVED
 from tsobs_ros.replay.loop import run_tracker
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.integrator import Friction, Payload
-from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput, TorqueDisturbance
-from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.plant import Plant, Scenario, TorqueDisturbance
+from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import KINDS, Signal, parse_kinds
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ import numpy as np
 from tsobs_ros.checks import check_names, finite
 from tsobs_ros.design.file import FilePath, load_request, parse_design
 from tsobs_ros.design.request import ArmRequest, TSRequest
-from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput
-from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.plant import Mismatch, Scenario
+from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import NoTorque, Sine
 from tsobs_ros.simulation.systems import SystemScenario
 from tsobs_ros.yaml_files import read_yaml

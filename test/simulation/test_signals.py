@@ -28,7 +28,6 @@ from tsobs_ros.simulation.signals import (
     Sine,
     Sinusoid,
     StuckSensor,
-    TwoTone,
     parse_kinds,
     signal_of,
 )
@@ -88,7 +87,6 @@ def test_senseless_numbers_are_refused_by_name(make: Callable[[], object], compl
         (BiasStep(0.1, 30.0), lambda t: 0.1 * (t >= 30.0)),
         (Sinusoid(0.2, 3.0, 2.0), lambda t: 0.2 * math.sin(3 * (t - 2)) * (t >= 2)),
         (Ramp(0.004, 10.0), lambda t: 0.004 * (t - 10.0) * (t >= 10.0)),
-        (TwoTone(0.4, 1.0), lambda t: 0.4 * (math.sin(2 * t) + math.cos(3 * t)) * (t >= 1)),
         (GaussMarkov(), lambda t: 0.0),
         (StuckSensor(), lambda t: 0.0),
         (Pulses(0.5, 1.0, 0.4, 1.5), lambda t: 0.5 * (t >= 1.0 and (t - 1.0) % 1.5 < 0.4)),

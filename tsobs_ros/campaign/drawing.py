@@ -18,8 +18,8 @@ from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.schema import decode, within
 from tsobs_ros.simulation.integrator import Friction
-from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput, TorqueDisturbance
-from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.plant import Mismatch, Scenario, TorqueDisturbance
+from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import (
     EXCITATIONS,
     KINDS,

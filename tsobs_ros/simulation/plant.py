@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import QUANTITIES, SIDES, ElasticJointArm
+from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.settings import check_numbers, setting
 from tsobs_ros.simulation.delays import TorqueDelay
 from tsobs_ros.simulation.integrator import ArmMotion, Friction, Motion, Payload
-from tsobs_ros.simulation.sensor import Disturbance, Output, Sensor
+from tsobs_ros.simulation.sensor import Disturbance, Output, Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import Signal, Sine, StuckSensor
 from tsobs_ros.simulation.streams import Source
 
@@ -62,28 +62,6 @@ class Mismatch:
                 for item in fields(self)
             }
         )
-
-
-@dataclass(frozen=True)
-class SimulatedOutput:
-    """A measured output of a plant.
-
-    Attributes:
-        measures: What: link_angle, link_velocity, motor_angle or motor_velocity (rad, rad/s); the
-            name of a T–S system's output.
-        sensor: Its noise, outliers and dropouts.
-        disturbance: Components of its disturbance, added up.
-        delay: How late an arm's angle is measured as a design says [s]; `Sensor.latency` is what a
-            design lacks. It is not rounded to samples: the true motion is interpolated.
-    """
-
-    measures: str = QUANTITIES[0]
-    sensor: Sensor = field(default_factory=Sensor)
-    disturbance: tuple[Signal, ...] = ()
-    delay: float = 0.0
-
-    def __post_init__(self) -> None:
-        non_negative("delay", self.delay)
 
 
 class TorqueDisturbance(NamedTuple):
@@ -286,13 +264,11 @@ class Plant:
         self.scenario, self.index = scenario, 0
         self._motion, rate = scenario.motion(runs), scenario.rate
         self._outputs = [
-            Output(runs, number, rate, each.sensor, each.disturbance)
-            for number, each in enumerate(scenario.measured)
+            Output(runs, rate, number, each) for number, each in enumerate(scenario.measured)
         ]
-        torques = (*scenario.torque_disturbance, scenario.torque_error)
         *self._torques, self._error = (
-            Disturbance(runs, Source.TORQUE, number, rate, signals)
-            for number, signals in enumerate(torques)
+            Disturbance(runs, rate, (Source.TORQUE, number), signals)
+            for number, signals in enumerate((*scenario.torque_disturbance, scenario.torque_error))
         )
         self._held = np.zeros((len(runs), len(self._outputs)))
         self._is_direct = scenario.torque == DIRECT
@@ -316,7 +292,7 @@ class Plant:
         """
         self.scenario, found = scenario, []
         for output, each in zip(self._outputs, scenario.measured, strict=True):
-            if output.exchange(each.sensor, each.disturbance, self.index):
+            if output.exchange(each, self.index):
                 found.append((f"disturbance of {each.measures}", each.disturbance))
         for side, torque, signals in zip(
             SIDES, self._torques, scenario.torque_disturbance, strict=False

@@ -4,17 +4,18 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from tsobs_ros.checks import Array, Flags
+from tsobs_ros.checks import Array, Flags, non_negative
 from tsobs_ros.core import native
 from tsobs_ros.core.functions import evaluate
+from tsobs_ros.model.arm import QUANTITIES
 from tsobs_ros.settings import check_numbers, live_setting
 from tsobs_ros.simulation.delays import Past
 from tsobs_ros.simulation.signals import GaussMarkov, Signal, StuckSensor, recurs
-from tsobs_ros.simulation.streams import RandomStream, Source
+from tsobs_ros.simulation.streams import RandomStream, Source, key_of
 
 
 @dataclass(frozen=True)
@@ -66,41 +67,54 @@ class Sensor:
         check_numbers(self, "sensor")
 
 
+@dataclass(frozen=True)
+class SimulatedOutput:
+    """A measured output of a plant.
+
+    Attributes:
+        measures: What: link_angle, link_velocity, motor_angle or motor_velocity (rad, rad/s); the
+            name of a T–S system's output.
+        sensor: Its noise, outliers and dropouts.
+        disturbance: Components of its disturbance, added up.
+        delay: How late an arm's angle is measured as a design says [s]; `Sensor.latency` is what a
+            design lacks. It is not rounded to samples: the true motion is interpolated.
+    """
+
+    measures: str = QUANTITIES[0]
+    sensor: Sensor = field(default_factory=Sensor)
+    disturbance: tuple[Signal, ...] = ()
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        non_negative("delay", self.delay)
+
+
 class Disturbance:
     """The disturbance of an output or a torque, in every run of a batch: a sum of signals.
 
     Args:
         seeds: One for each run.
-        source: What the random numbers of drifts are for.
-        channel: Number of the output or torque.
         rate: Samples per second [Hz].
+        key: What the random numbers of drifts are for, and the number of the output or torque.
         signals: What it is the sum of.
-
-    Attributes:
-        signals: The present ones.
     """
 
     def __init__(
-        self,
-        seeds: Sequence[int],
-        source: Source,
-        channel: int,
-        rate: float,
-        signals: Sequence[Signal],
+        self, seeds: Sequence[int], rate: float, key: tuple[Source, int], signals: Sequence[Signal]
     ) -> None:
-        self._seeds, self._source, self._rate = seeds, source, rate
-        self._key, self._generation = (channel,) if channel else (), 0
+        self._seeds, self._rate, self._source = seeds, rate, key[0]
+        self._key, self._generation = key_of(key[1]), 0
         self._put_in(signals, 0)
 
     def exchange(self, signals: Sequence[Signal], index: int) -> bool:
         """Have other signals, whose time counts from a sample on; return whether they differ."""
-        differ = self.signals != tuple(signals)
+        differ = self._signals != tuple(signals)
         if differ:
             self._put_in(signals, index)
         return differ
 
     def _put_in(self, signals: Sequence[Signal], index: int) -> None:
-        self.signals, self._begin = tuple(signals), index
+        self._signals, self._begin = tuple(signals), index
         # The stream and the present values of every drift.
         self._drifts = []
         for place, each in enumerate(signals):
@@ -113,7 +127,7 @@ class Disturbance:
     def values(self, start: int, samples: int) -> Array:
         """Move on over samples and return their values, shape (runs, samples)."""
         times, total = self._times(start, samples), np.zeros(samples)
-        for each in self.signals:
+        for each in self._signals:
             total += each.values(times)
         values = np.zeros((len(self._seeds), samples)) + total
         for drift, stream, now in self._drifts:
@@ -129,7 +143,7 @@ class Disturbance:
     def stuck(self, start: int, samples: int) -> Flags:
         """Return at which samples a signal holds the measured value, shape (samples,)."""
         times = self._times(start, samples)
-        holds = [each.holds(times) for each in self.signals if isinstance(each, StuckSensor)]
+        holds = [each.holds(times) for each in self._signals if isinstance(each, StuckSensor)]
         return np.asarray(np.any([np.zeros(samples, np.bool_), *holds], axis=0))
 
     def _times(self, start: int, samples: int) -> Array:
@@ -142,36 +156,32 @@ class Output:
 
     Args:
         seeds: One for each run.
-        number: Number of the output.
         rate: Samples per second [Hz].
-        sensor: Its sensor.
-        signals: Its disturbance.
+        number: Number of the output.
+        asked: Its sensor and disturbance.
     """
 
     def __init__(
-        self,
-        seeds: Sequence[int],
-        number: int,
-        rate: float,
-        sensor: Sensor,
-        signals: Sequence[Signal],
+        self, seeds: Sequence[int], rate: float, number: int, asked: SimulatedOutput
     ) -> None:
-        self._disturbance = Disturbance(seeds, Source.DISTURBANCE, number, rate, signals)
+        key = (Source.DISTURBANCE, number)
+        self._disturbance = Disturbance(seeds, rate, key, asked.disturbance)
         self._seeds, self._rate, self._sensor, self._past = seeds, rate, Sensor(), Past(0)
-        self._key = (number,) if number else ()
+        self._key = key_of(number)
         self._normal = RandomStream(seeds, Source.MEASUREMENT, self._key)
         self._uniform = RandomStream(seeds, Source.OUTLIER, self._key, uniform=True)
         # Of Student's t, with as many numbers a sample as its degrees of freedom.
         self._tail: RandomStream | None = None
         self._last, self._frozen = np.zeros((2, len(seeds)))
         self._was_stuck = False
-        self.exchange(sensor, signals, 0)
+        self.exchange(asked, 0)
 
-    def exchange(self, sensor: Sensor, signals: Sequence[Signal], index: int) -> bool:
+    def exchange(self, asked: SimulatedOutput, index: int) -> bool:
         """Have another sensor and disturbance; see `Disturbance.exchange`.
 
         With another latency, older values than the next one are not known; the next one is taken.
         """
+        sensor = asked.sensor
         degrees, latency = sensor.noise_degrees, round(sensor.latency * self._rate)
         if degrees != self._sensor.noise_degrees:
             key = (degrees, *self._key)
@@ -179,7 +189,7 @@ class Output:
         if latency != self._past.length:
             self._past = Past(latency)
         self._sensor = sensor
-        is_other = self._disturbance.exchange(signals, index)
+        is_other = self._disturbance.exchange(asked.disturbance, index)
         self._was_stuck &= not is_other
         return is_other
 

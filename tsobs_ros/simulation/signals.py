@@ -170,21 +170,6 @@ class Ramp(Signal, kind="ramp"):
 
 
 @dataclass(frozen=True)
-class TwoTone(Signal, kind="two_tone"):
-    """d = a (sin 2t + cos 3t) from the start on; its phase does not depend on the start.
-
-    The amplitude 0.4 is that of Example 2's third fault.
-    """
-
-    amplitude: float = live_setting(0.4, "Amplitude of a (sin 2t + cos 3t)")
-    start: float = _start()
-
-    def _at(self, times: Array) -> Array:
-        values = self.amplitude * (evaluate("sine", 2.0 * times) + evaluate("cosine", 3.0 * times))
-        return np.where(times >= self.start, values, 0.0)
-
-
-@dataclass(frozen=True)
 class GaussMarkov(Signal, kind="gauss_markov"):
     """A drift of bounded variance, ḋ = −d/τ + noise, which leaves zero at its start.
 
@@ -231,8 +216,7 @@ EXCITATIONS: Mapping[str, type[Signal]] = {
 """Every kind of signal of an input under its name."""
 
 KINDS: Mapping[str, type[Signal]] = {
-    each.kind: each
-    for each in (BiasStep, Sinusoid, Ramp, TwoTone, GaussMarkov, StuckSensor, Pulses)
+    each.kind: each for each in (BiasStep, Sinusoid, Ramp, GaussMarkov, StuckSensor, Pulses)
 }
 """Every kind of signal that a disturbance is a sum of, under its name."""
 

@@ -27,6 +27,11 @@ class Source(enum.IntEnum):
     TORQUE = 6
 
 
+def key_of(number: int) -> tuple[int, ...]:
+    """Return the key of one of several outputs or torques, that of the first without a number."""
+    return (number,) if number else ()
+
+
 class RandomStream:
     """Normal numbers, or uniform ones in [0, 1), of every run, in order.
 

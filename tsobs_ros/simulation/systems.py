@@ -18,7 +18,8 @@ from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.simulation.integrator import Motion, substeps
-from tsobs_ros.simulation.plant import PlantScenario, SimulatedOutput
+from tsobs_ros.simulation.plant import PlantScenario
+from tsobs_ros.simulation.sensor import SimulatedOutput
 from tsobs_ros.simulation.signals import Signal
 from tsobs_ros.simulation.streams import RandomStream, Source
 

@@ -42,7 +42,6 @@ from tsobs_ros.simulation.signals import (
     Sine,
     Sinusoid,
     StuckSensor,
-    TwoTone,
     parse_kinds,
     signal_of,
 )
@@ -67,7 +66,6 @@ class DisturbanceParameters:
     bias_step: BiasStep = settings_group(BiasStep)
     sinusoid: Sinusoid = settings_group(Sinusoid)
     ramp: Ramp = settings_group(Ramp)
-    two_tone: TwoTone = settings_group(TwoTone)
     gauss_markov: GaussMarkov = settings_group(GaussMarkov)
     stuck: StuckSensor = settings_group(StuckSensor)
     pulses: Pulses = settings_group(Pulses)
