@@ -140,17 +140,13 @@ RELIABLE = ("reliable", "volatile", 1000)
     ("profiles", "expected"),
     [
         ([], RELIABLE),
-        ([QosProfile()], RELIABLE),
         ([BEST_EFFORT, BEST_EFFORT], ("best_effort", "volatile", 1000)),
         ([BEST_EFFORT, QosProfile()], RELIABLE),
         # Each of them may have latched as many as a default publisher keeps.
-        ([LATCHED], ("reliable", "transient_local", 10)),
         ([LATCHED] * 3, ("reliable", "transient_local", 30)),
         ([replace(LATCHED, history="keep_last", depth=d) for d in (1, 4)],
          ("reliable", "transient_local", 5)),
         ([replace(LATCHED, history="keep_all")], ("reliable", "transient_local", 1000)),
-        ([QosProfile(history="keep_last", depth=1)], RELIABLE),
-        ([QosProfile(reliability="best_available", durability="unknown")], RELIABLE),
         ([QosProfile(reliability="system_default", liveliness="manual_by_node")], RELIABLE),
     ],
 )  # fmt: skip
