@@ -107,8 +107,7 @@ def estimate(
 ) -> int:
     """Run the observers that the options name, show the result, and return the exit code.
 
-    With `skip_misfits` an observer that cannot observe the arm is left out, with a remark. With
-    `held_out` they are measured against that sensor.
+    With `skip_misfits` those that cannot observe the arm are left out, with a remark.
     """
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.replay.estimate import (

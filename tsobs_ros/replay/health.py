@@ -62,13 +62,7 @@ def as_of_now(conditions: Array) -> Array:
 
 
 class JointEvent(NamedTuple):
-    """An event of a joint.
-
-    Attributes:
-        joint: The joint's name.
-        log_time: The time on the clock of the recording, ns since the epoch.
-        event: The event.
-    """
+    """An event of a joint, at a log time [ns]."""
 
     joint: str
     log_time: int
@@ -145,8 +139,8 @@ class Health(NamedTuple):
             )
         if wrong < _OFTEN:
             return None
-        others = {one: share for one, share in self.hypotheses.items() if one}
-        likeliest = max(others, key=others.__getitem__, default=Hypothesis.AS_DESIGNED)
+        shares = {one: share for one, share in self.hypotheses.items() if one}
+        likeliest = max(shares, key=shares.__getitem__, default=Hypothesis.AS_DESIGNED)
         # A cause under which little can be claimed is none.
         if likeliest in _OF_SENSOR and self.bases.get(Basis.CONTRADICTED, 0.0) <= 0.5 * wrong:
             return f"{often}: {likeliest.judged[1]}"
@@ -185,29 +179,24 @@ def _shares(parts: Mapping[Any, float]) -> str:
 
 
 def health_of(conditions: Array) -> Health | None:
-    """Return the health of a joint's estimates, None without any.
-
-    Args:
-        conditions: Their numbers, NaN without an estimate, shape (n, 7).
-    """
-    known = np.flatnonzero(~np.isnan(conditions[:, 0]))
+    """Return the health of conditions' numbers, NaN without an estimate; None of none."""
+    known = conditions[~np.isnan(conditions[:, 0])]
     if not len(known):
         return None
 
-    def parts(kind: type[C], place: int) -> dict[C, float]:
-        counts = np.bincount(conditions[known, place].astype(int), minlength=len(kind))
-        shares = zip(kind, (counts / len(known)).tolist(), strict=True)
-        return {code: share for code, share in shares if share}
+    def shares(kind: type[C], place: int) -> dict[C, float]:
+        counts = np.bincount(known[:, place].astype(int), minlength=len(kind)).tolist()
+        return {code: n / len(known) for code, n in zip(kind, counts, strict=True) if n}
 
-    scales, last = conditions[known, 0], Estimate.of_health(0, conditions[known[-1]].tolist())
+    last = Estimate.of_health(0, known[-1].tolist())
     return Health(
-        noise_scale=float(np.median(scales)),
-        max_noise_scale=float(scales.max()),
-        claimed=float(conditions[known, CLAIMED].mean()),
-        bases=parts(Basis, BASIS),
-        hypotheses=parts(Hypothesis, HYPOTHESIS),
-        learning=last.learning,
-        hypothesis=last.hypothesis,
+        float(np.median(known[:, 0])),
+        float(known[:, 0].max()),
+        float(known[:, CLAIMED].mean()),
+        shares(Basis, BASIS),
+        shares(Hypothesis, HYPOTHESIS),
+        last.learning,
+        last.hypothesis,
     )
 
 
@@ -227,10 +216,10 @@ def find_events(
     Args:
         joints: Names of J joints.
         source: Where the measurements come from.
-        stamps: Of the conditions [ns], shape (n,).
-        log_times: Of the same, ns since the epoch, shape (n,).
+        stamps: Of n conditions [ns].
+        log_times: Of the same [ns].
         conditions: Their numbers, NaN without an estimate, shape (n, J, 7).
-        restarted: Whether the observer was restarted before a condition, shape (n,); never if None.
+        restarted: Whether the observer was restarted before each; never if None.
         stale_after: Age of the newest measurement for STALE [s].
         same_clock: Whether stamps and log times are of the same clock.
     """

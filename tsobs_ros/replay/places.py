@@ -51,19 +51,19 @@ def places_of(
     """
     channels = positions(signals.disturbances)
     rates = (Place(name, "velocity") for name in signals.disturbances if rated)
-    parameters = positions(topics.parameter_names(joint, learnt, alone=alone))
+    parameters, conditions = (
+        positions(topics.parameter_names(joint, names, alone=alone))
+        for names in (learnt, topics.CONDITIONS)
+    )
     return {
         **dict.fromkeys((topics.STATES, topics.STATE_BOUNDS, topics.TRUE_STATES), signals.states),
         topics.DISTURBANCE: (*channels, *rates),
         **dict.fromkeys(
             (topics.DISTURBANCE_BOUND, topics.INNOVATION, topics.TRUE_DISTURBANCE), channels
         ),
-        **dict.fromkeys(
-            (topics.TORQUE_DISTURBANCE, topics.TORQUE_DISTURBANCE_BOUND, topics.TRUE_TORQUE),
-            signals.torques,
-        ),
+        **dict.fromkeys((*topics.TORQUE_TOPICS, topics.TRUE_TORQUE), signals.torques),
         topics.RESTARTS: positions([joint]),
-        topics.HEALTH: positions(topics.parameter_names(joint, topics.CONDITIONS, alone=alone)),
+        topics.HEALTH: conditions,
         **dict.fromkeys(topics.PARAMETER_TOPICS, parameters),
     }
 
