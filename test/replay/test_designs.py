@@ -182,7 +182,7 @@ def hostile(file: str) -> dict[str, tuple[bytes, str]]:
 
     tampered = known.text.replace("stiffness: 10.0", "stiffness: 7.0")
     return {
-        "no cdr": (b"\x00", "too few"),
+        "no cdr": (b"\x00", "CDR"),
         "deep": (encode_text(nested), "no record of an observer"),
         "large": (encode_text(good + " " * 2**20), "larger than 1048576 bytes"),
         "version": (changed(good, version=2), "of version 1, got"),

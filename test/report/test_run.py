@@ -10,7 +10,6 @@ import pytest
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report import run as runs
 from tsobs_ros.report.run import RecordedRun, hold, interpolate
@@ -62,27 +61,16 @@ def test_the_health_of_one_joint_is_read_whoever_else_is_in_it(
     np.testing.assert_array_equal(health.values, troubled.health.values)
 
 
-def test_health_that_version_0_7_recorded_is_read(short, messages_of, write_bag) -> None:
+def test_health_that_version_0_7_recorded_is_left_out(short, messages_of, write_bag) -> None:
     """It had other codes, and did not say what is claimed."""
     names = ["noise_scale", "coloured_power", "basis", "learning", "hypothesis", "measurement_age"]
     topics = messages_of(short)
-    former = [(0, 2, 0), (2, 1, 0), (5, 3, 1), (6, 4, 2), (7, 2, 3), (8, 2, 4)]
     topics["/observer/health"] = [
-        row._replace(names=names, position=[1.0, 0.25, *map(float, codes), 0.002])
-        for row, codes in zip(topics["/observer/disturbance"], former, strict=False)
+        row._replace(names=names, position=[1.0, 0.25, 0.0, 2.0, 0.0, 0.002])
+        for row in topics["/observer/disturbance"]
     ]
 
-    health = read_run(write_bag(topics)).health
-
-    found = [tuple(Estimate.of_health(0, values).health[2:6]) for values in health.values.tolist()]
-    assert found == [
-        (Basis.CERTIFIED, True, Learning.ACTIVE, Hypothesis.AS_DESIGNED),
-        (Basis.STARTING, True, Learning.STARTING, Hypothesis.AS_DESIGNED),
-        (Basis.COVARIANCE, True, Learning.ACTIVE, Hypothesis.FORCE),
-        (Basis.CONTRADICTED, False, Learning.ACTIVE, Hypothesis.FORCE),
-        (Basis.HYPOTHESIS, True, Learning.ACTIVE, Hypothesis.COLOURED_NOISE),
-        (Basis.OUTSIDE, False, Learning.ACTIVE, Hypothesis.DRIFT),
-    ]
+    assert read_run(write_bag(topics)).health is None
 
 
 def test_missing_topics_are_named_and_of_two_arms_one_is_chosen(

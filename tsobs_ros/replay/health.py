@@ -29,13 +29,6 @@ BASIS, CLAIMED, LEARNING, HYPOTHESIS = map(
 )
 """Places of conditions' numbers."""
 
-# Codes of version 0.7, which did not say what is claimed: those of now, in their order.
-_FORMER = {
-    BASIS: (0, 1, 3, 4, 5, 2, 6, 7, 8),
-    LEARNING: (0, 1, 2, 2, 2),
-    HYPOTHESIS: (0, 1, 1, 4, 5),
-}
-
 PROVED = (Basis.CERTIFIED, Basis.LEARNT)
 """What bounds rest on that are proved, of learnt parameters but for what is uncertain of them."""
 _WRONG = (Basis.CONTRADICTED, Basis.HYPOTHESIS, Basis.OUTSIDE)
@@ -45,20 +38,6 @@ _OF_SENSOR = (Hypothesis.LOUD, Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT, Hypo
 _OFTEN, _OTHER_UNIT = 0.3, 20.0
 
 _MAX_EVENTS, _MAX_LINES = 200, 20
-
-
-def as_of_now(conditions: Array) -> Array:
-    """Return conditions' numbers with codes of now, shape (n, 7); former ones have no `claimed`."""
-    former = np.isnan(conditions[:, CLAIMED]) & ~np.isnan(conditions[:, BASIS])
-    if not former.any():
-        return conditions
-    translated = conditions.copy()
-    for place, codes in _FORMER.items():
-        known = conditions[former, place].clip(0, len(codes) - 1).astype(int)
-        translated[former, place] = np.array(codes)[known]
-    void = np.isin(translated[former, BASIS], (Basis.CONTRADICTED, Basis.OUTSIDE))
-    translated[former, CLAIMED] = ~void
-    return translated
 
 
 class JointEvent(NamedTuple):

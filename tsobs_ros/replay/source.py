@@ -248,12 +248,15 @@ class BagSource(Source):
         self.namespace = of_topic.get(self.topic, self.topic.rpartition("/")[0])
         self.ran = recorded_observer(self.reader, f"{self.namespace}/{_OBSERVER}")
         first = self._first_names()
-        self.joints = tuple(joints) or tuple(
-            joint for joint in self.ran.designs if self._is_in(first, joint)
+        parts = {name.partition("/")[0] for name in first}
+        ran = tuple(
+            joint
+            for joint in self.ran.designs
+            if len(self.ran.designs) == 1 or not parts.isdisjoint({joint, f"{joint}_motor"})
         )
-        self.guessed = not self.joints
-        motors = [topics.sides(name)[1] for name in first]
-        self.joints = self.joints or tuple(name for name in first if name not in motors)
+        self.guessed = not joints and not ran
+        motors = {f"{name}_motor" for name in first}
+        self.joints = tuple(joints) or ran or tuple(one for one in first if one not in motors)
         self._alone = len(self.ran.designs) <= 1 and not any(
             name.startswith(f"{joint}/") for joint in self.joints for name in first
         )
@@ -327,13 +330,6 @@ class BagSource(Source):
         has = ", ".join(names or self.reader.topics) or "none"
         what = "several topics end" if names else "no topic ends"
         raise BagReadError(f"{self.path}: {what} in {MEASUREMENTS}, choose one of: {has}")
-
-    def _is_in(self, names: Sequence[str], joint: str) -> bool:
-        """Return whether messages with some names may be about a joint of the live observer."""
-        if len(self.ran.designs) == 1:
-            return True
-        motor = topics.sides(joint)[1]
-        return any(name in (joint, motor) or name.startswith(f"{joint}/") for name in names)
 
     def _first_names(self) -> tuple[str, ...]:
         messages = until_damage(self.reader.messages([self.topic]), self.damaged)

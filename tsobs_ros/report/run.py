@@ -16,7 +16,7 @@ from tsobs_ros.bag.joint_series import Place, Wanted, read_blocks
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.replay.health import as_of_now
+from tsobs_ros.replay.health import CLAIMED
 from tsobs_ros.replay.places import ESTIMATES, places_of
 from tsobs_ros.replay.source import BagSource, Source, passes
 from tsobs_ros.report.quantities import QUANTITIES, Quantity, quantities_of
@@ -344,8 +344,8 @@ def run_of(
     for key in ESTIMATED[1:]:
         nothing = Series(stamps[:0], np.zeros((0, widths[key.removesuffix("_bound")])))
         parts[key] = align(series.pop(key, nothing), stamps)
-    if "health" in series:
-        series["health"] = series["health"]._replace(values=as_of_now(series["health"].values))
+    if "health" in series and np.isnan(series["health"].values[:, CLAIMED]).any():
+        del series["health"]  # of version 0.7, which had other codes
     return RecordedRun(
         name=name,
         joint=joint,
