@@ -41,19 +41,22 @@ class Code(enum.IntEnum):
     """A code of the compiled core with its meaning, which log, diagnostics and reports share.
 
     Attributes:
-        level: How bad it is.
         text: What it says, in a sentence.
         remedy: What to do about it, "" if there is nothing to do.
     """
 
-    level: Level
     text: str
     remedy: str
 
-    def __new__(cls, value: int, level: Level = Level.OK, text: str = "", remedy: str = "") -> Self:
+    def __new__(cls, value: int, text: str = "", remedy: str = "") -> Self:
         code = int.__new__(cls, value)
-        code._value_, code.level, code.text, code.remedy = value, level, text, remedy
+        code._value_, code.text, code.remedy = value, text, remedy
         return code
+
+    @property
+    def level(self) -> Level:
+        """How bad it is."""
+        return Level.OK
 
     @property
     def judged(self) -> tuple[Level, str]:

@@ -87,96 +87,76 @@ CORRECTING = (USED, IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT)
 
 
 class Basis(Code):
-    """What the published bounds rest on."""
+    """What the published bounds rest on; bad from `CONTRADICTED` on."""
 
-    CERTIFIED = 0, Level.OK, "the bound is certified"
-    LEARNT = (
-        1,
-        Level.OK,
-        "the bound holds: it is certified but for the uncertainty of the learnt parameters",
-    )
-    COVARIANCE = (
-        2,
-        Level.OK,
-        "the bound is not certified: it is the covariance along the estimate",
-    )
-    STARTING = (
-        3,
-        Level.OK,
-        "the bound is not certified yet: the estimate settles after a start",
-    )
-    GAP = (
-        4,
-        Level.OK,
-        "the bound is not certified: measurements or torques are missing or rejected",
-    )
-    JUMP = 5, Level.OK, "the bound is not certified: the sensor has jumped"
+    CERTIFIED = 0, "the bound is certified"
+    LEARNT = 1, "the bound holds: it is certified but for the uncertainty of the learnt parameters"
+    COVARIANCE = 2, "the bound is not certified: it is the covariance along the estimate"
+    STARTING = 3, "the bound is not certified yet: the estimate settles after a start"
+    GAP = 4, "the bound is not certified: measurements or torques are missing or rejected"
+    JUMP = 5, "the bound is not certified: the sensor has jumped"
     CONTRADICTED = (
         6,
-        Level.WARN,
         "the bound is void: the measurements contradict the design",
         "the arm, the noise or the disturbance differs from it",
     )
     HYPOTHESIS = (
         7,
-        Level.WARN,
         "the bound is not certified: it is a covariance for an arm or a sensor unlike the design's",
     )
-    OUTSIDE = (
-        8,
-        Level.WARN,
-        "the bound is void: the link angle is outside of the certificate's domain",
-    )
+    OUTSIDE = 8, "the bound is void: the link angle is outside of the certificate's domain"
+
+    @property
+    def level(self) -> Level:
+        return Level.WARN if self >= Basis.CONTRADICTED else Level.OK
 
 
 class Learning(Code):
     """What the learning of parameters does."""
 
-    NONE = 0, Level.OK, "nothing is learnt"
-    STARTING = 1, Level.OK, "learning waits until the estimate has settled"
-    ACTIVE = 2, Level.OK, "the parameters are being learnt"
+    NONE = 0, "nothing is learnt"
+    STARTING = 1, "learning waits until the estimate has settled"
+    ACTIVE = 2, "the parameters are being learnt"
 
 
 class Hypothesis(Code):
-    """What the estimate takes the arm and its sensor for."""
+    """What the estimate takes the arm and its sensor for; bad unless they are as designed."""
 
-    AS_DESIGNED = 0, Level.OK, "arm and sensor behave as designed"
+    AS_DESIGNED = 0, "arm and sensor behave as designed"
     FORCE = (
         1,
-        Level.WARN,
         "the arm is pushed by something the model lacks: friction, contact, a payload?",
         "a torque_disturbance in the design, or damping as an uncertain parameter, may explain it",
     )
     IMPERFECT = (
         2,
-        Level.WARN,
         "the arm moves in ways that the model lacks",
         "its parameters are wrong, or process_noise in the design is too small",
     )
     LOUD = (
         3,
-        Level.WARN,
         "the sensor is much noisier than designed",
         "a larger measurement_std would expect that",
     )
     COLOURED_NOISE = (
         4,
-        Level.WARN,
         "the sensor's noise is alike from sample to sample: a filter in the sensor?",
         "a gauss_markov disturbance of 0.02 to 0.1 s in the design would estimate it",
     )
     DRIFT = (
         5,
-        Level.WARN,
         "the sensor moves away, or is wrong for a while",
         "a larger density of its disturbance in the design would follow it",
     )
     TONE = (
         6,
-        Level.WARN,
         "the sensor oscillates",
         "a sinusoid among the design's disturbances would estimate it",
     )
+
+    @property
+    def level(self) -> Level:
+        return Level.WARN if self else Level.OK
 
 
 class Innovation(NamedTuple):
