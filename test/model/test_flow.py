@@ -244,32 +244,24 @@ def flow_of(arm: ElasticJointArm = FAST, period: float = 0.005, **others: Any) -
     return ArmFlow(arm, **{"disturbance": bias(), "process_noise": NOISE, **others}, period=period)
 
 
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
+def test_a_wrong_number_is_named() -> None:
+    cases: list[tuple[Any, str]] = [
         (lambda: flow_of(period=0.0), "period: expected a finite number above 0, got 0.0"),
         (lambda: ProcessNoise(link=-1.0), "process noise density of the link: expected"),
         (lambda: ProcessNoise(motor=math.inf), "process noise density of the motor: expected"),
         (lambda: flow_of(disturbance=TWO), "disturbance: expected 1 channels, .* got 2"),
-        (
-            lambda: flow_of(torque_disturbance=bias()),
-            "torque_disturbance: expected 2 channels, those of motor and link, got 1",
-        ),
-        (
-            lambda: flow_of(ElasticJointArm(stiffness=1e150)),
-            "at most 65536 rad in a step of 0.005 s",
-        ),
+        (lambda: flow_of(torque_disturbance=bias()), "torque_disturbance: expected 2 channels"),
+        (lambda: flow_of(ElasticJointArm(stiffness=1e150)), "at most 65536 rad in a step of 0.005"),
         (lambda: flow_of(ElasticJointArm(1e-200, 1e-200)), "every entry must be finite"),
         (
             lambda: flow_of(process_noise=ProcessNoise(motor=1e308)),
             r"every entry over a step of 0\.005 s must be finite",
         ),
         (lambda: as_rows("x", np.zeros(4), (), (5,)), r"x: expected shape \(5,\), got \(4,\)"),
-    ],
-)
-def test_a_wrong_number_is_named(build: Any, message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        build()
+    ]
+    for build, message in cases:
+        with pytest.raises(ModelError, match=message):
+            build()
 
 
 def test_what_each_map_reads_of_the_augmented_state() -> None:

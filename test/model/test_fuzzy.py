@@ -56,54 +56,46 @@ def test_weights_are_a_convex_combination(rules: Any, seed: int) -> None:
     np.testing.assert_allclose(weights.reshape(-1, len(rules)).T, products / products.sum(axis=0))
 
 
-@pytest.mark.parametrize(
-    ("rules", "z", "message"),
-    [
+def test_rules_without_weights_are_refused() -> None:
+    one: Any = (EXAMPLES[3:4],)
+    for rules, z, message in (
         ((), 0.0, "at least one rule"),
         ((EXAMPLES[:1], EXAMPLES[:2]), 0.0, r"one membership function.*\[1, 2\]"),
-        ((EXAMPLES[3:4],), [[[0.5], [0.1]], [[0.2], [5.0]]], r"no rule fires at z = \[5.0\]"),
-        ((EXAMPLES[3:4],), [0.5, 0.5], "z: expected a last axis of 1 premise variables, got"),
-    ],
-)
-def test_rules_without_weights_are_refused(rules: Any, z: Any, message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        RuleBase(rules).weights(z)
+        (one, [[[0.5], [0.1]], [[0.2], [5.0]]], r"no rule fires at z = \[5.0\]"),
+        (one, [0.5, 0.5], "z: expected a last axis of 1 premise variables, got"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            RuleBase(rules).weights(z)
 
 
-@pytest.mark.parametrize(
-    ("shape", "parameters", "z", "expected"),
-    [
-        ("always", {}, [-5.0, 0.0], [1.0, 1.0]),
-        ("linear", {"zero": 1.0, "one": 3.0}, [0.0, 1.0, 1.5, 3.0, 9.0], [0, 0, 0.25, 1, 1]),
-        ("triangle", {"left": 0, "peak": 1, "right": 3}, [-1, 0.5, 1, 2, 4], [0, 0.5, 1, 0.5, 0]),
-        (
-            "trapezoid",
+def test_grades() -> None:
+    shapes: dict[str, tuple[dict[str, float], list[float], list[float]]] = {
+        "always": ({}, [-5.0, 0.0], [1.0, 1.0]),
+        "linear": ({"zero": 1.0, "one": 3.0}, [0.0, 1.0, 1.5, 3.0, 9.0], [0, 0, 0.25, 1, 1]),
+        "triangle": ({"left": 0, "peak": 1, "right": 3}, [-1, 0.5, 1, 2, 4], [0, 0.5, 1, 0.5, 0]),
+        "trapezoid": (
             {"left": 0, "top_left": 1, "top_right": 2, "right": 4},
             [-1, 0.25, 1, 1.7, 3, 5],
             [0, 0.25, 1, 1, 0.5, 0],
         ),
-        ("gaussian", {"centre": 1.0, "width": 2.0}, [1.0, 3.0], [1.0, math.exp(-0.5)]),
-    ],
-)
-def test_grades(
-    shape: str, parameters: dict[str, float], z: list[float], expected: list[float]
-) -> None:
-    np.testing.assert_allclose(
-        grades(membership(shape, parameters), np.array(z)), expected, atol=1e-15
-    )
+        "gaussian": ({"centre": 1.0, "width": 2.0}, [1.0, 3.0], [1.0, math.exp(-0.5)]),
+    }
+    for shape, (parameters, z, expected) in shapes.items():
+        found = grades(membership(shape, parameters), np.array(z))
+        np.testing.assert_allclose(found, expected, atol=1e-15)
 
 
 @pytest.mark.parametrize("width", [0.4, math.pi / 2, 3.0])
-def test_the_sine_sector_is_the_sine(width: float) -> None:
+def test_the_sine_sector_is_the_sine_and_level_outside(width: float) -> None:
     z = np.linspace(-width, width, 41)
-    upper = grades(membership("sine_upper", {"half_width": width}), z)
-    lower = grades(membership("sine_lower", {"half_width": width}), z)
-    bottom = math.sin(width) / width
-    np.testing.assert_allclose((upper + lower * bottom) * z, np.sin(z), atol=1e-15)
-    np.testing.assert_allclose(upper + lower, 1.0, rtol=1e-15)
-    # It is level outside, although beyond 2π the sine's share rises above the lower sector again.
-    outside = np.array([-np.inf, -7.8, 3.1, 7.8, 1e300])
-    assert not grades(membership("sine_upper", {"half_width": width}), outside).any()
+    upper, lower = (
+        membership(f"sine_{name}", {"half_width": width}) for name in ("upper", "lower")
+    )
+    share, rest = grades(upper, z), grades(lower, z)
+    np.testing.assert_allclose((share + rest * math.sin(width) / width) * z, np.sin(z), atol=1e-15)
+    np.testing.assert_allclose(share + rest, 1.0, rtol=1e-15)
+    # Although beyond 2π the sine's share rises above the lower sector again.
+    assert not grades(upper, np.array([-np.inf, -7.8, 3.1, 7.8, 1e300])).any()
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda each: each.shape)
@@ -121,24 +113,16 @@ def test_the_covariance_follows_the_derivative_of_the_weights(
         assert spread[0, 0] == pytest.approx(float((ahead - behind)[0] / (2.0 * step)) ** 2)
 
 
-@pytest.mark.parametrize(
-    ("shape", "parameters", "message"),
-    [
+def test_wrong_parameters_are_named() -> None:
+    cases: list[tuple[str, dict[str, float], str]] = [
         ("circle", {}, "expected one of always, linear, .* got 'circle'"),
-        ("always", {"left": 1.0}, "membership always: expected the parameters none, got left"),
-        ("linear", {"zero": 1.0}, "membership linear: expected the parameters zero, one, got zero"),
-        ("linear", {"zero": 1.0, "one": 1.0}, "membership linear: expected zero and one apart"),
-        ("triangle", {"left": 0, "peak": 0, "right": 1}, "triangle: expected left < peak < right"),
-        (
-            "trapezoid",
-            {"left": 0, "top_left": 2, "top_right": 1, "right": 3},
-            "trapezoid: expected left < top_left < top_right < right, got",
-        ),
+        ("always", {"left": 1.0}, "always: expected the parameters none, got left"),
+        ("linear", {"zero": 1.0}, "linear: expected the parameters zero, one, got zero"),
+        ("linear", {"zero": 1.0, "one": 1.0}, "linear: expected zero and one apart"),
+        ("triangle", {"left": 0, "peak": 0, "right": 1}, "expected left < peak < right"),
         ("gaussian", {"centre": 0.0, "width": 0.0}, "gaussian: expected width above 0"),
-        ("sine_upper", {"half_width": 3.2}, "sine_upper: expected 1e-4 ≤ half_width < π, got .3.2"),
-        ("square_rest", {"half_width": 0.0}, "square_rest: expected half_width above 0"),
-    ],
-)
-def test_wrong_parameters_are_named(shape: str, parameters: dict[str, float], message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        membership(shape, parameters)
+        ("sine_upper", {"half_width": 3.2}, "expected 1e-4 ≤ half_width < π, got .3.2"),
+    ]
+    for shape, parameters, message in cases:
+        with pytest.raises(ModelError, match=message):
+            membership(shape, parameters)

@@ -177,27 +177,20 @@ def test_the_covariance_follows_the_jacobian_of_the_step(predicted: Any, flow: T
     np.testing.assert_allclose(spread - noise, jacobian @ covariance @ jacobian.T, atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            {"A": np.eye(2)},
-            r"A: expected one matrix per rule, shape \(r, ·, ·\), got shape \(2, 2\)",
-        ),
-        ({"B": np.zeros((3, 1))}, r"B: expected shape \(2, 2, 1\), got \(2, 3, 1\)"),
-        ({"C": np.zeros((1, 3))}, r"C: expected shape \(1, 2\), got \(1, 3\)"),
-        ({"C": np.zeros(2)}, r"C: expected a matrix, got shape \(2,\)"),
-        ({"B": np.full((2, 1), 1e101)}, "B: expected numbers up to 1e\\+100, got a larger one"),
-        ({"premise": np.eye(2)}, r"premise: expected shape \(1, 2\), got \(2, 2\)"),
-    ],
-)
-def test_wrong_matrices_are_named(change: dict[str, Array], message: str) -> None:
-    right = {
+def test_wrong_matrices_are_named() -> None:
+    right: dict[str, Array] = {
         "A": np.zeros((2, 2, 2)), "B": np.zeros((2, 1)), "C": np.eye(2)[:1],
         "premise": np.ones((1, 2)),
     }  # fmt: skip
-    with pytest.raises(ModelError, match=message):
-        TSModel(rule_base=RAMPS, **{**right, **change})
+    for name, matrix, message in (
+        ("A", np.eye(2), r"A: expected one matrix per rule, shape \(r, ·, ·\), got shape \(2, 2\)"),
+        ("B", np.zeros((3, 1)), r"B: expected shape \(2, 2, 1\), got \(2, 3, 1\)"),
+        ("C", np.zeros(2), r"C: expected a matrix, got shape \(2,\)"),
+        ("B", np.full((2, 1), 1e101), "B: expected numbers up to 1e\\+100, got a larger one"),
+        ("premise", np.eye(2), r"premise: expected shape \(1, 2\), got \(2, 2\)"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            TSModel(rule_base=RAMPS, **{**right, name: matrix})
 
 
 def test_uncertain_directions_fit_the_system_or_are_named() -> None:
