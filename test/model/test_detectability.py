@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from tsobs_ros.model.detectability import HiddenMode, format_mode, hidden_modes, undetectable_modes
+from tsobs_ros.model.detectability import hidden_modes, undetectable_modes
 
 Array = NDArray[np.float64]
 PROPERTY = settings(max_examples=20)
@@ -42,8 +42,3 @@ def test_a_hidden_mode_that_decays_is_detectable() -> None:
     assert [mode.eigenvalue for mode in hidden_modes(A, C)] == [-1.0]
     assert undetectable_modes(A, C) == []
     assert [mode.eigenvalue for mode in undetectable_modes(A, np.array([[1.0, 0.0]]))] == [2.0]
-
-
-def test_a_mode_is_written_with_its_largest_entry_as_one() -> None:
-    mode = HiddenMode(-1.5j, np.array([0.5, -2j]))
-    assert format_mode(mode, "x") == "0-1.5j with x = [0+0.25j, 1]"

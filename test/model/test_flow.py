@@ -18,7 +18,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
 from tsobs_ros.model.disturbance import bias, clean, gauss_markov, per_channel, ramp, sinusoid
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, kick_corners
-from tsobs_ros.model.prediction import STRETCH, as_rows
+from tsobs_ros.model.prediction import as_rows
 from tsobs_ros.model.uncertainty import arm_uncertainty
 
 Array = NDArray[np.float64]
@@ -78,24 +78,6 @@ def kick(flow: ArmFlow, slope: float, duration: float) -> Array:
     matrix = np.eye(flow.state_count)
     matrix[1, 0] = -0.5 * duration * flow.arm.gravity_torque / flow.arm.link_inertia * slope
     return matrix
-
-
-def slope_by_differences(
-    predicted: Any, flow: ArmFlow, x: Array, u: Array, duration: float
-) -> Array:
-    """Return ∂predict/∂x to about eight digits."""
-    shifts = 1e-5 * np.eye(flow.state_count)
-    ahead, behind = (predicted(flow, x + sign * shifts, u, duration) for sign in (1.0, -1.0))
-    return np.asarray((ahead - behind).T / 2e-5)
-
-
-def cut(flow: ArmFlow, duration: float) -> list[float]:
-    """Return the lengths of the steps that a duration is taken in [s]."""
-    whole = math.floor(duration / flow.period)
-    rest = duration - whole * flow.period
-    if rest < 0.0 or (whole and 0.0 < rest <= (STRETCH - 1.0) * flow.period):
-        whole, rest = whole - 1, rest + flow.period
-    return [flow.period] * whole + [rest] * (rest > 0.0)
 
 
 def secant(a: float, b: float) -> float:
@@ -209,32 +191,6 @@ def test_the_error_after_a_step_is_one_of_the_certified_error_systems(
     error = truth - estimate
     size = 1.0 + np.abs(truth).max() + np.abs(estimate).max() + abs(torque)
     np.testing.assert_allclose(exact @ error, ahead[0] - ahead[1], rtol=0.0, atol=1e-11 * size)
-
-
-@PROPERTY
-@given(st.data(), FLOWS, st.sampled_from([0.4, 1.0, 1.2, 1.7, 3.0, 4.9]))
-def test_the_covariance_follows_the_steps_own_jacobian(
-    predicted: Any, data: st.DataObject, flow: ArmFlow, periods: float
-) -> None:
-    """Σ⁺ = F Σ Fᵀ + noise, step by step, with F = K(c₂) Φ K(c₁), the slope of the prediction."""
-    n, u = flow.state_count, np.array([2.0])
-    state = draw_state(data, flow)
-    root = data.draw(hnp.arrays(np.float64, (n, n), elements=st.floats(-1.0, 1.0)))
-    covariance = root @ root.T
-    duration = periods * flow.period
-    _, spread = predicted(flow, state, u, duration, covariance)
-    assert sum(cut(flow, duration)) == pytest.approx(duration, rel=1e-13)
-    for length in cut(flow, duration):
-        numeric = slope_by_differences(predicted, flow, state, u, length)
-        before = kick(flow, math.cos(state[0]), length)
-        state = predicted(flow, state, u, length)
-        after = kick(flow, math.cos(state[0]), length)
-        F = after @ expm(drift(flow) * length) @ before
-        np.testing.assert_allclose(numeric, F, rtol=0.0, atol=1e-7 * (1.0 + np.abs(F).max()))
-        covariance = F @ covariance @ F.T + after @ flow.transition(length).noise @ after.T
-    np.testing.assert_allclose(
-        spread, covariance, rtol=1e-9, atol=1e-11 * (1.0 + np.abs(covariance).max())
-    )
 
 
 TWO, FAST = per_channel([bias(), bias()]), ElasticJointArm(1e-3, 1e-4, 1e4)

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The prediction of a T–S system: exact for one rule, second order, and its vertices exact."""
+"""The prediction of a T–S system: second order, and its vertices exact."""
 
 from itertools import product
 from typing import Any
@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.disturbance import bias, clean, per_channel, sinusoid
@@ -75,28 +74,6 @@ def tangled(period: float) -> TSFlow:
     return TSFlow(model, clean(), np.zeros(3), period)
 
 
-def test_one_rule_is_the_exact_linear_flow(predicted: Any) -> None:
-    rng = np.random.default_rng(1)
-    A, B = rng.standard_normal((3, 3)), rng.standard_normal((3, 2))
-    rules = RuleBase(((membership("always", {}),),))
-    model = TSModel(A[np.newaxis], B, np.eye(3)[:2], rules, np.ones((1, 3)))
-    density, T = np.array([0.1, 0.0, 0.4]), 0.3
-    flow = TSFlow(model, per_channel([bias(), clean()]), density, T)
-    x, u = rng.standard_normal(4), rng.standard_normal(2)
-    whole = np.zeros((6, 6))
-    whole[:3, :3], whole[:3, 4:] = A, B
-    expected = expm(whole * T) @ np.concatenate([x, u])
-    np.testing.assert_allclose(predicted(flow, x, u, T), expected[:4], rtol=1e-13)
-
-    covariance = np.diag([1.0, 2.0, 3.0, 4.0])
-    drift, W = whole[:4, :4], np.diag([*density, 1e-4])
-    joined = expm(np.block([[-drift, W], [np.zeros((4, 4)), drift.T]]) * T)
-    phi = joined[4:, 4:].T
-    _, spread = predicted(flow, x, u, T, covariance)
-    noise = phi @ joined[:4, 4:]
-    np.testing.assert_allclose(spread, phi @ covariance @ phi.T + noise, rtol=1e-12, atol=1e-13)
-
-
 def test_it_is_of_second_order(predicted: Any) -> None:
     """Halving the step divides the error after one second by four."""
     start, u = np.array([0.4, -0.3, 0.2]), np.array([0.7])
@@ -159,22 +136,6 @@ def test_with_an_estimated_premise_the_error_map_is_between_the_vertices(
         )
         error = predicted(flow, x, u, flow.period) - predicted(flow, other, u, flow.period)
         np.testing.assert_allclose(error, blend @ (x - other), atol=1e-13)
-
-
-@pytest.mark.parametrize("flow", [pendulum(), tangled(0.1), scheduled()], ids=["p", "t", "s"])
-def test_the_covariance_follows_the_jacobian_of_the_step(predicted: Any, flow: TSFlow) -> None:
-    n = flow.state_count
-    x = np.linspace(0.1, 0.5, n)
-    u = np.full(flow.model.input_count + flow.model.schedule.shape[1], 0.3)
-    columns = [
-        (predicted(flow, x + d, u, flow.period) - predicted(flow, x - d, u, flow.period)) / 2e-6
-        for d in 1e-6 * np.eye(n)
-    ]
-    jacobian = np.array(columns).T
-    covariance = np.diag(np.arange(1.0, n + 1.0))
-    _, noise = predicted(flow, x, u, flow.period, np.zeros((n, n)))
-    _, spread = predicted(flow, x, u, flow.period, covariance)
-    np.testing.assert_allclose(spread - noise, jacobian @ covariance @ jacobian.T, atol=1e-7)
 
 
 def test_wrong_matrices_are_named() -> None:
