@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.problem import DisturbanceTerm
@@ -172,13 +173,8 @@ def tones(joint: Joint, recording: Recording) -> list[Lack]:
         clean = np.nan_to_num(np.clip(r[:, place], -GATE, GATE))
         power = np.abs(np.fft.rfft(clean * np.hanning(len(clean)))) ** 2
         frequencies = np.fft.rfftfreq(len(clean), request.period)
-        half = max(10, len(power) // 100)
         # The median of a wide neighbourhood, by the mean of an exponential variable's.
-        around = np.array(
-            [np.median(power[max(0, i - half) : i + half + 1]) for i in range(0, len(power), half)]
-        )
-        places = np.arange(len(power))
-        level = np.interp(places, places[::half], around) / math.log(2)
+        level = median_filter(power, 2 * max(10, len(power) // 100) + 1) / math.log(2)
         ratio = power / np.maximum(level, 1e-300)
         ratio[:4] = 0.0
         peak = int(ratio.argmax())

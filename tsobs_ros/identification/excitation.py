@@ -58,18 +58,15 @@ _CANDIDATES, _LEAST_CANDIDATES, _STARTS = 120, 20, 8
 _FULL_TIME, _LONGEST = 30.0, 600.0
 """Duration up to which the search tries all candidates, and largest duration [s]."""
 
-_PERIODS, _BEYOND = 3.0, 2.5
-"""Periods of the slowest tone in the motion; fastest tone by the joint's resonance."""
-
-_TONES, _KNOTS = 24, 6
-"""Number of tones, and of frequencies at which their amplitudes are chosen."""
+_TONES, _KNOTS, _PERIODS, _BEYOND = 24, 6, 3.0, 2.5
+"""Number of tones, and of frequencies at which their amplitudes are chosen; periods of the slowest
+in the motion; the fastest by the joint's resonance."""
 
 _SAMPLES_PER_PERIOD = 16.0
 """Of the fastest tone, in the recordings that the search judges by."""
 
 _EDGE, _TAIL = 0.1, 2.0
-"""Share of the motion in which its window rises, and falls; time after it in which limits must
-hold [s]."""
+"""Share of the motion in which its window rises, and falls; time after it with limits [s]."""
 
 
 class Limits(NamedTuple):
@@ -194,19 +191,18 @@ class _Motions:
         # Link and motor swing against each other at the one, the arm at the other.
         joint = math.sqrt(arm.stiffness / arm.link_inertia + arm.stiffness / arm.motor_inertia)
         swing = math.sqrt(arm.gravity_torque / (arm.link_inertia + arm.motor_inertia))
-        mode = min(swing or math.inf, 0.5 * joint)
+        mode, fastest = min(swing or math.inf, 0.5 * joint), math.tau * request.rate / 8.0
         if slowest > mode:
-            least = math.ceil(10.0 * math.tau * _PERIODS / mode) / 10.0
             raise ModelError(
-                f"duration: expected at least {least:g} s for {_PERIODS:g} periods of the slowest "
-                f"frequency, {mode:.3g} rad/s, got {duration:g}"
+                f"duration: expected at least {math.tau * _PERIODS / mode:.3g} s for {_PERIODS:g} "
+                f"periods of the slowest frequency, {mode:.3g} rad/s, got {duration:g}"
             )
-        fastest = min(_BEYOND * joint, math.tau * request.rate / 8.0)
         if fastest < joint:
             raise ModelError(
                 f"rate: expected at least {math.ceil(8.0 * joint / math.tau)} Hz for the joint's "
                 f"resonance of {joint:.4g} rad/s, got {request.rate:g}"
             )
+        fastest = min(_BEYOND * joint, fastest)
         self.frequencies = np.geomspace(slowest, fastest, _TONES)
         s, k = 1j * self.frequencies, arm.stiffness
         # Some damping, so that no tone is lost at a resonance.
@@ -223,11 +219,9 @@ class _Motions:
         self.unknowns = unknowns = Unknowns.of(request, free)
         noise = np.random.default_rng((seed, 2)).standard_normal
         self._noise = noise((len(self.times), len(request.sensors))) * request.output_std
-        joint_at_prior = unknowns.at(np.zeros(unknowns.count))
-        self._recorded = replace(
-            _scenario(joint_at_prior.request, joint_at_prior.friction),
-            process_noise=request.process_noise,
-        )
+        prior = unknowns.at(np.zeros(unknowns.count))
+        rubbing = _scenario(prior.request, prior.friction)
+        self._recorded = replace(rubbing, process_noise=request.process_noise)
         # A noise shows with any motion.
         noises = unknowns.noises().numbers
         moved = [each not in noises for each in unknowns.numbers]
@@ -275,11 +269,8 @@ class _Motions:
     ) -> tuple[Array, float, Limits]:
         """Return torque, scale and what is reached of a motion as large as the limits allow.
 
-        Args:
-            genes: Of the motion.
-            arms: That must stay within the limits.
-            scale: To start from [rad].
-            rounds: Number of corrections upwards; it is then made smaller until the limits hold.
+        From the given scale [rad] it is made larger or smaller for so many rounds, then smaller
+        until the limits hold for all the arms.
         """
         angle = self.angle(genes)
         for place in count():

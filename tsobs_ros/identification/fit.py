@@ -29,8 +29,8 @@ from tsobs_ros.identification.joint import (
     require_arm,
     with_values,
 )
-from tsobs_ros.identification.likelihood import GATE as GATE
 from tsobs_ros.identification.likelihood import (
+    GATE,
     Evaluation,
     Likelihood,
     Recording,
@@ -43,24 +43,17 @@ from tsobs_ros.model.arm import SIDES
 Advance = Callable[[int], None]
 """Called with the number of filtered samples."""
 
-_START_SAMPLES = 4000
-"""Samples with which starts are compared."""
+_START_SAMPLES, _MIDDLE_SAMPLES = 4000, 12_000
+"""Samples with which starts are compared, and those that are fitted before all of them."""
 
-_MIDDLE_SAMPLES = 12_000
-"""Samples that are fitted before all of them, without a gate."""
+_STARTS, _FEW_STEPS, _MAX_STEPS = 3, 15, 40
 
 _POOR = 85.0
 """Share of the outputs that a free run must explain [%]; else disturbed sensors are tried."""
 
-_STARTS = 3
+_KNOWN, _MOST = 0.02, 0.8
+"""Relative error of a number that need not be learnt, and the largest that a request may name."""
 
-_KNOWN = 0.02
-"""Relative error of a number that need not be learnt."""
-
-_MOST = 0.8
-"""Largest relative error that a request may name."""
-
-_FEW_STEPS, _MAX_STEPS = 15, 40
 _TOLERANCE = 0.02
 """Gain of a step that is expected and no longer taken [nat]: a fifth of a σ of a number."""
 
@@ -101,22 +94,12 @@ def maximise(
     """Return the most likely numbers.
 
     First on a short part from several points, without a gate; then on everything from the best of
-    them. The Hessian is Fisher's information with the prior's, in a trust region.
-
-    Args:
-        unknowns: The numbers.
-        recordings: The samples.
-        advance: Called with the number of filtered samples.
-        seed: Of the further points that the search starts from.
-        starts: Number of points.
-        begin: Where to start from, without a search for it.
-        steps: Largest number of steps with all samples.
+    them, or from `begin`. The Hessian is Fisher's information with the prior's, in a trust region.
     """
-    k, rng = unknowns.count, np.random.default_rng(seed)
-    best = begin
+    k, rng, best = unknowns.count, np.random.default_rng(seed), begin
     if best is None:
         short, longer = (
-            Likelihood(unknowns, [_middle_of(_longest(recordings), count)], advance=advance)
+            Likelihood(unknowns, [_longest(recordings).middle(count)], advance=advance)
             for count in (_START_SAMPLES, _MIDDLE_SAMPLES)
         )
         points = [np.zeros(k), *(0.5 * rng.standard_normal((starts - 1, k)))]
@@ -128,18 +111,11 @@ def maximise(
     inverse = np.linalg.inv(made.information + np.eye(k))
     # White innovations make both alike; coloured ones do not, and then their spread counts.
     robust = inverse @ (made.spread + np.eye(k)) @ inverse
-    ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(inverse), 1.0))
-    return Optimum(unknowns, best, np.sqrt(np.diag(inverse) * (ratio * ratio)), made)
+    return Optimum(unknowns, best, np.sqrt(np.maximum(np.diag(robust), np.diag(inverse))), made)
 
 
 def _longest(recordings: Sequence[Recording]) -> Recording:
     return max(recordings, key=lambda recording: recording.count)
-
-
-def _middle_of(recording: Recording, count: int) -> Recording:
-    """Return so many samples about the middle of a recording, all if it has fewer."""
-    begin = max(0, (recording.count - count) // 2)
-    return recording.part(begin, min(begin + count, recording.count))
 
 
 def _search(likelihood: Likelihood, start: Array, steps: int) -> Array:
@@ -198,29 +174,28 @@ def _with_disturbed_sensor(
     likeliest with so much process noise that nothing else is left to be found. The innovations are
     small then, but a free run fails. It succeeds if the sensor may be off for a while.
     """
-    part = _middle_of(_longest(recordings), _MIDDLE_SAMPLES)
+    part = _longest(recordings).middle(_MIDDLE_SAMPLES)
     numbers = zip(optimum.unknowns.numbers, optimum.coordinates.tolist(), strict=True)
     noisy = any(one.name.startswith("process_noise") and at > 1.0 for one, at in numbers)
     before = best = _free_run(optimum.joint, part) if noisy else 100.0
-    chosen: tuple[Unknowns, ArmRequest, str, Array] | None = None
+    changed, chosen, name = request, optimum, ""
     for place, output in enumerate(request.sensors if before < _POOR else ()):
         if output.model.state_count:
             continue
         swing = float(np.nanstd(part.y[:, place]))
         term = DisturbanceTerm("gauss_markov", {"std": 0.02 * swing, "time_constant": 0.03})
-        changed = request.with_terms(place, (term,))
-        unknowns = Unknowns.of(changed, free)
+        disturbed = request.with_terms(place, (term,))
+        unknowns = Unknowns.of(disturbed, free)
         tried = maximise(unknowns, [part], advance, starts=1, steps=_FEW_STEPS)
         reached = _free_run(tried.joint, part)
         if 100.0 - reached < 0.5 * (100.0 - best):
-            chosen, best = (unknowns, changed, output.measures, tried.coordinates), reached
-    if chosen is None:
+            changed, chosen, name, best = disturbed, tried, output.measures, reached
+    if not name:
         return request, optimum, []
-    unknowns, changed, name, begin = chosen
     text = f"something that {name} shows and the arm does not do: a free run explains "
     text += f"{best:.3g} % with it, {before:.3g} % without"
     entry = f"the fitted request has a gauss_markov disturbance of {name} for it"
-    found = maximise(unknowns, recordings, advance, begin=begin)
+    found = maximise(chosen.unknowns, recordings, advance, begin=chosen.coordinates)
     return changed, found, [Lack(text, entry, True)]
 
 
@@ -240,45 +215,43 @@ def _observable(
     reversals: likelier ones are shorter, and do not allow for friction that lasts. The noises are
     the likeliest of a filter without friction.
     """
-    request, by_name = joint.request, {each.name: each for each in numbers}
-    significant = {each.name for each in numbers if each.significant}
-    known = list[str]()
+    request, found = joint.request, {each.name: each for each in numbers}
+    significant, known = {each.name for each in numbers if each.significant}, list[str]()
     for side, name in zip(SIDES, FRICTION, strict=True):
-        if name in significant and not getattr(request.torque_disturbance, side):
-            time = _reversal_time(joint, recordings, side)
-            values = {"std": by_name[name].value, "time_constant": time}
-            torque = {side: (DisturbanceTerm("gauss_markov", values),)}
-            torques = replace(request.torque_disturbance, **torque)
-            request = replace(request, torque_disturbance=torques)
+        torques = request.torque_disturbance
+        if name in significant and not getattr(torques, side):
+            values = {"std": found[name].value}
+            values["time_constant"] = _reversal_time(joint, recordings, side)
+            term = DisturbanceTerm("gauss_markov", values)
+            request = replace(request, torque_disturbance=replace(torques, **{side: (term,)}))
             known += [f"torque_disturbance.{side}.0.{key}" for key in values]
     if significant.intersection(FRICTION):
         smooth = with_values(replace(joint, request=request), dict.fromkeys(FRICTION, 0.0))
         noises = replace(Unknowns.of(request).noises().without(*known), joint=smooth)
         request = maximise(noises, recordings, advance, starts=1).joint.request
-    bounds = dict(request.uncertainty)
+    bounds = {
+        name: bound
+        for name, bound in request.uncertainty.items()
+        if not (name.endswith("damping") and f"arm.{name}" in found)
+    }
     for name, entry in UNCERTAINTY.items():
-        if (each := by_name.get(f"arm.{name}")) is not None:
+        if (each := found.get(f"arm.{name}")) is not None:
             relative = 3.0 * each.std / each.value
             if relative < _KNOWN:
                 bounds.pop(entry, None)
-            elif each.seen:
-                bounds[entry] = float(f"{relative:.2g}")
-            else:
-                bounds.setdefault(entry, float(f"{min(relative, _MOST):.2g}"))
-    for name in ("link_damping", "motor_damping"):
-        if f"arm.{name}" in by_name:
-            bounds.pop(name, None)
-    shown = {
+            elif each.seen or entry not in bounds:
+                bounds[entry] = float(f"{relative if each.seen else min(relative, _MOST):.2g}")
+    values = {
         each.name: float(f"{each.start:.6g}")
         for each in numbers_of(request)
         if not each.from_nothing and each.positive and each.name != TORQUE_GAIN
     }
     for each in numbers:
-        if not (each.before or each.significant) and each.name in shown:
-            shown[each.name] = 0.0
+        if not (each.before or each.significant) and each.name in values:
+            values[each.name] = 0.0
     own = Joint.of(replace(request, uncertainty=bounds))
-    path = replace(joint, request=with_values(own, shown).request)
-    return path.with_path(significant | ({DELAY, OFFSET} - by_name.keys()))
+    path = replace(joint, request=with_values(own, values).request)
+    return path.with_path(significant | ({DELAY, OFFSET} - found.keys()))
 
 
 def _reversal_time(joint: Joint, recordings: Sequence[Recording], side: str) -> float:
@@ -343,7 +316,7 @@ def fit(
     unknowns = Unknowns.of(start, free)
     begins = [round((1.0 - held_out) * each.count) for each in recordings]
     fitted = [each.part(0, end) for each, end in zip(recordings, begins, strict=True)]
-    require_torque(unknowns, _middle_of(fitted[0], _START_SAMPLES))
+    require_torque(unknowns, fitted[0].middle(_START_SAMPLES))
     optimum = maximise(unknowns, fitted, advance, seed=seed)
     start, optimum, added = _with_disturbed_sensor(start, free, optimum, fitted, advance)
     optimum = _with_zero(optimum, fitted, advance)
@@ -352,7 +325,6 @@ def fit(
     whole = recordings[longest]
     begin = begins[longest] if held_out else whole.count // 2
     outputs, traces = output_fits(likeliest, whole, begin)
-    samples = sum(begins)
     return Fit(
         request=_observable(likeliest, numbers, fitted, advance),
         before=start,
@@ -361,7 +333,7 @@ def fit(
         unseen=unseen(optimum.unknowns, optimum.evaluation.information),
         lacks=(*added, *found_lacks(numbers), *tones(likeliest, _longest(fitted))),
         outputs=outputs,
-        samples=(samples, sum(each.count for each in recordings) - samples),
+        samples=(sum(begins), sum(each.count for each in recordings) - sum(begins)),
         outliers=optimum.evaluation.outliers,
         notes=tuple(notes),
         traces=traces,

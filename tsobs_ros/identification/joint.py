@@ -20,10 +20,9 @@ from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import SIDES
-from tsobs_ros.model.torque_path import DIRECT, TorquePath
+from tsobs_ros.model.torque_path import TorquePath
 
-TORQUE_GAIN = "torque.gain"
-OFFSET, DELAY = "torque.offset", "torque.delay"
+TORQUE_GAIN, OFFSET, DELAY = "torque.gain", "torque.offset", "torque.delay"
 FRICTION = tuple(f"{side}_friction" for side in SIDES)
 """Coulomb friction at motor and link [N m]."""
 
@@ -43,14 +42,9 @@ UNCERTAINTY = {
 }
 """Numbers of the arm, each with the entry of `uncertainty` that bounds its relative error."""
 
-_UNKNOWN = 0.5
-"""1σ of the logarithm of a number of the arm about which the request says nothing: a factor 1.6."""
-
-_NOISE = 2.0
-"""1σ of the logarithm of a noise: a factor 7."""
-
-_OFFSET = 0.05
-"""1σ of the zero of an angle's sensor [rad]."""
+_UNKNOWN, _NOISE, _ZERO = 0.5, 2.0, 0.05
+"""1σ of the logarithm of a number of the arm about which the request says nothing, a factor 1.6,
+and of a noise, a factor 7; 1σ of the zero of an angle's sensor [rad]."""
 
 _BOUND_STD = 1.0 / math.sqrt(3.0)
 """1σ of a number that is anywhere within bounds of ±1."""
@@ -149,10 +143,10 @@ class Joint:
     """A request with what only a recording needs.
 
     Attributes:
-        request: Of an arm; its torque path and its outputs' delays are those below.
-        extras: Numbers by their names: the torque's gain, offset [N m] and delay [s], which acts
-            before its stamp below 0; Coulomb friction [N m]; of each output its delay [s] and its
-            offset, what it shows at 0 (rad, rad/s).
+        request: Of an arm, without the path of the torque and the outputs' delays.
+        extras: Those, by name: the torque's gain, offset [N m] and delay [s], which acts before its
+            stamp below 0; Coulomb friction [N m]; of each output its delay [s] and its offset, what
+            it shows at 0 (rad, rad/s).
     """
 
     request: ArmRequest
@@ -164,10 +158,8 @@ class Joint:
         path, extras = request.torque, dict.fromkeys(FRICTION, 0.0)
         extras |= {TORQUE_GAIN: path.gain, OFFSET: path.offset, DELAY: path.delay}
         for output in request.sensors:
-            extras[f"{output.measures}.delay"] = output.delay
-            extras[f"{output.measures}.offset"] = 0.0
-        direct = tuple(replace(output, delay=0.0) for output in request.outputs)
-        return cls(replace(request, torque=DIRECT, outputs=direct), extras)
+            extras |= {f"{output.measures}.delay": output.delay, f"{output.measures}.offset": 0.0}
+        return cls(request.at_rate(request.rate), extras)
 
     @property
     def friction(self) -> tuple[float, float]:
@@ -177,35 +169,25 @@ class Joint:
 
     def of_outputs(self, key: str) -> list[float]:
         """Return the "delay" or "offset" of each output."""
-        return [self.extras[f"{output.measures}.{key}"] for output in self.request.sensors]
+        return [self.extras[f"{name}.{key}"] for name in self.request.output_names]
 
     def with_path(self, shown: Collection[str]) -> ArmRequest:
-        """Return the request with the torque's path and the outputs' delays.
-
-        Args:
-            shown: Names of the numbers that are surely not 0; others of the path are left out.
-        """
+        """Return the request with the torque's path and the outputs' delays, if they are shown."""
         kept = {name: value if name in shown else 0.0 for name, value in self.extras.items()}
-        delays = [kept[f"{output.measures}.delay"] for output in self.request.sensors]
+        delays = [kept[f"{name}.delay"] for name in self.request.output_names]
         # What counts is when an output is measured after the torque was commanded.
         late = max(0.0, -min(delays))
-        gain, delay = self.extras[TORQUE_GAIN], max(0.0, kept[DELAY] - late)
-        path = TorquePath(_rounded(gain), _rounded(kept[OFFSET]), _rounded(delay))
+        path = self.extras[TORQUE_GAIN], kept[OFFSET], max(0.0, kept[DELAY] - late)
         outputs = tuple(
             replace(output, delay=_rounded(own + late))
             for output, own in zip(self.request.outputs, delays, strict=False)
         )
-        return replace(self.request, torque=path, outputs=outputs)
+        return replace(self.request, torque=TorquePath(*map(_rounded, path)), outputs=outputs)
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """The numbers that are estimated, and the joint that they change.
-
-    Attributes:
-        joint: At the start.
-        numbers: Those that are estimated.
-    """
+    """The numbers that are estimated, and the joint at their start."""
 
     joint: Joint
     numbers: tuple[Number, ...]
@@ -222,16 +204,20 @@ class Unknowns:
         Raises:
             ModelError: A name is unknown.
         """
+
+        def means(prefix: str, name: str) -> bool:
+            return name in (prefix, f"arm.{prefix}") or name.startswith(f"{prefix}.")
+
         known = {number.name: number for number in numbers_of(request)}
         for name in free:
-            if not any(_names(name, each) for each in known):
+            if not any(means(name, each) for each in known):
                 raise ModelError(
                     f"free: expected some of {', '.join(known)}, got {name!r}{meant(name, known)}"
                 )
         chosen = [
             number
             for name, number in known.items()
-            if (any(_names(each, name) for each in free) if free else name != TORQUE_GAIN)
+            if (any(means(each, name) for each in free) if free else name != TORQUE_GAIN)
         ]
         return cls(Joint.of(request), tuple(chosen))
 
@@ -268,14 +254,10 @@ def with_values(joint: Joint, values: Mapping[str, float]) -> Joint:
         branch[last] = values[name]
     request = joint.request
     outputs = [_changed(output, tree.pop(output.measures, {})) for output in request.sensors]
-    changed = replace(
-        request,
-        measurement_std=outputs[0].measurement_std,
-        disturbance=outputs[0].disturbance,
-        outputs=tuple(outputs) if request.outputs else (),
-        **{name: _changed(getattr(request, name), branch) for name, branch in tree.items()},
-    )
-    return Joint(changed, extras)
+    first = {name: getattr(outputs[0], name) for name in ("measurement_std", "disturbance")}
+    others = {name: _changed(getattr(request, name), branch) for name, branch in tree.items()}
+    given = tuple(outputs) if request.outputs else ()
+    return Joint(replace(request, outputs=given, **first, **others), extras)
 
 
 def _changed(value: Any, tree: Any) -> Any:
@@ -298,11 +280,6 @@ def require_arm(request: object) -> None:
 
 def _rounded(value: float) -> float:
     return float(f"{value:.6g}")
-
-
-def _names(prefix: str, name: str) -> bool:
-    """Return whether a name is meant: whole, a group, or an entry of the arm."""
-    return name == prefix or name.startswith(f"{prefix}.") or name == f"arm.{prefix}"
 
 
 def numbers_of(request: ArmRequest) -> list[Number]:
@@ -347,7 +324,7 @@ def numbers_of(request: ArmRequest) -> list[Number]:
         if place and unit == "rad":
             add(f"{name}.delay", output.delay, 2.0 * period, positive=False)
         if unit == "rad" and not output.model.state_count and (place or arm.gravity_torque):
-            add(f"{name}.offset", 0.0, _OFFSET, unit, positive=False)
+            add(f"{name}.offset", 0.0, _ZERO, unit, positive=False)
         add_terms(f"{name}.disturbance", output.disturbance, unit)
     for side in SIDES:
         add_terms(f"torque_disturbance.{side}", getattr(request.torque_disturbance, side), "N m")
@@ -355,13 +332,7 @@ def numbers_of(request: ArmRequest) -> list[Number]:
 
 
 def delayed(torque: Array, durations: Array, delay: float) -> Array:
-    """Return the mean over each step of a held torque that acts later.
-
-    Args:
-        torque: Held from each sample to the next [N m], shape (n,).
-        durations: From each sample to the next [s], shape (n,).
-        delay: By so much it acts later [s]; it may be below 0.
-    """
+    """Return the mean over each step of a held torque that acts later by a delay, or earlier."""
     if delay == 0.0:
         return torque
     times = np.concatenate([[0.0], np.cumsum(durations)])

@@ -74,6 +74,11 @@ class Recording:
         cut = slice(begin, end)
         return Recording(self.name, self.time[cut], self.durations[cut], self.y[cut], self.u[cut])
 
+    def middle(self, count: int) -> "Recording":
+        """Return so many samples about the middle, all if it has fewer."""
+        begin = max(0, (self.count - count) // 2)
+        return self.part(begin, begin + count)
+
 
 class Innovations(NamedTuple):
     """What a filter did not expect.

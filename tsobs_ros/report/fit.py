@@ -11,7 +11,7 @@ import numpy as np
 from tsobs_ros import __version__
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.identification.fit import GATE
+from tsobs_ros.identification.likelihood import GATE
 from tsobs_ros.identification.result import Fit
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.report.page import write_html
