@@ -22,14 +22,11 @@ from tsobs_ros.design.request import (
     DisturbanceTerm,
     Output,
     TorqueDisturbance,
-    TSRequest,
 )
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import CertificateError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.model.fuzzy import RuleBase, membership
-from tsobs_ros.model.ts_model import TSModel
 
 Array = NDArray[np.float64]
 
@@ -131,11 +128,6 @@ def test_errors_of_the_nonlinear_loop_shrink_at_the_certified_rate(
     assert after @ decaying.P @ after <= math.exp(-2.0 * rho * T) * size * (1.0 + 1e-9) + 1e-12
 
 
-def test_stricter_decay_costs_accuracy(decaying: Design, shipped: Design) -> None:
-    assert decaying.certificate.contraction_rate >= 0.1 > shipped.certificate.contraction_rate
-    assert (decaying.bound_std > shipped.bound_std).all()
-
-
 @pytest.mark.parametrize(
     ("place", "value"),
     [((4, 4), 0.0), ((2, 3), math.nan), ((0, 1), 1.0), ((0, 0), -1.0), (..., 1.0)],
@@ -163,23 +155,19 @@ def test_a_matrix_that_is_no_bound_is_named(shipped: Design, place: Any, value: 
         {"process_noise": ProcessNoise(1.1e-4, 1e-5)},
         {"disturbance": (DisturbanceTerm("bias", {"density": 1.1e-4}),)},
         {"arm": ElasticJointArm(gravity_torque=12.0)},
+        {"K": 0.7},
+        {"K": 1e200},
     ],
     ids=lambda change: next(iter(change)),
 )
 def test_the_proof_of_one_problem_is_none_of_a_harder_one(
     shipped: Design, change: dict[str, Any]
 ) -> None:
-    harder = replace(shipped, request=replace(shipped.request, **change))
+    gain = change.pop("K", 1.0) * shipped.K
+    harder = replace(shipped, request=replace(shipped.request, **change), K=gain)
     for report in (harder.certificate, verify_exactly(harder)):
         assert not report.holds
         assert report.worst.name == "covariance decrease"
-
-
-@pytest.mark.parametrize("K", [0.7, 1e200])
-def test_the_proof_of_one_gain_is_none_of_another(shipped: Design, K: float) -> None:
-    other = replace(shipped, K=K * shipped.K)
-    assert not other.certificate.holds
-    assert not verify_exactly(other).holds
 
 
 def test_no_certificate_holds_for_an_arbitrary_disturbance() -> None:
@@ -193,20 +181,14 @@ def test_no_certificate_holds_for_an_arbitrary_disturbance() -> None:
 
 
 def test_what_was_certified_cannot_be_changed_afterwards(shipped: Design) -> None:
-    bounds, densities, mixing = {"stiffness": 0.1}, [1e-3], np.ones((1, 1))
+    bounds = {"stiffness": 0.1}
     arm = ArmRequest(uncertainty=bounds)
-    rules = RuleBase(((membership("always", {}),),))
-    model = TSModel(-np.ones((1, 1, 1)), np.ones((1, 1)), np.eye(1), rules, np.ones((1, 1)))
-    system = TSRequest(model, densities, [0.1], 10.0, [1.0], D_s=mixing)
-    bounds["stiffness"], densities[0], mixing[0, 0] = 0.4, 1.0, 9.0
+    bounds["stiffness"] = 0.4
     assert (arm.uncertainty["stiffness"], arm.uncertainty_model.bounds["stiffness"]) == (0.1, 0.1)
-    assert (system.process_noise[0], system.D_s[0, 0]) == (1e-3, 1.0)
     for mapping in (arm.uncertainty, arm.disturbance[0]):
         with pytest.raises(TypeError, match="item assignment"):
             mapping["density"] = 1.0
-    arrays = [shipped.P, shipped.K, shipped.covariance_bound, arm.measurement_covariance]
-    arrays += [arm.initial_covariance, system.process_noise, system.D_s, system.initial_std]
-    for array in arrays:
+    for array in (shipped.P, shipped.K, shipped.covariance_bound, arm.initial_covariance):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
 
@@ -225,13 +207,3 @@ def test_a_failure_names_source_inequality_vertex_and_margin(shipped: Design) ->
     with pytest.raises(CertificateError, match=pattern) as caught:
         report.require("my.yaml")
     assert str(caught.value).count("DOES NOT HOLD") == len(failing) > 0
-
-
-def test_the_proof_of_one_uncertainty_is_none_of_a_larger_one(uncertain: Design) -> None:
-    request = replace(uncertain.request, uncertainty={"gravity": 0.05, "stiffness": 0.11})
-    report = check_certificate(request, uncertain.P, uncertain.K)
-    assert not report.holds
-    assert "stiffness (" in report.worst.where
-    # Bounds alone ask for no proof.
-    silent = replace(request, certify_uncertainty=False)
-    assert check_certificate(silent, uncertain.P, uncertain.K).holds

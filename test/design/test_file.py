@@ -25,7 +25,6 @@ from tsobs_ros.design.file import (
     parse_design,
     save_design,
 )
-from tsobs_ros.design.names import Labels
 from tsobs_ros.design.published import read_record, record_text
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import (
@@ -53,7 +52,9 @@ TONE = DisturbanceTerm("sinusoid", {"frequency": 1.1})
 DRIFT = DisturbanceTerm("gauss_markov", {"std": 0.1, "time_constant": 1.0 / 3.0})
 REQUESTS = [
     ArmRequest(rate=1e3 / 3.0, x_max=0.1 + 0.2, decay_rate=0.1, disturbance=[TONE, DRIFT]),
-    ArmRequest(ElasticJointArm(0.1, 0.7, 1e3 / 7.0, 0.0, 0.1), uncertainty={"gravity": 0.1}),
+    ArmRequest(
+        ElasticJointArm(0.1, 0.7, 1e3 / 7.0, 0.0, 0.1), torque=TorquePath(0.9, -0.1 / 3.0, 0.1)
+    ),
     ArmRequest(
         outputs=[Output("motor_velocity", 1e-4), Output("link_angle", 0.1 / 3.0, [DRIFT])],
         torque_disturbance=TorqueDisturbance(link=[DRIFT], motor=[DisturbanceTerm("bias")]),
@@ -62,7 +63,6 @@ REQUESTS = [
         process_noise=ProcessNoise(1e-5, 0.0),
         initial_std=(0.1, 0.2, 0.3, 1.0 / 3.0),
     ),
-    ArmRequest(torque=TorquePath(gain=0.9, offset=-0.1 / 3.0, delay=0.1)),
     ArmRequest(torque=TorquePath(offset=1.0), outputs=[Output("link_angle", 1e-3, delay=0.02 / 3)]),
 ]
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
@@ -131,19 +131,11 @@ def test_names_and_units_are_read_back_and_stand_in_reports(tmp_path: Path) -> N
     assert (request.output_names, request.output_units) == (("y1", "y2"), ("V", ""))
     assert (request.input_names, request.input_units) == (("u1", "y2"), ("N m", "rad/s"))
 
-    save_design(Design(request, np.eye(3), np.zeros((3, 2)), SolverReport()), tmp_path / "a.yaml")
+    design = Design(request, np.eye(3), np.zeros((3, 2)), SolverReport())
+    save_design(design, tmp_path / "a.yaml")
     again = parse_design(tmp_path / "a.yaml")
     assert (again.request.names, again.request.units) == (request.names, request.units)
-    assert again.summary()["outputs"] == ("y1", "y2")
     assert "outputs (y1 [V], y2), inputs u1 [N m], y2 [rad/s]" in again.text()
-    proved = load_design(DATA / "system.design.yaml")
-    text = replace(proved, request=replace(proved.request, names=Labels(("tilt", "speed")))).text()
-    assert re.search(r"\n  tilt +0\.\d{5}\n  speed +0.*\n  disturbance of y2, state 1 +0\.", text)
-
-
-def test_a_file_that_cannot_be_written_is_named(shipped: Design, tmp_path: Path) -> None:
-    with pytest.raises(DesignFileError, match=r"no/a\.yaml: cannot write the design file: No such"):
-        save_design(shipped, tmp_path / "no" / "a.yaml")
 
 
 @cache
@@ -184,6 +176,8 @@ def test_a_request_may_stand_alone_and_leave_out_everything(tmp_path: Path) -> N
     tone = DisturbanceTerm("sinusoid", {"frequency": 3})
     expected = ArmRequest(rate=100.0, x_max=1.0, disturbance=[tone], uncertainty={"stiffness": 0.2})
     assert load_request(path) == expected
+    unlimited = load_request(written(tmp_path, "torque_limit: 1.0e+9\ntorque_rate_limit: 1.0e+9"))
+    assert unlimited.torque_limits()[:2] == (math.inf, math.inf)
 
 
 @pytest.mark.parametrize("name", ["arm", "system"])
@@ -199,50 +193,30 @@ TORQUE = ("design", "torque")
 OUTPUT = {"measures": "motor_angle", "measurement_std": 0.001}
 ARM = [
     (OUTPUTS, [{**OUTPUT, "measures": "elbow"}], r"outputs\[0\].measures: expected one of link_an"),
-    (OUTPUTS, [{"measures": "motor_angle"}], r"outputs\[0\].measurement_std: missing"),
     (OUTPUTS, [{**OUTPUT, "delay": 0.101}], r"outputs\[0\].delay: .* 20 periods, 0.1 s, got 0.101"),
     (TORQUE, {"gain": 0.0}, "design.torque.gain: expected a finite number above 0, got 0.0"),
     (TORQUE, {"delay": 2.0}, "torque.delay: .* 20 periods, 0.1 s, got 2.0 s"),
-    (LINK, {"elbow": []}, "torque_disturbance: unknown entry 'elbow'"),
     (LINK, {"link": [{"kind": "arbitrary"}]}, r"torque_disturbance.link\[0\]: expected a torque"),
     (("format",), ..., "format: expected 'tsobs_ros design' or 'tsobs_ros T-S design', got None"),
     (("version",), True, "version: expected 1, got True"),
     (("design", 3), 4, "design: expected names of entries, got 3"),
-    (("design", "rate"), True, "design.rate: expected a number, got True"),
-    (("design", "x_max"), 4.0, "design.x_max: expected 0 < x_max <= π, got 4.0"),
     (("design", "arm", "stiffness"), -3, "design.arm.stiffness: .* number above 0, got -3"),
     (("design", "initial_std"), [1.0], r"design.initial_std: expected shape \(4,\), got \(1,\)"),
-    (("design", "measurement_std"), 1e200, "design.measurement_std: .* a finite square"),
     (("design", "disturbance", 0, "kind"), "wind", r"disturbance\[0\].kind: expected one of clean"),
-    (("design", "disturbance", 0, "tau"), 1.0, r"disturbance\[0\].tau: no parameter of bias"),
     (("design", "certify_uncertainty"), 1, "design.certify_uncertainty: expected true or false"),
     (("gain", "K", 1), [1.0], r"gain.K\[1\]: expected shape \(\) as .*0\] has, got \(1,\)"),
     (("certificate", "P", 1, 2), math.inf, r"certificate.P\[1\]\[2\]: expected a finite number"),
-    (OUTPUTS, [], "design.outputs: expected at least one"),
     (("design", "arm"), {"link_inertia": 1e-200, "motor_inertia": 1e-200}, "must be finite"),
-    (
-        ("design", "disturbance"),
-        [{"kind": "gauss_markov", "time_constant": 1e-300}],
-        "fastest mode",
-    ),
-    (
-        OUTPUTS,
-        [{"measures": "link_angle", "measurement_std": 0.1}],
-        "design.disturbance: expected in outputs",
-    ),
+    (OUTPUTS, [{**OUTPUT, "measures": "link_angle"}], "disturbance: expected in outputs, one per"),
 ]
 SYSTEM = [
     (("system", "rules"), ..., "system.rules: missing"),
     (("system", "premises", "angle"), {}, "system.premises.angle: expected at least one of state"),
     (("system", "rules", 1, "A"), [[1], [2]], r"system.rules\[1\].A: expected shape \(2, 2\), got"),
     (("system", "rules", 0, "if"), {"speed": {"shape": "always"}}, r"\[0\].if: unknown entry 'sp"),
-    (("system", "rules", 0, "if"), {"angle": {"shape": "box"}}, r"\[0\].if.angle: membership sh"),
-    (("disturbance",), [{"kind": "clean"}], r"disturbance\[0\]: expected a list, got"),
     (("names",), {"states": ["a", "b/c"]}, r"names.states\[1\]: expected a letter, .* got 'b/c'"),
-    (("names",), {"states": ["a", "a"]}, r"names.states\[1\]: .* 'a', which names.states\[0\] has"),
     (("names",), {"outputs": ["e", "u1"]}, r"names.inputs\[0\]: .* 'u1', which names.outputs\[1\]"),
     (("units",), {"states": ["m", "m"], "inputs": ["N"]}, "units.outputs: expected 2, .* got none"),
-    (("units",), {"states": ["m", "\n"]}, r"units.states\[1\]: expected printable characters, 60"),
     (("uncertainty", "gravity", "E"), [[0]], r"uncertainty.gravity.E: expected shape \(2, 2\), go"),
 ]
 
@@ -303,14 +277,6 @@ def test_a_request_that_cannot_be_meant_is_asked_about(
 ) -> None:
     with pytest.raises(DesignFileError, match=re.escape(message)):
         load_request(written(tmp_path, text))
-
-
-def test_a_limit_beyond_all_torques_is_none(tmp_path: Path) -> None:
-    entries = "torque_limit: 1.0e+9\ntorque_rate_limit: 1.0e+9"
-    request = load_request(written(tmp_path, entries))
-    unlimited = ArmRequest(torque_limit=0.0, torque_rate_limit=0.0).torque_limits()
-    assert request.torque_limits() == unlimited == (math.inf, math.inf, 662.5 / 3.0)
-    assert ArmRequest().torque_limits(1e9, 1e9) == unlimited
 
 
 @pytest.mark.parametrize(

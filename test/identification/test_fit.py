@@ -9,8 +9,6 @@ import pytest
 from identified_joint import ARM, WRONG, recorded, request_of, run_of
 
 import tsobs_ros as ts
-from tsobs_ros.identification.diagnosis import found_lacks
-from tsobs_ros.identification.joint import Found
 from tsobs_ros.identification.result import request_text
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.torque_path import TorquePath
@@ -148,17 +146,3 @@ def test_what_a_fitted_model_still_lacks_is_named_with_its_entry() -> None:
     _, rest = text.split("the model still lacks:\n")
     assert "  a tone of 40 Hz in link_angle, about 0.00" in rest
     assert "{kind: sinusoid, frequency: 251" in rest
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "what", "is_added"),
-    [
-        ("torque.delay", -0.01, "a torque that acts 0.01 s before its stamp", False),
-        ("link_angle.offset", 0.2, "an offset of link_angle, 0.2 rad", False),
-        ("arm.link_damping", 0.2, "link_damping of 0.2 rad", True),
-    ],
-)
-def test_what_was_found_may_need_something_of_the_robot(name, value, what, is_added) -> None:
-    (lack,) = found_lacks([Found(name, "rad", 0.0, value, 0.001, 1.0)])
-
-    assert (lack.what, lack.is_added) == (what, is_added)

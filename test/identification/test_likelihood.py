@@ -102,19 +102,6 @@ def test_a_filter_starts_again_after_a_gap() -> None:
     np.testing.assert_array_equal(broken.errors[500:], fresh.errors)
 
 
-def test_numbers_go_to_their_places() -> None:
-    disturbed = TorqueDisturbance(motor=(DRIFT,))
-    request = request_of(ARM, torque_disturbance=disturbed)
-    values = {each.name: each.start * 1.5 for each in Unknowns.of(request).numbers}
-    changed = with_values(Joint.of(request), values)
-
-    again = {each.name: each.start for each in Unknowns.of(changed.request).numbers}
-    known = {name: value for name, value in values.items() if name in again and value}
-    of_request = [n for n in known if not n.endswith("friction") and n != "arm.link_damping"]
-    assert {n: again[n] for n in of_request} == pytest.approx({n: known[n] for n in of_request})
-    assert changed.friction == (values["motor_friction"], values["link_friction"])
-
-
 @given(
     torque=st.lists(st.floats(-5.0, 5.0), min_size=4, max_size=30),
     periods=st.integers(0, 3),
@@ -124,24 +111,3 @@ def test_a_delay_of_whole_periods_shifts_the_torque(torque: list[float], periods
     shifted = np.concatenate([np.full(periods, u[0]), u[: len(u) - periods]])
 
     np.testing.assert_allclose(delayed(u, durations, 0.002 * periods), shifted, atol=1e-9)
-
-
-def test_an_unknown_name_is_refused_with_the_nearest_one() -> None:
-    with pytest.raises(ts.TsobsError, match=r"free: .* got 'stifness' \(did you mean"):
-        Unknowns.of(request_of(), ["stifness"])
-
-
-@pytest.mark.parametrize("side", [-1e-9, 1e-9])
-def test_a_sample_at_the_gate_does_not_make_numbers_known(side: float) -> None:
-    recording = recording_of(request_of())
-    unknowns = Unknowns.of(request_of(WRONG), ["stiffness", "motor_inertia"])
-    at = np.zeros(2)
-    found = innovations(unknowns.at(at), recording, gate=np.inf)
-    gate = np.abs(found.standardised[:500]).max() * (1.0 + side)
-
-    information, near = (
-        Likelihood(unknowns, [recording], each).evaluate(at).information
-        for each in (gate, gate * 1.01)
-    )
-
-    np.testing.assert_allclose(np.diag(information), np.diag(near), rtol=0.2)
