@@ -4,7 +4,6 @@
 
 from typing import Any
 
-import pytest
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -13,23 +12,6 @@ from sensor_msgs.msg import JointState
 from tsobs_ros.nodes.wire import DrainedSubscription
 
 COUNT = 200
-
-
-@pytest.fixture
-def node(ros) -> Node:
-    return ros.add(Node("drainer", context=ros.context))
-
-
-def joint_state(index: int) -> JointState:
-    return JointState(name=[f"joint_{index}"], position=[float(index)])
-
-
-def publish(ros: Any, node: Node, qos: QoSProfile, subscription: DrainedSubscription) -> None:
-    """Publish once they are matched; in one process the messages are in the queue at once."""
-    publisher = node.create_publisher(JointState, "joints", qos)
-    ros.spin_until(lambda: subscription.publisher_count == 1, what="the match")
-    for index in range(COUNT):
-        publisher.publish(joint_state(index))
 
 
 class CountingExecutor(SingleThreadedExecutor):
@@ -42,24 +24,28 @@ class CountingExecutor(SingleThreadedExecutor):
         return super().get_nodes()
 
 
-def test_waiting_messages_do_not_wake_the_executor(ros: Any, node: Node) -> None:
-    qos = QoSProfile(depth=COUNT)
-    subscription = DrainedSubscription(node, JointState, "joints", qos)
-    publish(ros, node, qos, subscription)
-    ticks: list[int] = []
-    node.create_timer(0.02, lambda: ticks.append(len(ticks)))
-    ros.executor.remove_node(node)
+def test_waiting_messages_do_not_wake_the_executor(ros: Any) -> None:
+    node, qos = Node("drainer", context=ros.context), QoSProfile(depth=COUNT)
     executor = CountingExecutor(context=ros.context)
     executor.add_node(node)
+    subscription = DrainedSubscription(node, JointState, "joints", qos)
+    publisher, ticks = node.create_publisher(JointState, "joints", qos), list[None]()
+    node.create_timer(0.02, lambda: ticks.append(None))
+    while not subscription.publisher_count:
+        executor.spin_once(timeout_sec=1.0)
+    sent = [JointState(name=[f"joint_{index}"], position=[0.5 * index]) for index in range(COUNT)]
+    for message in sent:
+        publisher.publish(message)
+    executor.turns, end = 0, len(ticks) + 10
 
-    while len(ticks) < 10:
+    while len(ticks) < end:
         executor.spin_once()
 
-    executor.remove_node(node)
-    executor.shutdown()
     # Woken by what waits, it would turn thousands of times between two ticks, not a few.
     assert executor.turns < 100
     messages, infos = zip(*[*subscription.drain(limit=7), *subscription.drain()], strict=True)
-    assert list(messages) == [joint_state(index) for index in range(COUNT)]
+    assert list(messages) == sent
     assert [info["publication_sequence_number"] for info in infos] == list(range(1, COUNT + 1))
     assert subscription.drain() == []
+    executor.shutdown()
+    node.destroy_node()
