@@ -82,6 +82,11 @@ class Layout:
             self._columns[field][self._names.index(name)] = column
         self._encoders: dict[tuple[int, ...], JointStateEncoder] = {}
         self._encode_one = JointStateEncoder(self._names)
+        # The columns of all entries, -1 for one without a place, of each field.
+        entries = range(len(self._names))
+        self._all = [
+            [own.get(each, -1) for each in entries if own] for own in self._columns.values()
+        ]
 
     def encode_one(self, stamp: int, values: Sequence[float]) -> bytes:
         """Return one message of all entries, as `encode` does at a higher cost.
@@ -91,12 +96,7 @@ class Layout:
             values: In the order of the places.
         """
         numbers = [*values, math.nan]
-        entries = range(len(self._names))
-        fields = [
-            [numbers[columns.get(entry, -1)] for entry in entries] if columns else ()
-            for columns in self._columns.values()
-        ]
-        return self._encode_one(stamp, *fields)
+        return self._encode_one(stamp, *[[numbers[place] for place in own] for own in self._all])
 
     def entries_of(self, columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return whether each entry has any of some columns of m messages, shape (m, entries)."""
