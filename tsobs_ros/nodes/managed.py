@@ -70,9 +70,6 @@ _REFUSED = (ParameterException, RuntimeError, TypeError, ValueError)
 Answer = Callable[[], tuple[bool, str]]
 """The work of a Trigger service; returns its success and a message."""
 
-Statuses = tuple[Sequence[Status], Mapping[str, Sequence[Status]]]
-"""Statuses of a node, and of parts of its hardware by their names."""
-
 P = TypeVar("P", bound=ManagedParameters)
 
 
@@ -171,22 +168,27 @@ class ManagedNode(LifecycleNode, Generic[P]):
         else:
             self.get_logger().error(text)
 
-    def offer_diagnostics(self, hardware_id: str, make: Callable[[], Statuses]) -> None:
+    def offer_diagnostics(self, hardware_id: str, make: Callable[[], list[Status]]) -> None:
         """Publish statuses once a second, in real time: a paused simulation has some, too.
 
-        Those of the node are named "<node>: <concern>", and have the hardware id; those of parts
-        "<node>: <part>: <concern>", with the part as hardware id.
+        They are named "<node>: <concern>".
         """
         publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        prefix = f"{self.get_fully_qualified_name().lstrip('/')}: "
+        node = self.get_fully_qualified_name().lstrip("/")
 
         def publish() -> None:
             message = DiagnosticArray()
             message.header.stamp = self.get_clock().now().to_msg()
-            own, parts = make()
-            message.status = [_message(prefix, hardware_id, status) for status in own]
-            for part, statuses in parts.items():
-                message.status += [_message(f"{prefix}{part}: ", part, each) for each in statuses]
+            message.status = [
+                DiagnosticStatus(
+                    level=bytes([each.level]),
+                    name=f"{node}: {each.name}",
+                    message=each.message,
+                    hardware_id=hardware_id,
+                    values=[KeyValue(key=key, value=value) for key, value in each.values.items()],
+                )
+                for each in make()
+            ]
             publisher.publish(message)
 
         self.create_timer(DIAGNOSTICS_PERIOD, publish, clock=self.steady)
@@ -389,13 +391,3 @@ class ManagedNode(LifecycleNode, Generic[P]):
                 "dropped a time on /clock: expected 0 s or more and less than 1e9 ns, got "
                 f"{sec} s and {nanosec} ns; time stands still until there is another",
             )
-
-
-def _message(prefix: str, hardware_id: str, status: Status) -> DiagnosticStatus:
-    return DiagnosticStatus(
-        level=bytes([status.level]),
-        name=prefix + status.name,
-        message=status.message,
-        hardware_id=hardware_id,
-        values=[KeyValue(key=key, value=value) for key, value in status.values.items()],
-    )

@@ -45,22 +45,17 @@ def reject(joint: ObservedJoint, count: int) -> None:
     joint.offer(np.zeros(count, int), nothing, nothing, np.full(count, WRONG), BEGIN)
 
 
-def statuses(
-    joints: list[ObservedJoint], now: int, *, steady: int = 0
-) -> tuple[dict[str, Status], dict[str, dict[str, Status]]]:
+def statuses(joints: list[ObservedJoint], now: int, *, steady: int = 0) -> dict[str, Status]:
     for joint in joints:
         joint.count(steady)
     timing = TickMeter(200.0).status(steady)
-    of_all, parts = statuses_of(joints, timing, now, resets=3, enabled=True)
-    return (
-        {each.name: each for each in of_all},
-        {joint: {each.name: each for each in own} for joint, own in parts.items()},
-    )
+    found = statuses_of(joints, timing, now, resets=3, enabled=True)
+    return {each.name: each for each in found}
 
 
 def test_a_joint_waits_tracks_coasts_and_is_stale() -> None:
     joints = joints_of(coast_after=0.1, stale_after=1.0)
-    waiting, _ = statuses(joints, BEGIN)
+    waiting = statuses(joints, BEGIN)
     assert waiting["state"][1:3] == (Level.WARN, "WAITING")
     assert waiting["premise domain"].message == "no estimate yet"
     assert not any("nan" in value for each in waiting.values() for value in each.values.values())
@@ -71,7 +66,7 @@ def test_a_joint_waits_tracks_coasts_and_is_stale() -> None:
         (NANOSECONDS, "COASTING", Level.WARN),
         (NANOSECONDS + 1, "STALE", Level.ERROR),
     ):
-        state = statuses(joints, last + age)[0]["state"]
+        state = statuses(joints, last + age)["state"]
         assert (state.level, state.message) == (level, phase)
         assert state.values["measurement age [s]"] == f"{age * 1e-9:.4f}"
         assert (joints[0].estimate(last + age) is None) == (phase == "STALE")
@@ -79,8 +74,7 @@ def test_a_joint_waits_tracks_coasts_and_is_stale() -> None:
 
 def test_each_concern_of_one_joint_has_a_status() -> None:
     joints = joints_of()
-    found, parts = statuses(joints, feed(joints, 60))
-    assert parts == {}
+    found = statuses(joints, feed(joints, 60))
     assert {name: (each.level, each.message) for name, each in found.items()} == {
         "state": (Level.OK, "TRACKING"),
         "measurements": (Level.OK, "none rejected in the last minute"),
@@ -98,16 +92,15 @@ def test_the_node_is_as_bad_as_its_worst_joint() -> None:
     joints = joints_of(joints=("hip", "knee"), joint_designs=(FIXED, ""))
     feed(joints, 20)
     now = feed(joints[:1], 1200, first=20)
-    found, parts = statuses(joints, now)
-    assert set(found) == {"state", "timing"}
-    assert parts["hip"]["state"].message == "TRACKING"
-    assert parts["knee"]["state"].message == "STALE"
+    found = statuses(joints, now)
+    assert found["hip: state"].message == "TRACKING"
+    assert found["knee: state"].message == "STALE"
     assert found["state"][1:3] == (Level.ERROR, "STALE")
     assert found["state"].values["resets"] == "3"
-    assert parts["hip"]["measurements"].values["received"] == "1220"
-    assert parts["hip"]["certificate"].values["design"] == FIXED
-    assert "parameters" not in parts["hip"]
-    assert set(parts["knee"]["parameters"].values) == {"stiffness", "gravity", "learning"}
+    assert found["hip: measurements"].values["received"] == "1220"
+    assert found["hip: certificate"].values["design"] == FIXED
+    assert "hip: parameters" not in found
+    assert set(found["knee: parameters"].values) == {"stiffness", "gravity", "learning"}
 
 
 def test_rejections_warn_for_a_minute_and_name_the_main_reason() -> None:
@@ -116,7 +109,7 @@ def test_rejections_warn_for_a_minute_and_name_the_main_reason() -> None:
     (joint,) = joints
     now, hours = feed(joints, 20), 36_000 * NANOSECONDS
     joint.received += 36_000 * 200  # ten good hours, which would take too long here
-    assert statuses(joints, now)[0]["measurements"].level == Level.OK
+    assert statuses(joints, now)["measurements"].level == Level.OK
     joint.received += 100
     reject(joint, 4)
     for _ in range(8):
@@ -127,7 +120,7 @@ def test_rejections_warn_for_a_minute_and_name_the_main_reason() -> None:
         (60, Level.WARN, most),
         (61, Level.OK, "none rejected in the last minute"),
     ):
-        status = statuses(joints, now, steady=hours + after * NANOSECONDS)[0]["measurements"]
+        status = statuses(joints, now, steady=hours + after * NANOSECONDS)["measurements"]
         assert (status.level, status.message) == (level, message)
         assert status.values["rejected: duplicate stamp"] == "8"
     assert status.values["last minute: received"] == "0"
@@ -151,7 +144,7 @@ def test_another_rate_than_the_designs_is_told_once_and_when_it_is_over() -> Non
     assert news[3][0] == Level.WARN
     assert news[3][1].startswith(f"measurements come {text}; set `rate` of its request")
     assert news[13] == (Level.OK, "measurements come at 200 Hz, the design is for that")
-    measured = statuses([joint], round(stamp))[0]["certificate"].values["measured rate [Hz]"]
+    measured = statuses([joint], round(stamp))["certificate"].values["measured rate [Hz]"]
     assert float(measured) == pytest.approx(200.0, rel=0.01)
 
 
@@ -170,13 +163,13 @@ def test_what_an_estimate_is_not_worth_is_a_warning_with_its_reason(
     now = feed(joints, 300)
     (joint,) = joints
     assert joint.latest is not None
-    before = statuses(joints, now)[0]
+    before = statuses(joints, now)
     good = joint.latest
     for tick in range(60):
         stamp = now + (tick - 59) * 100 * MS
         joint.events.update(good._replace(stamp=stamp, **(changes if tick >= 20 else {})))
     joint.latest = joint.latest._replace(**changes)
-    found = statuses(joints, now)[0]
+    found = statuses(joints, now)
     assert {name for name, each in found.items() if each.level != before[name].level} == {concern}
     assert found[concern].level == Level.WARN
     assert found[concern].message.startswith(text)

@@ -49,7 +49,7 @@ from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.records import REASONS
 from tsobs_ros.methods import warning
-from tsobs_ros.nodes.managed import ManagedNode, Statuses
+from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.observer.joints import FAILURES, OF_INPUT, ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.messages import EstimatePublisher, MeasurementReader
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
@@ -277,9 +277,9 @@ class Observer(ManagedNode[ObserverParameters]):
         response.message = "enabled" if request.data else "disabled: nothing is published"
         return response
 
-    def _statuses(self) -> Statuses:
+    def _statuses(self) -> list[Status]:
         if not self.active:
-            return [Status("state", Level.WARN, "INACTIVE", {})], {}
+            return [Status("state", Level.WARN, "INACTIVE", {})]
         now, steady = int(self.get_clock().now().nanoseconds), time.monotonic_ns()
         for joint in self._joints:
             joint.count(steady)

@@ -10,7 +10,6 @@ from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.estimation.events import NOISY, EventKind
 from tsobs_ros.estimation.health import LastMinute, Level, Status, duration_text
 from tsobs_ros.estimation.records import Learning, RejectReason
-from tsobs_ros.nodes.managed import Statuses
 from tsobs_ros.nodes.observer.joints import FAILURES, NAMES, ObservedJoint
 
 _MANY_REJECTED = 0.01
@@ -22,17 +21,21 @@ _FASTEST = 100
 
 def statuses_of(
     joints: Sequence[ObservedJoint], timing: Status, now: int, *, resets: int, enabled: bool
-) -> Statuses:
-    """Return the statuses of the node at a time [ns], and of each of several joints."""
-    parts = {joint.name: _joint_statuses(joint, now) for joint in joints}
-    state = max((own[0] for own in parts.values()), key=lambda status: status.level)
+) -> list[Status]:
+    """Return the statuses of the node at a time [ns], and of its joints, by name if several."""
+    each = [_joint_statuses(joint, now) for joint in joints]
+    state = max((own[0] for own in each), key=lambda status: status.level)
     state = state._replace(values={"resets": str(resets), **state.values})
     if not enabled:
         state = state._replace(level=Level.WARN, message="DISABLED")
     if len(joints) == 1:
-        (own,), parts = parts.values(), {}
-        return [state, timing, *own[1:]], {}
-    return [state, timing], parts
+        return [state, timing, *each[0][1:]]
+    names = [f"{joint.name}: " for joint in joints]
+    return [state, timing] + [
+        status._replace(name=name + status.name)
+        for name, own in zip(names, each, strict=True)
+        for status in own
+    ]
 
 
 def _joint_statuses(joint: ObservedJoint, now: int) -> list[Status]:

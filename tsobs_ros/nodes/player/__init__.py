@@ -26,7 +26,7 @@ from tsobs_ros.bag.playback import BagSource, Playback
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
 from tsobs_ros.errors import BagReadError, ParameterError
 from tsobs_ros.estimation.health import Level, Status
-from tsobs_ros.nodes.managed import ManagedNode, Statuses
+from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.player.topics import CLOCK, PlayerParameters, played_topics
 from tsobs_ros.nodes.runtime import Ticker
 from tsobs_ros.nodes.wire import set_stamp
@@ -243,7 +243,7 @@ class Player(ManagedNode[PlayerParameters]):
             self._warned = True
             self.log(Level.WARN, f"{self._reader.path}: {UNCHECKED}")
 
-    def _statuses(self) -> Statuses:
+    def _statuses(self) -> list[Status]:
         self._warn_of_unchecked()
         values = {
             "position [s]": f"{self.position:.3f}",
@@ -252,7 +252,7 @@ class Player(ManagedNode[PlayerParameters]):
             "messages": str(self.messages),
             **{f"messages of {name}": str(count) for name, count in self._counts.items()},
         }
-        return [Status("playing", Level.OK, self.doing, values)], {}
+        return [Status("playing", Level.OK, self.doing, values)]
 
 
 Parameters, create = PlayerParameters, Player

@@ -24,7 +24,7 @@ from typing import Any
 from tsobs_ros.bag.recording import Recording
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.estimation.health import Level, Status
-from tsobs_ros.nodes.managed import ManagedNode, Statuses
+from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 from tsobs_ros.nodes.recorder.topics import TopicFinder
 from tsobs_ros.nodes.runtime import Ticker
@@ -224,7 +224,7 @@ class Recorder(ManagedNode[RecorderParameters]):
                 f"{free:.0f} MiB of disk space are left, recording ends at {minimum} MiB",
             )
 
-    def _statuses(self) -> Statuses:
+    def _statuses(self) -> list[Status]:
         recording, missing, free = self.recording, self._finder.missing, _free_disk(self.path)
         is_recording, clock = self.active and not self._paused, self.get_clock()
         awaits_clock = clock.ros_time_is_active and clock.now().nanoseconds == 0
@@ -255,7 +255,7 @@ class Recorder(ManagedNode[RecorderParameters]):
             for name, topic in sorted(self._finder.recorded.items())
         }
         topics = Status("topics", Level.OK, f"{len(counts)} topics", counts)
-        return [Status("recording", level, message, values), topics], {}
+        return [Status("recording", level, message, values), topics]
 
 
 def _bag_folder(output: str) -> Path:
