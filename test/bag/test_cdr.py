@@ -1,51 +1,16 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Layouts of hostile definitions neither end nor occupy a check; messages of the tick log."""
+"""Messages of the tick log, and names."""
 
 from zlib import crc32
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tsobs_ros.bag.cdr import TICK_LOG, TICK_LOG_TEXT, decode_ticks, encode_tick
-from tsobs_ros.bag.definitions import MessageLayout
 from tsobs_ros.bag.estimate_topics import parameter_names, sides
 from tsobs_ros.errors import MessageError
-
-HEADER = b"\x00\x01\x00\x00"
-
-
-def nested(depth: int, fields: int) -> str:
-    """Return a definition in which each type has several of the next one."""
-    definitions = [
-        "\n".join(f"T{level + 1} field_{n}" for n in range(fields)) for level in range(depth)
-    ]
-    definitions.append("uint8 value")
-    separator = "=" * 80
-    first, *others = definitions
-    texts = [f"{separator}\nMSG: p/T{n}\n{text}" for n, text in enumerate(others, start=1)]
-    return "\n".join([first, *texts, ""])
-
-
-def test_a_message_has_the_length_its_definition_gives_it() -> None:
-    layout = MessageLayout("p/msg/T0", nested(depth=3, fields=2))
-
-    layout.check(HEADER + bytes(8))
-    with pytest.raises(MessageError, match="its values need 12 bytes, but it has 11"):
-        layout.check(HEADER + bytes(7))
-
-
-def test_a_type_of_ever_more_parts_is_given_up_where_the_message_ends() -> None:
-    layout = MessageLayout("p/msg/T0", nested(depth=60, fields=2))
-
-    with pytest.raises(MessageError, match="its values need"):
-        layout.check(HEADER + bytes(8))
-
-
-def test_a_type_that_is_nested_too_deep_is_malformed() -> None:
-    with pytest.raises(ValueError, match="nested too deep"):
-        MessageLayout("p/msg/T0", nested(depth=5000, fields=1))
-
 
 STAMP = 1_700_000_000_123_456_789
 
@@ -57,7 +22,9 @@ def as_rows(*messages: bytes) -> "np.ndarray[tuple[int, int], np.dtype[np.uint8]
 @pytest.mark.parametrize("measured", [[], [b"one"], [b"one", b"one", b"another"]])
 def test_a_tick_is_read_as_written_and_has_the_layout_of_its_type(measured: list[bytes]) -> None:
     message = encode_tick(STAMP, 7, True, measured)
-    MessageLayout(TICK_LOG, TICK_LOG_TEXT).check(message)
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(TICK_LOG_TEXT, TICK_LOG))
+    assert list(store.deserialize_cdr(message, TICK_LOG).data)[1:3] == [7, 1]
     expected = [STAMP, 7, 1, *map(crc32, measured)]
     assert decode_ticks(as_rows(message, message)).tolist() == [expected, expected]
 

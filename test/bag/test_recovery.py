@@ -151,22 +151,6 @@ def test_messages_outside_of_chunks_are_recovered_up_to_any_cut(tmp_path: Path) 
         assert len(found) >= sum(end <= cut for end in ends) - 1
 
 
-def test_topics_of_a_lost_chunk_are_found_in_the_folders_metadata(tmp_path: Path) -> None:
-    """The first chunk alone describes the topics, and without an end nothing repeats them."""
-    entries = write_bag(tmp_path / "bag", compression="none")
-    path, description = tmp_path / "bag" / "bag_0.mcap", tmp_path / "bag" / "metadata.yaml"
-    chunks = sample("none")[2]
-    path.write_bytes(zero(path.read_bytes()[: chunks[-1][1]], *chunks[0]))
-    recover(tmp_path / "bag", tmp_path / "new")
-    assert in_recorded_order(tmp_path / "new") == entries[PER_CHUNK:]
-    text = re.sub("RIHS01_....", "RIHS01_0000", description.read_text())
-    for change in (lambda: description.write_text(text), description.unlink):
-        change()
-        with pytest.raises(BagReadError, match=r"no message can be recovered: .*bytes"):
-            recover(tmp_path / "bag", tmp_path / "none")
-        assert not (tmp_path / "none").exists()
-
-
 def make_split(path: Path) -> list[Entry]:
     entries = write_bag(path, max_duration_ns=PER_CHUNK - 1)
     assert len(list(path.glob("*.mcap"))) > 2

@@ -9,8 +9,6 @@ The messages of services and actions, such as `package/srv/<Type>_Event`, have n
 rosbag2 stores the `.srv` file in the place of their definition, and nothing for actions. Here they
 get the definition they have, put together from the parts of the files, so that readers can decode
 them.
-
-A definition also gives the length of a message, so that messages can be checked.
 """
 
 import json
@@ -19,10 +17,9 @@ import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
-from tsobs_ros.bag.cdr import HEADER, require_header
-from tsobs_ros.errors import BagWriteError, MessageError
+from tsobs_ros.errors import BagWriteError
 
 _SEPARATOR = "=" * 80
 _TYPE_NAME = re.compile(
@@ -32,17 +29,10 @@ _FIELD_TYPE = re.compile(
     r"^[ \t]*([A-Za-z0-9_/]+)(?:\[[^\]]*\])?[ \t]+", flags=re.ASCII | re.MULTILINE
 )
 _IDL_INCLUDE = re.compile(r"^#include\s+[\"<]([A-Za-z0-9_/]+)\.idl[\">]", flags=re.MULTILINE)
-# Bytes of each primitive type but strings.
-_SIZES: Mapping[str, int] = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
-    f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)
-}
 # Without wstring: rosbag2 stores a message with one in IDL.
-_PRIMITIVES = {"string", *_SIZES}
-_FIELD = re.compile(
-    r"(?P<type>[A-Za-z][\w/]*)(?:<=\d+)?(?P<array>\[(?P<bound><=)?(?P<size>\d*)\])?\s+"
-    r"[A-Za-z]\w*\s*(?P<constant>=)?",
-    re.ASCII,
-)
+_PRIMITIVES = {"string", "bool", "byte", "char", "float32", "float64"} | {
+    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
 # Types composed from the parts between the `---` of a .srv or .action file: the type's suffix,
 # and the part's number or a text in which {} is the file's type without suffix.
 _EVENT = (
@@ -221,117 +211,3 @@ def _dependencies(text: str, package: str, language: str) -> set[str]:
         return set(_IDL_INCLUDE.findall(text))
     types = set(_FIELD_TYPE.findall(text)) - _PRIMITIVES
     return {name if "/" in name else f"{package}/{name}" for name in types}
-
-
-class UnknownLayoutError(ValueError):
-    """A definition that is well formed, but whose messages cannot be measured."""
-
-
-_Fields: TypeAlias = "list[tuple[int | _Fields | None, int]]"
-"""Size of a primitive, a type, or None for a string; and the number of them, 0 for a sequence."""
-
-
-class MessageLayout:
-    """The layout of a type's messages.
-
-    Args:
-        type: The type, `package/msg/Type`.
-        text: Its definition with all it depends on, in `ros2msg`.
-
-    Raises:
-        UnknownLayoutError: The type has wide strings, which middlewares encode differently.
-        ValueError: The definition is malformed, or a type it uses is missing.
-    """
-
-    def __init__(self, type: str, text: str) -> None:
-        root, *others = re.split(f"^{_SEPARATOR}\n", text, flags=re.MULTILINE)
-        self._texts = {_short(type): root}
-        for other in others:
-            head, _, body = other.partition("\n")
-            if not head.startswith("MSG: "):
-                raise ValueError(f"'{head[:60]}' is not 'MSG: package/Type'")
-            self._texts.setdefault(_short(head[5:].strip()), body)
-        self._types: dict[str, _Fields] = {}
-        try:
-            self._fields = self._fields_of(_short(type), ())
-        except RecursionError as error:
-            raise ValueError(f"{type} is nested too deep") from error
-
-    def check(self, data: bytes) -> None:
-        """Check that a message has the length its values give it, but for padding to 4 bytes.
-
-        Raises:
-            MessageError: It is too short or too long, or not plain CDR.
-        """
-        require_header(data)
-        try:
-            end = _walk(self._fields, data, HEADER)
-        except RecursionError as error:
-            raise MessageError("nested too deep") from error
-        if not 0 <= len(data) - end < 4:
-            raise MessageError(f"its values need {end} bytes, but it has {len(data)}")
-
-    def _fields_of(self, name: str, within: tuple[str, ...]) -> _Fields:
-        if known := self._types.get(name):
-            return known
-        if name in within or name not in self._texts:
-            reason = "contains itself" if name in within else "is used, but not defined"
-            raise ValueError(f"{name} {reason}")
-        found: _Fields = []
-        for line in map(str.strip, self._texts[name].splitlines()):
-            if not line or line.startswith("#"):
-                continue
-            match = _FIELD.match(line)
-            if match is None or match["size"] == "0":
-                raise ValueError(f"{name}: '{line[:60]}' is not a field")
-            kind, count = match["type"], 1
-            if match["array"]:
-                count = 0 if match["bound"] else int(match["size"] or 0)
-            if match["constant"]:
-                continue
-            if kind in ("wstring", "wchar"):
-                raise UnknownLayoutError(f"{name} has a {kind}")
-            if kind in _PRIMITIVES:
-                found.append((_SIZES.get(kind), count))
-                continue
-            full = kind if "/" in kind else f"{name.partition('/')[0]}/{kind}"
-            inner = self._fields_of(_short(full), (*within, name))
-            # A definition of three hundred types, each of one other, must not take as many steps.
-            found.append(inner[0] if count == len(inner) == 1 else (inner, count))
-        # A struct without fields has one byte, as C has no empty ones.
-        self._types[name] = found or [(1, 1)]
-        return self._types[name]
-
-
-def _short(name: str) -> str:
-    """Return `package/Type`, as definitions write it."""
-    package, _, rest = name.partition("/")
-    return f"{package}/{rest.rpartition('/')[2]}"
-
-
-def _walk(fields: _Fields, data: bytes, place: int) -> int:
-    """Return where values end that begin at a place; beyond the message it gives up."""
-    for kind, number in fields:
-        place, count = (place, number) if number else _length_at(data, place)
-        if isinstance(kind, int):
-            place += -(place - HEADER) % kind + count * kind if count else 0
-            count = 0
-        for _ in range(count):
-            if isinstance(kind, list):
-                place = _walk(kind, data, place)
-            else:
-                place, size = _length_at(data, place)
-                place += size
-                if size and place <= len(data) and data[place - 1]:
-                    raise MessageError(f"the text up to byte {place} has no zero at its end")
-            if place > len(data):  # a hostile count must not keep us busy
-                return place
-        if place > len(data):  # a definition can ask for 2^60 parts in 60 lines
-            break
-    return place
-
-
-def _length_at(data: bytes, place: int) -> tuple[int, int]:
-    """Return where what has a length begins, and its length; 0 beyond the message."""
-    place += -(place - HEADER) % 4 + 4
-    return place, int.from_bytes(data[place - 4 : place], "little") if place <= len(data) else 0

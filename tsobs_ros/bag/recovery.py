@@ -13,7 +13,7 @@ from typing import IO, Any
 from mcap.records import Channel, Header, McapRecord, Metadata, Schema
 
 from tsobs_ros.bag.container import Records
-from tsobs_ros.bag.definitions import MessageDefinition, find_definition
+from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     TYPE_HASH,
@@ -24,7 +24,7 @@ from tsobs_ros.bag.metadata import (
     read_metadata,
 )
 from tsobs_ros.bag.walker import Damage, FileWalker, Progress
-from tsobs_ros.bag.writer import LIBRARY, BagWriter, whole_bag
+from tsobs_ros.bag.writer import BagWriter, whole_bag
 from tsobs_ros.errors import BagReadError, BagWriteError, printable
 from tsobs_ros.files import open_regular
 from tsobs_ros.yaml_files import MAX_BYTES
@@ -143,9 +143,7 @@ class Recovery:
 class DamagedBag:
     """The messages of a bag that may be damaged, read once.
 
-    A topic is looked for in all places where a bag repeats itself: the chunks and the summary of a
-    file, and metadata.yaml with the definition in an earlier file or the installed one, if its hash
-    is the same.
+    A topic is looked for in the chunks of a file and in its summary.
 
     Args:
         bag: A bag folder, with or without metadata.yaml, or one MCAP file.
@@ -168,7 +166,6 @@ class DamagedBag:
         self.files = [FileRecovery(path.name) for path in self._paths]
         self.topics: dict[str, TopicInfo] = {}
         self.profiles: set[str] = set()
-        self._definitions: dict[tuple[str, str], MessageDefinition] = {}
 
     def messages(
         self, place: int, progress: Progress = lambda _: None
@@ -182,34 +179,15 @@ class DamagedBag:
             account.error = error.strerror or str(error)
 
     def take_metadata(self, text: str) -> None:
-        """Take the metadata that a file carries, if it knows more topics than those so far."""
-        with suppress(ValueError):
-            found = BagMetadata.from_yaml(text)
-            if self.metadata is None or len(found.topics) > len(self.metadata.topics):
-                self.metadata = found
-
-    def listed(self, place: int = 0, name: str = "") -> TopicInfo | None:
-        """Return the topic of a number, or of a name, that metadata lists.
-
-        It has a definition that is certainly the one it had, as its hash is the same.
-        """
-        each = enumerate(self.metadata.topics if self.metadata else (), start=1)
-        topic = next((one for number, one in each if number == place or one.name == name), None)
-        if topic is None or not topic.type_hash:
-            return None
-        definition = self._definitions.get((topic.type, topic.type_hash))
-        if definition is None:
-            with suppress(BagWriteError):
-                definition = find_definition(topic.type)
-        if definition is None or definition.type_hash != topic.type_hash:
-            return None
-        return self.described(topic.name, definition, topic.qos_profiles)
+        """Take the metadata that a file carries, if there is none yet."""
+        if self.metadata is None:
+            with suppress(ValueError):
+                self.metadata = BagMetadata.from_yaml(text)
 
     def described(
         self, name: str, definition: MessageDefinition, qos: tuple[QosProfile, ...]
     ) -> TopicInfo | None:
         """Return a topic that is added to those known; None if that has another type."""
-        self._definitions.setdefault((definition.type, definition.type_hash), definition)
         topic = TopicInfo(name, definition.type, 0, qos, definition.type_hash, definition)
         known = self.topics.setdefault(name, topic)
         return known if known.type == topic.type else None
@@ -220,7 +198,7 @@ class _File:
 
     def __init__(self, bag: DamagedBag, account: FileRecovery, stream: IO[bytes]) -> None:
         self._bag, self._account, self._stream = bag, account, stream
-        self._library: str | None = None
+        self._has_header = False
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         # The topic of each channel, or why its messages are dropped.
@@ -253,8 +231,9 @@ class _File:
     def _kept(self, content: Records) -> Iterator[tuple[str, bytes, int, int]]:
         account = self._account
         for channel, log_time, publish_time, data in content.messages():
-            if (topic := self._topics.get(channel) or self._numbered(channel)) is None:
-                account.dropped[self._reasons[channel]] += 1
+            if (topic := self._topics.get(channel)) is None:
+                lost = f"of channel {channel}, whose topic is lost"
+                account.dropped[self._reasons.get(channel, lost)] += 1
             elif not (0 <= log_time < EMPTY_START_NS and 0 <= publish_time < EMPTY_START_NS):
                 account.dropped[f"of {topic}, whose times do not fit 63 bits"] += 1
             else:
@@ -265,23 +244,10 @@ class _File:
                 if account.end_ns is None or log_time > account.end_ns:
                     account.end_ns = log_time
 
-    def _numbered(self, id_: int) -> str | None:
-        """Return the topic of a channel that is not described.
-
-        Our files number the channels in the order in which the metadata lists the topics.
-        """
-        if id_ not in self._reasons:
-            is_ours = self._library is None or self._library.startswith(f"{LIBRARY} ")
-            if is_ours and (topic := self._bag.listed(place=id_)):
-                self._topics[id_] = topic.name
-                return topic.name
-            self._reasons[id_] = f"of channel {id_}, whose topic is lost"
-        return None
-
     def _describe(self, record: McapRecord | None) -> None:
         match record:
-            case Header() if self._library is None:
-                self._library = record.library
+            case Header() if not self._has_header:
+                self._has_header = True
                 self._bag.profiles.add(record.profile)
                 if record.profile != "ros2":  # the header may be damaged: CDR is enough
                     remark = f"{self._account.name}: its profile is '{record.profile}'"
@@ -325,7 +291,7 @@ class _File:
             definition = MessageDefinition(schema.name, text, hash_, schema.encoding)
             topic = self._bag.described(channel.topic, definition, qos)
         else:
-            reason, topic = "whose type is lost", self._bag.listed(name=channel.topic)
+            reason = "whose type is lost"
         if topic:
             self._topics[channel.id] = topic.name
         else:

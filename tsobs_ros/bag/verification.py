@@ -3,14 +3,14 @@
 """Verification of a bag: the questions whose answers decide what its readers give.
 
 Can every tool open it, does each summary agree with the content of its file, do the checksums hold,
-does every message have the bytes of its type, and does metadata.yaml agree with the files? An error
-is what makes a reader fail or lose something; a remark is what could not be checked.
+and does metadata.yaml agree with the files? An error is what makes a reader fail or lose something.
+Messages are not decoded.
 """
 
 import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -27,7 +27,6 @@ from tsobs_ros.bag.container import (
     Summary,
     read_summary,
 )
-from tsobs_ros.bag.definitions import MessageLayout, UnknownLayoutError
 from tsobs_ros.bag.metadata import (
     FILE_NAME,
     ROOT_KEY,
@@ -38,9 +37,8 @@ from tsobs_ros.bag.metadata import (
     TopicInfo,
     read_metadata,
 )
-from tsobs_ros.bag.reader import UNCHECKED
 from tsobs_ros.bag.walker import FileWalker, Part, Progress
-from tsobs_ros.errors import BagReadError, MessageError, printable
+from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.files import open_regular
 from tsobs_ros.yaml_files import read_yaml
 
@@ -48,7 +46,6 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
 _NUMBERED = re.compile(r".+_\d+\.[^.]+")
 _MAX_FINDINGS = 1_000
 _MAX_TEXT = 1_000
-_MAX_LAYOUTS = 2**23
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,6 @@ class Verification:
         files: The number of files checked.
         messages: The number of messages checked.
         errors: What makes readers fail or lose something, each with the file, and the topic.
-        remarks: What could not be checked.
         unchecked: The number of messages that no checksum covers, so that damage is not noticed.
     """
 
@@ -68,7 +64,6 @@ class Verification:
     files: int
     messages: int
     errors: tuple[str, ...]
-    remarks: tuple[str, ...]
     unchecked: int
 
     @property
@@ -79,14 +74,12 @@ class Verification:
     def as_mapping(self) -> dict[str, Any]:
         """Return plain data."""
         return {"bag": str(self.path), "holds": self.holds} | {
-            name: getattr(self, name)
-            for name in ("files", "messages", "unchecked", "errors", "remarks")
+            name: getattr(self, name) for name in ("files", "messages", "unchecked", "errors")
         }
 
     def text(self) -> str:
         """Return the same for people to read."""
         lines = [f"error: {finding}" for finding in self.errors]
-        lines += [f"remark: {finding}" for finding in self.remarks]
         verdict = f"OK, but {self.unchecked} UNCHECKED" if self.unchecked else "OK"
         verdict = verdict if self.holds else f"NOT sound, errors: {len(self.errors)}"
         lines.append(f"{self.path}: {verdict}; files: {self.files}, messages: {self.messages}")
@@ -109,9 +102,9 @@ def verify(
     path = Path(bag)
     if not path.exists():
         raise BagReadError(f"{path}: there is no such bag")
-    errors, remarks = _Findings(), _Findings()
+    errors = _Findings()
     metadata, paths = _check_folder(path, errors) if path.is_dir() else (None, [path])
-    files = [_File(file, errors, remarks) for file in paths]
+    files = [_File(file, errors) for file in paths]
     for file in files:
         file.check(progress, is_trusted)
     if metadata:
@@ -119,8 +112,7 @@ def verify(
             errors.add(FILE_NAME, text)
     messages = sum(file.counts.total() for file in files)
     unchecked = sum(file.unchecked for file in files)
-    found = tuple(errors.values()), tuple(remarks.values())
-    return Verification(path, len(files), messages, *found, unchecked)
+    return Verification(path, len(files), messages, tuple(errors.values()), unchecked)
 
 
 class _Findings(dict[tuple[str, str], str]):
@@ -160,81 +152,77 @@ def _check_folder(bag: Path, errors: _Findings) -> tuple[BagMetadata | None, lis
 
 
 def _differences(bag: Path, metadata: BagMetadata, files: list["_File"]) -> Iterator[str]:
-    """Yield in what metadata.yaml is not what it would be of the files that could be checked."""
+    """Yield in what metadata.yaml is not what it would be of the files."""
     stated = _by_name(read_yaml(bag / FILE_NAME, error=BagReadError)[ROOT_KEY])
     whole = [file for file in files if file.is_complete]
+    counts = sum((file.counts_by_topic() for file in whole), Counter[str]())
     topics = {topic.name: topic for file in whole for topic in file.topics(metadata)}
-    counts = Counter[str]()
-    for file in whole:
-        for id_, count in file.counts.items():
-            counts[file.channels[id_].topic if id_ in file.channels else ""] += count
-    found = BagMetadata(
-        tuple(
-            TopicInfo(**vars(topic) | {"count": counts[topic.name]}) for topic in topics.values()
-        ),
-        tuple(file.metadata() for file in whole),
-    )
+    each = (replace(topic, count=counts[topic.name]) for topic in topics.values())
+    found = BagMetadata(tuple(each), tuple(file.metadata() for file in whole))
     actual = _by_name(found.to_map())
-    if len(whole) < len(metadata.files):
-        actual = {kind: actual[kind] for kind in ("topics", "files")}
+    if len(whole) < len(metadata.files):  # the files that could be checked
         for topic in actual["topics"].values():
             del topic["message_count"]
+        actual = {"topics": actual["topics"], "files": actual["files"]}
     else:
-        silent = {"message_count": 0}
-        actual["topics"] = dict.fromkeys(stated["topics"], silent) | actual["topics"]
+        silent = {name: one | {"message_count": 0} for name, one in stated["topics"].items()}
+        actual["topics"] = silent | actual["topics"]
     yield from _compared(stated, actual)
 
 
 def _by_name(information: dict[str, Any]) -> dict[str, Any]:
-    topics = {
-        each["topic_metadata"]["name"]: each["topic_metadata"]
-        | {"message_count": each["message_count"]}
-        for each in information["topics_with_message_count"]
-    }
-    files = {Path(each["path"]).name: each | {"path": ""} for each in information["files"]}
     totals = ["starting_time", "duration", "message_count", "storage_identifier"]
     totals += ["relative_file_paths"]
+    topics = {}
+    for each in information["topics_with_message_count"]:
+        topic = each["topic_metadata"]
+        topics[topic["name"]] = topic | {"message_count": each["message_count"]}
+    files = {Path(each["path"]).name: each | {"path": ""} for each in information["files"]}
     return {key: information.get(key) for key in totals} | {"topics": topics, "files": files}
 
 
-def _compared(stated: Any, actual: Any, *path: str) -> Iterator[str]:
+def _compared(stated: Any, actual: Any, *path: object) -> Iterator[str]:
+    """Yield what is stated otherwise than it is, of all that it is."""
     if isinstance(stated, dict) and isinstance(actual, dict):
         for key in actual:
             yield from _compared(stated.get(key), actual[key], *path, key)
     elif stated != actual:
-        yield f"{': '.join(path)} is stated as {stated}, but is {actual}"
+        yield f"{': '.join(map(str, path))} is stated as {stated}, but is {actual}"
 
 
 class _File:
     """The check of one file: its content, and its summary against that."""
 
-    def __init__(self, path: Path, errors: _Findings, remarks: _Findings) -> None:
+    def __init__(self, path: Path, errors: _Findings) -> None:
         self.path = path
-        self.channels: dict[int, Channel] = {}
-        self.counts = Counter[int]()
         self.is_complete = False
         self.unchecked = 0
-        self._errors, self._remarks = errors, remarks
+        self.counts = Counter[int]()
+        self._errors = errors
         self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
         self._qos: dict[int, tuple[QosProfile, ...]] = {}
         self._start, self._end = 2**64, 0
-        self._layouts: dict[int, MessageLayout] = {}
-        self._layout_room = _MAX_LAYOUTS
         self._offered, self._topics = OfferedQos(), set[str]()
-        # What the summary should state of each chunk: its place, size, times and index offsets.
+        # What the summary should state of each chunk: size, times and index offsets.
         self._chunks: dict[int, tuple[int, int, int, dict[int, int]]] = {}
         self._last = 0
         # The entries that the message indexes behind the last chunk should have, by channel.
-        self._entries: dict[int, NDArray[np.int64]] | None = {}
+        self._entries: dict[int, NDArray[np.int64]] = {}
 
     def metadata(self) -> FileMetadata:
         """Return what metadata.yaml should state of it."""
         return FileMetadata.of(self.path.name, self._start, self._end, self.counts.total())
 
+    def counts_by_topic(self) -> Counter[str]:
+        """Return the number of messages of each topic."""
+        each = self._channels.items()
+        return Counter({channel.topic: self.counts[id_] for id_, channel in each})
+
     def topics(self, metadata: BagMetadata) -> Iterator[TopicInfo]:
         """Yield what metadata.yaml should state of its topics, or does if the file does not."""
         listed = {topic.name: topic for topic in metadata.topics}
-        for id_, channel in self.channels.items():
+        for id_, channel in self._channels.items():
             known = listed.get(channel.topic, TopicInfo(channel.topic, ""))
             schema = self._schemas.get(channel.schema_id)
             type_ = schema.name if schema else known.type
@@ -246,27 +234,26 @@ class _File:
         """Read the file once, from its start to its end."""
         try:
             summary = read_summary(self.path)
-            self._expect("its profile", summary.profile, "ros2")
             with open_regular(self.path) as stream:
                 walker = FileWalker(stream, stream.seek(0, 2), is_trusted=is_trusted)
-                damages = 0
                 for part in walker.parts(progress):
-                    if len(walker.damage) > damages:
-                        damages, self._entries = len(walker.damage), None
                     if isinstance(part.record, DataEnd):
                         break
-                    self._check_part(stream, part)
+                    self._check_part(stream, part, is_whole=not walker.damage)
         except OSError as error:
             self._error(str(error).removeprefix(f"{self.path}: "))
             return
+        self._check_indexed()
         for each in walker.damage:
             self._error(f"at byte {each.offset}: {each.reason}; {RECOVER_HINT}")
         self.is_complete = not walker.damage
-        self._check_summary(summary)
-        if self.unchecked:
-            self._remarks.add(self.path.name, f"{self.unchecked} {UNCHECKED}")
+        # Topics without messages are only in the summary.
+        for record in (*summary.schemas.values(), *summary.channels.values()):
+            self._describe(record)
+        if self.is_complete:
+            self._check_summary(summary)
 
-    def _check_part(self, stream: IO[bytes], part: Part) -> None:
+    def _check_part(self, stream: IO[bytes], part: Part, *, is_whole: bool) -> None:
         for record in part.described():
             if record is None:
                 self._error(f"at byte {part.at}: a record in it is malformed", rule="record")
@@ -280,66 +267,54 @@ class _File:
         elif part.record is None:
             stream.seek(part.at)
             if (data := stream.read(part.size))[0] == Opcode.MESSAGE_INDEX:
-                self._check_index(part.at, data)
+                self._check_index(part.at, data, is_whole=is_whole)
 
     def _check_chunk(self, part: Part, chunk: Chunk, content: Records) -> None:
-        times = content.rows["log_time"].view("u8")
-        stated = chunk.message_start_time, chunk.message_end_time
-        actual = (int(times.min()), int(times.max())) if len(times) else (0, 0)
-        self._expect(f"the log times of the chunk at byte {part.at}", stated, actual)
         self._check_indexed()
-        self._chunks[part.at], self._last = (part.size, *stated, {}), part.at
+        times = content.rows["log_time"].view("u8")
+        start, end = (int(times.min()), int(times.max())) if len(times) else (0, 0)
+        if (chunk.message_start_time, chunk.message_end_time) != (start, end):
+            self._error(f"the chunk at byte {part.at} states other log times than {start} to {end}")
+        self._chunks[part.at], self._last = (part.size, start, end, {}), part.at
         entries = np.stack((times.view("i8"), content.rows["begin"] - MESSAGE.size), axis=1)
         of_each = content.rows["channel"]
         self._entries = {id_: entries[of_each == id_] for id_ in np.unique(of_each).tolist()}
 
     def _check_indexed(self) -> None:
-        for id_ in self._entries or ():
+        for id_ in self._entries:
             self._error(f"the chunk at byte {self._last} has no message index of channel {id_}")
 
-    def _check_index(self, at: int, data: bytes) -> None:
-        _, _, channel, size = INDEX_HEAD.unpack_from(data)
-        entries = data[INDEX_HEAD.size :]
-        if self._entries is None:
-            return  # its chunk is damaged
-        if not self._chunks or size != len(entries) or size % 16:
-            self._error(f"the message index at byte {at} is malformed, or follows no chunk")
-            return
-        if entries:
+    def _check_index(self, at: int, data: bytes, *, is_whole: bool) -> None:
+        channel, entries = INDEX_HEAD.unpack_from(data)[2], data[INDEX_HEAD.size :]
+        actual = self._entries.pop(channel, None)
+        if actual is None and (not entries or not is_whole):
+            return  # a writer may index channels without messages; the chunk may be damaged
+        if actual is not None:
             self._chunks[self._last][3][channel] = at
-        stated = np.frombuffer(entries, "<i8").reshape(-1, 2)
-        actual = self._entries.pop(channel, stated[:0])
-        if not np.array_equal(_in_order(stated), _in_order(actual)):
+        if (
+            actual is None
+            or len(entries) != 16 * len(actual)
+            or not np.array_equal(
+                _in_order(np.frombuffer(entries, "<i8").reshape(-1, 2)), _in_order(actual)
+            )
+        ):
             self._error(f"the index of channel {channel} at byte {at} is not that of its chunk")
 
     def _describe(self, record: McapRecord) -> None:
         """Check a schema or channel, unless it is a repeated one."""
         match record:
             case Schema() if self._is_new(record, self._schemas):
-                self._check_schema(record)
-            case Channel() if self._is_new(record, self.channels):
+                if not _TYPE_NAME.fullmatch(record.name):
+                    self._error(f"the schema '{record.name}' is not named as package/msg/Type")
+                if record.encoding not in ("ros2msg", "ros2idl"):
+                    self._error(f"{record.name} is defined in '{record.encoding}', not in ros2msg")
+            case Channel() if self._is_new(record, self._channels):
                 self._check_channel(record)
 
     def _is_new(self, record: Any, known: dict[int, Any]) -> bool:
         if known.setdefault(record.id, record) != record:
             self._error(f"two descriptions have the id {record.id}", rule="id")
         return known[record.id] is record
-
-    def _check_schema(self, schema: Schema) -> None:
-        name, encoding = schema.name, schema.encoding
-        if not _TYPE_NAME.fullmatch(name):
-            self._error(f"the schema '{name}' is not named as package/msg/Type")
-        self._layout_room -= len(schema.data)
-        try:
-            if encoding == "ros2idl" or self._layout_room < 0:
-                raise UnknownLayoutError(f"{name} is defined in IDL, or one of too many")
-            if encoding != "ros2msg":
-                raise ValueError(f"in '{encoding}', not in ros2msg")
-            self._layouts[schema.id] = MessageLayout(name, schema.data.decode())
-        except UnknownLayoutError as reason:
-            self._remarks.add(self.path.name, f"{reason}: its messages are not looked into")
-        except ValueError as error:  # not UTF-8 is a ValueError as well
-            self._error(f"the definition of {name} is malformed: {error}")
 
     def _check_channel(self, channel: Channel) -> None:
         topic = channel.topic
@@ -363,55 +338,45 @@ class _File:
         for id_ in np.unique(channels).tolist():
             own = content.rows[channels == id_]
             self.counts[id_] += len(own)
-            if (channel := self.channels.get(id_)) is None:
+            if (channel := self._channels.get(id_)) is None:
                 self._error(f"a message is of channel {id_}, which is not there before it")
                 continue
             if min(own["log_time"].min(), own["publish_time"].min()) < 0:
                 self._error("a time does not fit 63 bits", channel.topic)
-            if layout := self._layouts.get(channel.schema_id):
-                for _, time, _, data in Records(content.data, own).messages():
-                    try:
-                        layout.check(data)
-                    except MessageError as error:
-                        text = f"the message at {time} ns is not whole: {error}"
-                        self._error(text, channel.topic, "data")
 
     def _check_summary(self, summary: Summary) -> None:
-        for schema in self._schemas.values():
-            if summary.schemas.get(schema.id) != schema:
-                self._error(f"the summary does not repeat the schema of {schema.name}")
-        for channel in self.channels.values():
-            if summary.channels.get(channel.id) != channel:
-                self._error(f"the summary does not repeat the channel of {channel.topic}")
-        # Topics without messages are only here.
-        for description in (*summary.schemas.values(), *summary.channels.values()):
-            self._describe(description)
-        self._check_indexed()
-        if not self.is_complete:
-            return
-        spans = {span.offset: span for span in summary.spans}
-        for at in spans.keys() | self._chunks.keys():
-            span, chunk = spans.get(at), self._chunks.get(at)
-            stated: object = None
-            if span and chunk:
-                # Some writers also list channels of which a chunk has no messages.
-                offsets = {id_: span.index_offsets.get(id_) for id_ in chunk[3]}
-                stated = span.size, span.start, span.end, offsets
-            elif span:
-                stated = "there"
-            self._expect(f"the chunk at byte {at} (size, log times, index offsets)", stated, chunk)
-        found, times = summary.statistics, (self._start, self._end) if self.counts else (0, 0)
-        by_channel = {id_: n for id_, n in found.channel_message_counts.items() if n}
-        self._expect("the messages by channel", by_channel, dict(self.counts))
-        self._expect("the number of messages", found.message_count, self.counts.total())
-        self._expect("the number of schemas", found.schema_count, len(self._schemas))
-        self._expect("the number of channels", found.channel_count, len(self.channels))
-        stated_times = found.message_start_time, found.message_end_time
-        self._expect("the smallest and largest log time", stated_times, times)
-
-    def _expect(self, what: str, stated: object, actual: object) -> None:
-        if stated != actual:
-            self._error(f"{what} is stated as {stated}, but is {actual}")
+        found, chunks = summary.statistics, {}
+        for span in summary.spans:
+            # Some writers also list channels of which a chunk has no messages.
+            indexed = self._chunks.get(span.offset, (0, 0, 0, {}))[3]
+            offsets = {id_: at for id_, at in span.index_offsets.items() if id_ in indexed}
+            chunks[span.offset] = span.size, span.start, span.end, offsets
+        stated = {
+            "profile": summary.profile,
+            "schemas": summary.schemas,
+            "channels": summary.channels,
+            "chunks (size, log times, places of indexes)": chunks,
+            "number of chunks": len(chunks),
+            "number of schemas": found.schema_count,
+            "number of channels": found.channel_count,
+            "number of messages": found.message_count,
+            "messages by channel": {k: n for k, n in found.channel_message_counts.items() if n},
+            "log times": (found.message_start_time, found.message_end_time),
+        }
+        actual = (
+            "ros2",
+            self._schemas,
+            self._channels,
+            self._chunks,
+            len(self._chunks),
+            len(self._schemas),
+            len(self._channels),
+            self.counts.total(),
+            dict(self.counts),
+            (self._start, self._end) if self.counts else (0, 0),
+        )
+        for text in _compared(stated, dict(zip(stated, actual, strict=True))):
+            self._error(f"in the summary, {text}")
 
     def _error(self, text: str, topic: str = "", rule: str = "") -> None:
         self._errors.add(f"{self.path.name}: {topic}" if topic else self.path.name, text, rule)
