@@ -3,19 +3,16 @@
 """Message definitions from the installed interface packages, as rosbag2 stores them in a bag.
 
 Every interface package installs `share/<package>/msg/<Type>.msg`, its text, or only `<Type>.idl`,
-and `<Type>.json`, which carries the RIHS01 hash of the type. No ROS import is needed.
-
-The messages of services and actions, such as `package/srv/<Type>_Event`, have no file of their own.
-rosbag2 stores the `.srv` file in the place of their definition, and nothing for actions. Here they
-get the definition they have, put together from the parts of the files, so that readers can decode
-them.
+and `<Type>.json`, which carries the RIHS01 hash of the type. No ROS import is needed. Messages of
+services and actions, such as `package/srv/<Type>_Event`, have the text of the `.srv` or `.action`
+file.
 """
 
 import json
 import os
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,26 +30,10 @@ _IDL_INCLUDE = re.compile(r"^#include\s+[\"<]([A-Za-z0-9_/]+)\.idl[\">]", flags=
 _PRIMITIVES = {"string", "bool", "byte", "char", "float32", "float64"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
-# Types composed from the parts between the `---` of a .srv or .action file: the type's suffix,
-# and the part's number or a text in which {} is the file's type without suffix.
-_EVENT = (
-    "service_msgs/ServiceEventInfo info\n{0}_Request[<=1] request\n{0}_Response[<=1] response\n"
+# The messages of a service or an action have no file of their own.
+_OF_SERVICE = re.compile(
+    "((_SendGoal|_GetResult)?_(Event|Request|Response)|_FeedbackMessage|_Goal|_Result|_Feedback)$"
 )
-_COMPOSED: Mapping[str, Mapping[str, int | str]] = {
-    "srv": {"_Request": 0, "_Response": 1, "_Event": _EVENT},
-    "action": {
-        "_SendGoal_Request": "unique_identifier_msgs/UUID goal_id\n{0}_Goal goal\n",
-        "_SendGoal_Response": "bool accepted\nbuiltin_interfaces/Time stamp\n",
-        "_SendGoal_Event": _EVENT.replace("{0}", "{0}_SendGoal"),
-        "_GetResult_Request": "unique_identifier_msgs/UUID goal_id\n",
-        "_GetResult_Response": "int8 status\n{0}_Result result\n",
-        "_GetResult_Event": _EVENT.replace("{0}", "{0}_GetResult"),
-        "_FeedbackMessage": "unique_identifier_msgs/UUID goal_id\n{0}_Feedback feedback\n",
-        "_Goal": 0,
-        "_Result": 1,
-        "_Feedback": 2,
-    },
-}
 
 
 class MessageDefinition(NamedTuple):
@@ -89,8 +70,8 @@ def find_definition(msgtype: str, folders: Sequence[Path] | None = None) -> Mess
     the type or a dependency has no `.msg` file.
 
     Args:
-        msgtype: The type as `package/msg/Type` or `package/Type`, or of the messages of
-            a service or an action.
+        msgtype: The type as `package/msg/Type` or `package/Type`, or a message of a service or an
+            action.
         folders: The share folders to search; those of `share_folders` by default.
 
     Raises:
@@ -110,13 +91,12 @@ def find_definition(msgtype: str, folders: Sequence[Path] | None = None) -> Mess
 
 
 class _Name(NamedTuple):
-    """A type's name, and the name and the part or text of the file that it is composed of."""
+    """A type's name, and that of its file."""
 
     package: str
     kind: str
     name: str
     file: str
-    content: int | str | None = None
 
     @property
     def full(self) -> str:
@@ -124,14 +104,11 @@ class _Name(NamedTuple):
 
 
 def _parse(msgtype: str) -> _Name:
-    if match := _TYPE_NAME.fullmatch(msgtype):
-        package, kind, name = match[1], match[2] or "msg", match[3]
-        if kind == "msg":
-            return _Name(package, kind, name, name)
-        for suffix, content in _COMPOSED[kind].items():
-            if name.endswith(suffix):
-                return _Name(package, kind, name, name.removesuffix(suffix), content)
-    raise BagWriteError(f"'{msgtype}' is not a message type: expected package/msg/Type")
+    match = _TYPE_NAME.fullmatch(msgtype)
+    if match is None:
+        raise BagWriteError(f"'{msgtype}' is not a message type: expected package/msg/Type")
+    package, kind, name = match[1], match[2] or "msg", match[3]
+    return _Name(package, kind, name, name if kind == "msg" else _OF_SERVICE.sub("", name))
 
 
 class _Source:
@@ -143,7 +120,7 @@ class _Source:
 
     def with_dependencies(self, name: _Name, language: str) -> str:
         """Return a type's text followed by those of all it needs and that have not come yet."""
-        text = self._text(name, language)
+        text = _read(self._find(name, name.kind if language == "msg" else language))
         parts = [text]
         for dependency in sorted(_dependencies(text, name.package, language), key=str.encode):
             if dependency not in self._seen[language]:
@@ -154,25 +131,14 @@ class _Source:
 
     def type_hash(self, name: _Name) -> str:
         try:
-            entries = json.loads(self._find(name, name.file, "json").read_bytes())["type_hashes"]
+            entries = json.loads(self._find(name, "json").read_bytes())["type_hashes"]
             return next(str(e["hash_string"]) for e in entries if e["type_name"] == name.full)
         except (BagWriteError, OSError, ValueError, KeyError, TypeError, StopIteration):
             # Packages built before Iron have no hash, and a bag is complete without one.
             return ""
 
-    def _text(self, name: _Name, language: str) -> str:
-        if name.content is None or language == "idl":
-            return _read(self._find(name, name.name, language))
-        text = _read(self._find(name, name.file, name.kind))
-        if isinstance(name.content, str):
-            return name.content.format(f"{name.package}/{name.kind}/{name.file}")
-        parts = re.split(r"^---[ \t]*\r?\n?", text, flags=re.MULTILINE)
-        if name.content >= len(parts):
-            raise BagWriteError(f"{name.full}: its .{name.kind} file lacks that part")
-        return _qualified(parts[name.content], name.package)
-
-    def _find(self, name: _Name, file: str, extension: str) -> Path:
-        relative = f"{name.package}/{name.kind}/{file}.{extension}"
+    def _find(self, name: _Name, extension: str) -> Path:
+        relative = f"{name.package}/{name.kind}/{name.file}.{extension}"
         for folder in self._folders:
             if (path := folder / relative).is_file():
                 return path
@@ -180,18 +146,6 @@ class _Source:
         raise BagWriteError(
             f"message type {name.full} is not installed: no {relative} in {searched}"
         )
-
-
-def _qualified(text: str, package: str) -> str:
-    """Return a text that means the same below a name other than `package/Type`."""
-
-    def qualified(field: re.Match[str]) -> str:
-        written = field[1]
-        if "/" in written or written in _PRIMITIVES:
-            return field[0]
-        return field[0].replace(written, f"{package}/{written}", 1)
-
-    return _FIELD_TYPE.sub(qualified, text)
 
 
 def _read(path: Path) -> str:

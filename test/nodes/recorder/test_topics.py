@@ -11,6 +11,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.serialization import deserialize_message
 from rclpy.service_introspection import ServiceIntrospectionState
 from sensor_msgs.msg import JointState
 from staging import call, diagnostics, values
@@ -170,5 +171,6 @@ def test_the_events_of_a_service_are_recorded_if_its_topic_is_listed(ros, record
     ros.spin_until(lambda: recording.count(recorder, events) == 2, what="the events")
     recorder.close()
     assert verify(recorder.path).holds
-    received, _ = BagReader(recorder.path).decoded()
-    assert [each.data for each in received.message.request] == [True]
+    received, _ = BagReader(recorder.path).messages()
+    event = deserialize_message(received.data, SetBool.Event)
+    assert [each.data for each in event.request] == [True]
