@@ -12,15 +12,7 @@ from tsobs_ros.model.torque_path import TorquePath
 
 
 class Past:
-    """The last values of a series in every run of a batch.
-
-    Args:
-        length: How many are kept.
-
-    Attributes:
-        length: The same.
-        values: Those that are kept, shape (runs, length, …); None before the first.
-    """
+    """The last values of a series in every run of a batch, shape (runs, length, …)."""
 
     def __init__(self, length: int) -> None:
         self.length = length
@@ -36,12 +28,7 @@ class Past:
 
 
 class TorqueDelay:
-    """The path of a commanded torque to the motor.
-
-    Args:
-        path: Gain, offset and delay.
-        rate: Samples per second [Hz].
-    """
+    """The path of a commanded torque to the motor, at a rate [Hz]."""
 
     def __init__(self, path: TorquePath, rate: float) -> None:
         self._path = path
@@ -51,10 +38,8 @@ class TorqueDelay:
     def through(self, commands: Array) -> Array:
         """Return the mean torque at the motor from each sample to the next, shape (runs, samples).
 
-        Each command is held for a period. The first one is taken to have been there always.
-
-        Args:
-            commands: Of the samples that follow those of the last call, shape (runs, samples).
+        Commands are of the samples that follow those of the last call, of the same shape. Each is
+        held for a period; the first one is taken to have been there always.
         """
         samples, known = commands.shape[1], self._past.joined(commands)
         older, newer = known[:, :samples], known[:, 1 : samples + 1]
@@ -66,7 +51,7 @@ class AngleDelay:
     """Measured states of an arm, angles as they were some time ago.
 
     Args:
-        places: Places of the measured ones; that of an angle is followed by its velocity's.
+        places: Of the measured ones in a state; that of an angle is followed by its velocity's.
         delays: Of each [s]; only an angle may have one.
         rate: Samples per second [Hz].
     """

@@ -101,16 +101,13 @@ class Motion(ABC):
 
     @abstractmethod
     def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
-        """Move on over samples.
+        """Move on over samples from an index on; return states and true values of the outputs.
 
         Args:
-            start: Index of the first one.
+            start: The index.
             inputs: Inputs and scheduled signals, shape (runs, samples, m + s).
             torques: Disturbing torques, shape (runs, samples, t); overwritten with those that an
                 undisturbed plant would need to move so.
-
-        Returns:
-            States and true values of the outputs, shapes (runs, samples, n) and (runs, samples, p).
         """
 
     def known_output(self, output: int) -> Array:

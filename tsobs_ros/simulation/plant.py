@@ -127,20 +127,14 @@ class Scenario(PlantScenario):
         arm: The nominal arm, the one an estimator knows.
         mismatch: How the true arm differs from it.
         friction: What the true arm has in addition.
-        rate: Samples per second [Hz].
-        duration: How long a campaign simulates [s].
         initial_state: Mean of x(0) in the nominal arm's design coordinates.
         initial_spread: 1σ of x(0) in the same coordinates.
-        process_noise: Densities of the random accelerations.
         excitation: Torque in the absence of a command.
-        disturbance: Components of the sensor's disturbance, added up.
-        sensor: Noise, outliers and dropouts.
-        torque_error: What the reported torque has beyond the applied one, as signals of
-            `signals` in N m, added up; of a drift its mean.
-        outputs: What is measured, each with a sensor and a disturbance of its own; empty for the
-            link angle alone, by `sensor` and with `disturbance`.
-        torque_disturbance: Torques beside the drive's.
-        payload: What the link carries for a time.
+        disturbance: Components of the link angle's disturbance, added up, if it is measured alone.
+        sensor: The link angle's, if it is measured alone.
+        torque_error: What the reported torque has beyond the applied one [N m], added up.
+        outputs: What else is measured, each with a sensor and a disturbance; empty for the link
+            angle alone.
         backlash: Play of the true arm's gear [rad], half of it to either side.
         torque: How the commanded torque, which is the one that is reported, reaches the motor.
 
@@ -309,12 +303,7 @@ class Plant:
     def step(self, torque: ArrayLike | None = None) -> Trajectories:
         """Measure at the present sample, move on to the next one and return the former.
 
-        Args:
-            torque: Torque, or inputs of a T–S system, to apply instead of the excitations [N m]; a
-                number, or shape (m,), of a batch (runs, m).
-
-        Raises:
-            ModelError: The torque is not finite or does not fit the plant.
+        A torque, as that of `run` without the axis of the samples, takes the excitations' place.
         """
         given = None if torque is None else np.asarray(torque, np.float64)
         if given is not None and given.ndim:

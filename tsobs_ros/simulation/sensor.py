@@ -92,11 +92,7 @@ class SimulatedOutput:
 class Disturbance:
     """The disturbance of an output or a torque, in every run of a batch: a sum of signals.
 
-    Args:
-        seeds: One for each run.
-        rate: Samples per second [Hz].
-        key: What the random numbers of drifts are for, and the number of the output or torque.
-        signals: What it is the sum of.
+    `key` is what the random numbers of drifts are for, and the number of the output or torque.
     """
 
     def __init__(
@@ -152,14 +148,7 @@ class Disturbance:
 
 
 class Output:
-    """An output with its sensor and its disturbance, in every run of a batch.
-
-    Args:
-        seeds: One for each run.
-        rate: Samples per second [Hz].
-        number: Number of the output.
-        asked: Its sensor and disturbance.
-    """
+    """An output by its number, with its sensor and its disturbance, in every run of a batch."""
 
     def __init__(
         self, seeds: Sequence[int], rate: float, number: int, asked: SimulatedOutput
@@ -195,11 +184,9 @@ class Output:
 
     @np.errstate(all="ignore")
     def measure(self, start: int, truth: Array) -> tuple[Array, Array]:
-        """Return what the measurement has beyond the truth, and the measurement, NaN if lost.
+        """Return what measurements have beyond the truth, and the measurements, NaN if lost.
 
-        Args:
-            start: Index of the first sample.
-            truth: True values, shape (runs, samples).
+        The true values are of the samples from an index on, shape (runs, samples).
         """
         sensor, samples = self._sensor, truth.shape[1]
         times = np.arange(start, start + samples) / self._rate

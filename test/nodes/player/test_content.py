@@ -107,7 +107,7 @@ def test_topics_are_selected(
          "the Python module of std_msgs"),
         (find_definition(STRING)._replace(type_hash="RIHS01_" + "0" * 64),
          "another definition of std_msgs/msg/String"),
-        (MessageDefinition("std_srvs/srv/Trigger", "", ""), "it cannot be published"),
+        (MessageDefinition("std_srvs/srv/Trigger", "", ""), "not playing"),
     ],
     ids=["package", "name", "hash", "service"],
 )  # fmt: skip
@@ -153,7 +153,7 @@ RELIABLE = ("reliable", "volatile", 1000)
 def test_what_all_publishers_offered_is_offered(
     profiles: list[QosProfile], expected: tuple[str, str, int]
 ) -> None:
-    qos = offered_qos(tuple(profiles), 1000)
+    qos = offered_qos(tuple(profiles))
     assert qos.history.name == "KEEP_LAST"
     assert (qos.reliability.name.lower(), qos.durability.name.lower(), qos.depth) == expected
 

@@ -25,12 +25,9 @@ _LATE = 1e-6
 
 @dataclass(frozen=True)
 class TorqueFile(Signal, kind="file"):
-    """The torque of a CSV file, held from line to line; 0 after its last line's time.
+    """The torque of a CSV file with columns `time` and `torque`, held from line to line.
 
-    The file's first line belongs to t = 0.
-
-    Attributes:
-        file: Path of the file, with columns `time` and `torque`.
+    The first line belongs to t = 0; after the last one's time the torque is 0.
 
     Raises:
         ModelError: There is no path, or the file cannot be used.
@@ -71,11 +68,8 @@ def by_joint(
 ) -> dict[str, dict[str, list[Any]]]:
     """Return the values of a list parameter by joint and by what they are about.
 
-    Args:
-        parameter: Its name.
-        lines: ROS parameters hold lists of texts only, so an entry is a line of YAML:
-            "elbow/motor_angle: {kind: ramp}"; without "elbow/" it is for all joints that have one.
-        readers: What an entry may name of each joint.
+    ROS parameters hold lists of texts only, so an entry is a line of YAML:
+    "elbow/motor_angle: {kind: ramp}"; without "elbow/" it is for all joints that have one.
 
     Raises:
         ParameterError: An entry is malformed, or names none of them.

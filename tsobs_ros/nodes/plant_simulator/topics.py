@@ -128,12 +128,7 @@ class SamplePublisher:
         return int(self._measurements.publisher.get_subscription_count())
 
     def __call__(self, stamp: int, samples: Sequence[Trajectories]) -> None:
-        """Publish the time, the truth and, unless they were lost, the measurements.
-
-        Args:
-            stamp: Of the samples [ns].
-            samples: One of each joint.
-        """
+        """Publish the time [ns], the truth and, unless they were lost, the measurements."""
         if self._to_clock is not None:
             set_stamp(self._clock.clock, stamp)
             self._to_clock.publish(self._clock)

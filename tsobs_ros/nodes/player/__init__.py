@@ -79,7 +79,7 @@ class Player(ManagedNode[PlayerParameters]):
                 f"{parameters.start_offset:g}"
             )
         selected = [reader.topics[name] for name in parameters.select(reader.topics)]
-        self._played = played_topics(self, selected, parameters.queue_depth)
+        self._played = played_topics(self, selected)
         self._counts = dict.fromkeys(self._played, 0)
         self._clock_publisher: Any = None
         if parameters.clock:

@@ -9,7 +9,6 @@ from typing import Any
 
 from msgspec.structs import replace
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import (
     DurabilityPolicy,
@@ -28,8 +27,9 @@ from tsobs_ros.nodes.parameters import SelectingParameters
 from tsobs_ros.nodes.wire import message_class
 from tsobs_ros.settings import live_setting, setting
 
-# The depth of ROS's default profile, for a publisher of unknown depth.
-_USUAL_DEPTH = 10
+# The depth of ROS's default profile, for a latched publisher of unknown depth; and what another may
+# leave waiting for slow reliable subscribers.
+_USUAL_DEPTH, _DEPTH = 10, 1000
 _FOREVER = 2**63 - 1
 
 CLOCK = "/clock"
@@ -59,12 +59,6 @@ class PlayerParameters(SelectingParameters):
         1, "Subscriptions to wait for before playing starts", minimum=0
     )
     wait_timeout: float = setting(5.0, "Longest wait for them; 0: no limit", unit="s", minimum=0.0)
-    queue_depth: int = setting(
-        1000,
-        "Messages of a topic that slow subscribers may leave waiting",
-        minimum=1,
-        maximum=1_000_000,
-    )
 
     def select(self, names: Iterable[str]) -> list[str]:
         """Return which of a bag's topics to play.
@@ -92,47 +86,45 @@ class PlayerParameters(SelectingParameters):
 
 
 def played_topics(
-    node: ManagedNode[Any], topics: Iterable[TopicInfo], queue_depth: int
+    node: ManagedNode[PlayerParameters], topics: Iterable[TopicInfo]
 ) -> dict[str, Publisher]:
     """Return publishers for topics of a bag, by their names in the bag.
 
-    Those that cannot be published are left out.
-
-    Args:
-        node: The node that owns the publishers, and warns of each topic that is left out.
-        topics: What to publish.
-        queue_depth: How many messages a volatile publisher keeps for slow subscribers.
+    Those that cannot be published, or whose bytes subscribers would decode as something else, are
+    left out with a warning.
     """
     publishers = {}
     for topic in topics:
         try:
-            qos = offered_qos(topic.qos_profiles, queue_depth)
-            publishers[topic.name] = _publisher(node, topic, qos)
-        except NodeError as error:
+            with suppress(BagWriteError):  # no message of its own file, such as a service's event
+                installed = find_definition(topic.type).type_hash
+                if topic.type_hash and installed and topic.type_hash != installed:
+                    raise NodeError(f"another definition of {topic.type} is installed")
+            qos = offered_qos(topic.qos_profiles)
+            publishers[topic.name] = node.create_publisher(
+                message_class(topic.type), topic.name, qos
+            )
+        except Exception as error:  # rclpy's errors on names, types and profiles are of many kinds
             node.log(Level.WARN, f"not playing {topic.name}: {error}")
     return publishers
 
 
-def offered_qos(profiles: tuple[QosProfile, ...], queue_depth: int) -> QoSProfile:
+def offered_qos(profiles: tuple[QosProfile, ...]) -> QoSProfile:
     """Return the profile to offer on a topic: the recorded one if all its publishers agree.
 
     If they do not, or nothing was recorded, it is reliable and volatile, as for rosbag2. The depth
     matters to late subscribers of latched topics: there it is the sum of the publishers' depths, as
     one publisher now stands for all of them.
-
-    Args:
-        profiles: What the recorded publishers offered.
-        queue_depth: How many messages a volatile publisher keeps for slow subscribers.
     """
     # Not policies that a subscription is matched by, and often unknown from discovery.
     alike = {replace(profile, history="unknown", depth=0) for profile in profiles}
     profile = alike.pop() if len(alike) == 1 else QosProfile()
-    latched = profile.durability == "transient_local"
-    kept = sum(p.depth or _USUAL_DEPTH for p in profiles if p.history != "keep_all")
-    keeps_all = any(p.history == "keep_all" for p in profiles)
+    depth = _DEPTH
+    if profile.durability == "transient_local" and all(p.history != "keep_all" for p in profiles):
+        depth = sum(p.depth or _USUAL_DEPTH for p in profiles)
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=kept if latched and not keeps_all else queue_depth,
+        depth=depth,
         reliability=_policy(ReliabilityPolicy, profile.reliability, "reliable"),
         durability=_policy(DurabilityPolicy, profile.durability, "volatile"),
         deadline=_duration(profile.deadline),
@@ -141,21 +133,6 @@ def offered_qos(profiles: tuple[QosProfile, ...], queue_depth: int) -> QoSProfil
         liveliness_lease_duration=_duration(profile.liveliness_lease_duration),
         avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
     )
-
-
-def _publisher(node: Node, topic: TopicInfo, qos: QoSProfile) -> Publisher:
-    """Return a publisher, unless subscribers would decode its bytes as something else."""
-    with suppress(BagWriteError):  # no message of its own file, such as a service's event
-        installed = find_definition(topic.type).type_hash
-        if topic.type_hash and installed and topic.type_hash != installed:
-            raise NodeError(
-                f"it was recorded with another definition of {topic.type} than the installed one"
-            )
-    type_ = message_class(topic.type)
-    try:
-        return node.create_publisher(type_, topic.name, qos)
-    except Exception as error:  # rclpy's errors on names, types and profiles are of many kinds
-        raise NodeError(f"it cannot be published: {error}") from error
 
 
 def _policy(policies: Any, name: str, default: str) -> Any:

@@ -44,10 +44,7 @@ class RecordedTopic:
         depth: Messages that may wait in the queue of a subscription.
 
     Attributes:
-        name: The full topic name.
-        definition: Its type.
         offers: What its publishers offered when it was found.
-        losses: What is missing of it.
 
     Raises:
         BagWriteError: The type has no definition.
@@ -130,11 +127,9 @@ class RecordedTopic:
 
 
 class TopicFinder:
-    """Subscribes to topics as soon as they have a publisher.
+    """Subscribes to topics as soon as they have a publisher, for a node.
 
-    Args:
-        node: The node that owns the subscriptions; it warns once of each topic that cannot be
-            recorded, or not all of it.
+    It warns once of each topic that cannot be recorded, or not all of it.
 
     Attributes:
         recorded: The topics that have been found, by name.

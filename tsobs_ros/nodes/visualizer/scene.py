@@ -57,17 +57,7 @@ class Angles(NamedTuple):
 
 
 class Arm(NamedTuple):
-    """What is known of an arm.
-
-    Attributes:
-        name: Of the joint.
-        truth: The true angles.
-        estimate: The estimated ones.
-        bound: Half widths of what is drawn about the estimate.
-        measured: The measured angles.
-        level: Of the sensor's fault.
-        fault: The fault in words.
-    """
+    """What is known of an arm: angles, half widths of the bound, level and words of the fault."""
 
     name: str
     truth: Angles | None = None
@@ -79,14 +69,9 @@ class Arm(NamedTuple):
 
 
 def scene(arms: Sequence[Arm], look: VisualizerParameters, stamp: Any) -> MarkerArray:
-    """Return the markers of arms beside each other.
+    """Return the markers of arms beside each other, stamped with a builtin_interfaces Time.
 
     Markers of the same kind have a namespace, which views can hide, and a number per arm.
-
-    Args:
-        arms: From left to right.
-        look: How they are drawn.
-        stamp: Of the markers, a builtin_interfaces Time.
     """
     array = MarkerArray()
     for place, arm in enumerate(arms):
