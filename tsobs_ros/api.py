@@ -22,7 +22,6 @@ from tsobs_ros.methods import CONTENDERS, ObserverSettings, make_tracker
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.replay.health import PROVED
-from tsobs_ros.replay.loop import run_tracker
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Plant, Scenario, TorqueDisturbance
@@ -277,7 +276,7 @@ def estimate(
     stamps, tracker = _stamps(times), make_tracker(design, settings or ObserverSettings())
     count = len(stamps)
     ticks = stamps, np.maximum.accumulate(stamps), np.arange(1, count + 1)
-    made = run_tracker(tracker, stamps, y, u, ticks)
+    made = tracker.run(stamps, y, u, ticks)
     rejected = Counter(reason for code in made.codes.tolist() if (reason := REASONS[code]))
     several = np.ndim(angle) == 2
     return _estimates(

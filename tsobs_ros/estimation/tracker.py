@@ -11,18 +11,20 @@ one pass over the ring. core/history.c does it.
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, non_negative, positive
+from tsobs_ros.checks import Array, Flags, Integers, non_negative, positive
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator, Rows
 from tsobs_ros.estimation.records import (
     REASONS,
+    USED,
     Basis,
     Estimate,
     Hypothesis,
@@ -33,7 +35,7 @@ from tsobs_ros.estimation.records import (
 )
 from tsobs_ros.estimation.state import State, copy_records, numbers_of
 from tsobs_ros.model.prediction import Record
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.series import NANOSECONDS, Stamps
 
 _BASES, _LEARNINGS, _HYPOTHESES = tuple(Basis), tuple(Learning), tuple(Hypothesis)
 """By their codes: to make them from numbers would take longer."""
@@ -57,10 +59,30 @@ class Outcomes(NamedTuple):
         expected_std: 1σ expected of each, shape (N, p).
     """
 
-    codes: NDArray[np.int64]
-    output_codes: NDArray[np.int64]
+    codes: Integers
+    output_codes: Integers
     innovations: Array
     expected_std: Array
+
+
+class TrackerRun(NamedTuple):
+    """The results of N measurements and M ticks.
+
+    Attributes:
+        rows: Estimates as of `Estimator.new_rows`, NaN where there is none, shape (M, width).
+        there: Whether there is an estimate, shape (M,).
+        newest: Stamp of the newest measurement in use [ns], shape (M,).
+        codes: As of `Outcomes`, shape (N,).
+        output_codes: The same of each output, shape (N, p).
+        innovations: y − ŷ, NaN of outputs that were not used, shape (N, p).
+    """
+
+    rows: Array
+    there: Flags
+    newest: Stamps
+    codes: Integers
+    output_codes: Integers
+    innovations: Array
 
 
 class Tracker:
@@ -274,31 +296,46 @@ class Tracker:
         after = self.newest or 0
         if not (np.diff(times, prepend=after) > 0).all():
             raise ModelError(f"stamps: expected them to ascend from {after} ns on")
-        count, rows = len(times), self.estimator.new_rows(len(times))
-        codes, innovations = np.empty(samples.shape, np.int64), np.empty((2, *samples.shape))
-        outcomes, newest, there = np.empty((3, count), np.int64)
-        self.advance(
-            times, samples, inputs, outcomes, codes, *innovations,
-            times, times, np.arange(1, count + 1), newest, there, rows, 2 * _LONGEST,
-        )  # fmt: skip
-        rows[there == 0] = np.nan
-        return self.estimator.as_rows(rows)
+        ticks = times, times, np.arange(1, len(times) + 1)
+        return self.estimator.as_rows(self.run(times, samples, inputs, ticks).rows)
 
-    def advance(self, *arguments: Any) -> None:
-        """Offer measurements, and estimate at ticks, without other threads waiting.
+    def run(
+        self,
+        stamps: Stamps,
+        y: Array,
+        u: Array,
+        ticks: Sequence[Integers],
+        stale_after: float = math.inf,
+    ) -> TrackerRun:
+        """Offer measurements and estimate at ticks; other threads of Python can run meanwhile.
 
         Args:
-            arguments: Those of `advance` of core/history.h: stamps, y and u of the measurements and
-                arrays for their `Outcomes`; stamps of the ticks, times on their clock [ns], numbers
-                of samples before each, and arrays for newest stamps in use, whether there are
-                estimates, and their rows; and the age of the newest sample from which on there are
-                none [ns].
+            stamps: Of N measurements in the order of use [ns], shape (N,).
+            y: Outputs, shape (N, p).
+            u: Inputs from each measurement until the next one, shape (N, m).
+            ticks: Stamps of the estimates and times on the clock [ns], and numbers of measurements
+                taken by the end of each tick.
+            stale_after: Age of the newest measurement after which nothing is estimated [s].
         """
-        native.history_advance(*self._records, *arguments)
+        rows, shape = self.estimator.new_rows(len(ticks[0])), y.shape
+        codes, output_codes = np.zeros(len(stamps), np.int64), np.zeros(shape, np.int64)
+        innovations, expected_std = np.full((2, *shape), np.nan)
+        newest, there = np.zeros((2, len(rows)), np.int64)
+        limit = 2 * _LONGEST if math.isinf(stale_after) else int(stale_after * NANOSECONDS)
+        native.history_advance(
+            *self._records,
+            *map(np.ascontiguousarray, (stamps, y, u)),
+            *(codes, output_codes, innovations, expected_std),
+            *map(np.ascontiguousarray, ticks),
+            *(newest, there, rows, limit),
+        )
+        innovations[output_codes != USED] = np.nan
+        rows[there == 0] = np.nan
+        return TrackerRun(rows, there != 0, newest, codes, output_codes, innovations)
 
     def _checked(
         self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike
-    ) -> tuple[NDArray[np.int64], Array, Array]:
+    ) -> tuple[Stamps, Array, Array]:
         shape, times = self.estimator.shape, np.array(stamps, np.int64)
         samples, inputs = np.array(y, np.float64), np.array(u, np.float64)
         count = len(times)

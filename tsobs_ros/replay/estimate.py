@@ -42,12 +42,13 @@ from tsobs_ros.errors import BagWriteError, LogError, ModelError
 from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.health import judge_rate
 from tsobs_ros.estimation.records import GATED, HEALTH, NON_FINITE, REASONS, RejectReason
+from tsobs_ros.estimation.tracker import TrackerRun
 from tsobs_ros.methods import ObserverSettings, contender, make_estimator, make_tracker
 from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.health import Health, JointEvent, find_events, health_of
 from tsobs_ros.replay.live import COMPARED, Agreement, digests
 from tsobs_ros.replay.log import LogSource
-from tsobs_ros.replay.loop import WINDOW, JointResults, Window, Windows, run_tracker
+from tsobs_ros.replay.loop import WINDOW, Window, Windows
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
 from tsobs_ros.replay.source import BagSource, Records, Source
 from tsobs_ros.series import NANOSECONDS, Spool, Stamps
@@ -256,12 +257,11 @@ class Run:
             for place, code in enumerate((GATED, NON_FINITE)):
                 self._outputs[joint][:, place] += (one.output_codes == code).sum(axis=0)
 
-    def _run_joint(self, joint: int) -> JointResults:
+    def _run_joint(self, joint: int) -> TrackerRun:
         (samples, ticks, _), tracker = self.window, self.trackers[joint]
         own, shape = samples.complete[:, joint], tracker.estimator.shape
         known = np.append(0, np.cumsum(own))[ticks.known]
-        return run_tracker(
-            tracker,
+        return tracker.run(
             samples.stamps[own],
             samples.y[own, joint, : shape.p],
             samples.u[own, joint, : shape.m],
@@ -269,7 +269,7 @@ class Run:
             self.observer.settings.stale_after,
         )
 
-    def _published(self, results: Sequence[JointResults]) -> Flags:
+    def _published(self, results: Sequence[TrackerRun]) -> Flags:
         """Return the ticks at which a node would publish estimates; stamps rise to a restart."""
         ticks = self.window.ticks
         done: Flags = np.any([one.there for one in results], axis=0) & ticks.estimated

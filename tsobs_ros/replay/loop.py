@@ -7,16 +7,13 @@ in the order of recording, or at a fixed rate.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tsobs_ros.checks import Array, Flags, Integers
-from tsobs_ros.estimation.records import USED
-from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.checks import Integers
 from tsobs_ros.replay.live import LiveRun
 from tsobs_ros.replay.source import Records, Source, passes
 from tsobs_ros.series import NANOSECONDS, Stamps
@@ -24,7 +21,6 @@ from tsobs_ros.series import NANOSECONDS, Stamps
 WINDOW = 4096
 """Number of ticks in a window: some 20 s at 200 Hz."""
 
-_FOREVER = 2**62
 _TICK = np.dtype(
     [
         ("stamps", np.int64),
@@ -153,58 +149,3 @@ def _in_order(samples: Records, known: Integers) -> Records:
         return samples
     of_tick = np.searchsorted(known, np.arange(len(samples)), side="right")
     return samples[np.lexsort((samples.stamps, of_tick))]
-
-
-class JointResults(NamedTuple):
-    """Results of one joint: of n samples, those that are its own, and of m ticks.
-
-    Attributes:
-        rows: Estimates as of `Estimator.new_rows`, NaN where there is none, shape (m, width).
-        there: Whether there is an estimate, shape (m,).
-        newest: Stamp of the newest sample in use [ns], shape (m,).
-        codes: Outcomes of the samples by `estimation.records.REASONS`, shape (n,).
-        output_codes: The same of each output, shape (n, p).
-        innovations: y − ŷ, NaN of outputs that were not used, shape (n, p).
-    """
-
-    rows: Array
-    there: Flags
-    newest: Stamps
-    codes: Integers
-    output_codes: Integers
-    innovations: Array
-
-
-def run_tracker(
-    tracker: Tracker,
-    stamps: Stamps,
-    y: Array,
-    u: Array,
-    ticks: Sequence[NDArray[np.int64]],
-    stale_after: float = math.inf,
-) -> JointResults:
-    """Run a tracker over samples and ticks; other threads of Python can run meanwhile.
-
-    Args:
-        tracker: The tracker.
-        stamps: Of n samples in the order of use [ns], shape (n,).
-        y: Outputs, shape (n, p).
-        u: Inputs from each sample until the next one, shape (n, m).
-        ticks: Stamps of the estimates and times on the clock [ns], and numbers of samples taken by
-            the end of each tick.
-        stale_after: Age of the newest sample after which nothing is estimated [s].
-    """
-    rows, shape = tracker.estimator.new_rows(len(ticks[0])), y.shape
-    codes, output_codes = np.zeros(len(stamps), np.int64), np.zeros(shape, np.int64)
-    innovations, expected_std = np.full((2, *shape), np.nan)
-    newest, there = np.zeros((2, len(rows)), np.int64)
-    limit = _FOREVER if math.isinf(stale_after) else int(stale_after * NANOSECONDS)
-    tracker.advance(
-        *map(np.ascontiguousarray, (stamps, y, u)),
-        *(codes, output_codes, innovations, expected_std),
-        *map(np.ascontiguousarray, ticks),
-        *(newest, there, rows, limit),
-    )
-    innovations[output_codes != USED] = np.nan
-    rows[there == 0] = np.nan
-    return JointResults(rows, there != 0, newest, codes, output_codes, innovations)
