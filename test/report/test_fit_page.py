@@ -69,12 +69,10 @@ def test_a_page_of_a_fit_has_its_sections_and_clips_nothing(
     ]  # fmt: skip
     rows = tab.locator("table").first.locator("tbody tr")
     cells = [row.locator("td").all_inner_texts() for row in rows.all()]
-    assert {row[0]: (row[1], row[4], row[5]) for row in cells} == {
-        "stiffness": ("13", "N m/rad", "yes"),
-        "link damping": ("0", "N m s/rad", "hardly"),
-        "motor friction": ("0", "N m", "yes"),
-        "link angle: noise": ("0.002", "rad", "yes"),
-    }
+    assert {row[0]: row[5] for row in cells} == {
+        "stiffness": "yes", "link damping": "hardly", "motor friction": "yes",
+        "link angle: noise": "yes",
+    }  # fmt: skip
     assert abs(float(cells[0][2]) - 10.0) < 0.3
     assert tab.locator("h3").all_inner_texts() == [
         "motor angle [rad]", "residual of motor angle [expected 1σ]",

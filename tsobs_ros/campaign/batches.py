@@ -76,11 +76,7 @@ def observe(
 ) -> Observed:
     """Observe a batch of runs as the node does; the bits are those of `ts.estimate`.
 
-    Args:
-        design: The design of an arm.
-        runs: The runs.
-        settings: Method, gates and timeouts; the node's defaults if None.
-        estimator: The observer, if it is made already.
+    Settings are by default the node's; the estimator may be made already.
 
     Raises:
         ModelError: The method cannot observe this arm.
@@ -112,13 +108,9 @@ def recorded(
     estimates: Mapping[str, Array],
     request: ArmRequest | None = None,
 ) -> RecordedRun:
-    """Return one run of a batch as if it had been recorded.
+    """Return one run of a batch as if it had been recorded, with estimates by their names.
 
-    Args:
-        runs: What is true.
-        run: The run.
-        estimates: Of it at each sample, by the names in `ESTIMATED`; those without are NaN.
-        request: Of the design; of one encoder on the link and no torque disturbance if None.
+    The request is by default of one encoder on the link and no torque disturbance.
     """
     request = request or ArmRequest()
     sides = request.torque_sides
@@ -150,10 +142,6 @@ def claimed(run: RecordedRun, rows: Rows) -> dict[str, int | float]:
     For each of `CLAIMS` that is the number of samples and, of each quantity, the share of errors
     inside `SIGMAS` times their bound, and the root mean square and the largest of error / bound,
     NaN without any.
-
-    Args:
-        run: The run.
-        rows: Its estimates.
     """
     basis, known = rows["basis"], np.isfinite(rows["basis"])
     said = np.full(len(basis), -1)

@@ -60,9 +60,6 @@ class CampaignFolder:
     def begin(self, *, force: bool) -> None:
         """Write what the campaign is, and go on if that is there already.
 
-        Args:
-            force: Whether to replace another campaign's files.
-
         Raises:
             CampaignError: The folder has another campaign, files of a campaign's names, or more
                 runs.
@@ -163,15 +160,8 @@ def run_campaign(
     """Run a campaign, or what is missing of it, and return its folder.
 
     The numbers depend neither on where runs are computed, nor by how many, nor on what was done
-    before.
-
-    Args:
-        campaign: The campaign.
-        output: Its folder: a new one, or one that has the same campaign with at most as many runs.
-        threads: Of this machine; the number of its cores if None.
-        scheduler: Address of a Dask scheduler, to compute there.
-        force: Whether to replace another campaign's files.
-        progress: Called with the number of runs that are done since.
+    before. Runs are computed by threads, as many as cores by default, or by a Dask scheduler's
+    workers; `progress` is called with the number of runs that are done since.
 
     Raises:
         CampaignError: The folder has something else, or the cluster cannot do it.

@@ -26,12 +26,7 @@ JOINT = "elastic_joint"
 
 
 def rerun(campaign: Campaign, run: int, output: Path) -> Path:
-    """Make a run again, and return its bag: `bag` in a folder.
-
-    Args:
-        campaign: The campaign.
-        run: The run's number.
-        output: The folder; the bag must not exist.
+    """Make a run again by its number, and return its bag: `bag` in a folder.
 
     Raises:
         CampaignError: The campaign has no such run.

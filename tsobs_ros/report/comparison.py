@@ -60,8 +60,6 @@ class ObserverErrors(NamedTuple):
     """Errors of one observer at one joint.
 
     Attributes:
-        observer: Its name.
-        joint: The joint's name.
         innovation_rms: Of all innovations of each output; None without any.
         metrics: Errors against the truth if it is known, and the innovations' consistency;
             None without estimates.
@@ -117,13 +115,8 @@ class Rival(NamedTuple):
 def best_ekf(source: BagSource, file: DesignFile, settings: ObserverSettings) -> Rival:
     """Return the EKF with the smallest errors over the only joint of a bag.
 
-    If ours learns parameters, there are two: one with the nominal parameters, and one that has
-    those as states.
-
-    Args:
-        source: The bag.
-        file: Design that ours ran.
-        settings: Those that it ran with.
+    If ours, of a design and settings, learns parameters, there are two: one with the nominal
+    parameters, and one that has those as states.
     """
     methods = EKFS if settings.learnt(file.design) else EKFS[:1]
     observers = [Observer(name, replace(settings, method=name), (file,)) for name in methods]
@@ -167,10 +160,7 @@ def compare_observers(
 ) -> list[ObserverErrors]:
     """Run observers when the recorded one estimated, if there is one, and measure them.
 
-    Args:
-        source: The measurements.
-        observers: The observers.
-        sensors: Of each joint one that they do not get, to measure them against.
+    Of each joint there may be a sensor that they do not get, to measure them against.
     """
     return _scores(source, observers, sensors).errors()
 
@@ -187,12 +177,8 @@ def _scores(
 class RunScores:
     """Measures runs over the same measurements; if time restarted, the longest pass.
 
-    Their estimates are kept in temporary files.
-
-    Args:
-        source: The measurements.
-        runs: The runs.
-        sensors: Of each joint one that no run gets, to measure them against.
+    Their estimates are kept in temporary files. Of each joint there may be a sensor that no run
+    gets, to measure them against.
     """
 
     def __init__(

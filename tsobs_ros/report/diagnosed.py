@@ -30,16 +30,10 @@ _MAX_KIND = 40
 
 @dataclass
 class FaultSpan:
-    """A reported fault of an output.
+    """A reported fault of an output, whose name is empty if there is one only.
 
-    Attributes:
-        output: Name of the output, empty if there is one only.
-        kind: What it looks like.
-        level: The worst level.
-        begin: Seconds since the run's origin.
-        end: The same of its last report, or of the first one without it.
-        magnitude: The largest one.
-        unit: Its unit, empty if it is not known.
+    Level and magnitude are the largest ones. It begins and ends in seconds since the run's origin,
+    with the first report without it.
     """
 
     output: str
@@ -57,9 +51,8 @@ class Diagnosed:
 
     Attributes:
         count: Number of statuses.
-        faults: In order.
         rejected: Number of rejected measurements by reason, without those that are zero.
-        reject_rates: Times [s] and rejects a second of the same reasons.
+        reject_rates: Times [s] and rejects per second of the same reasons.
         missed: Number of missed ticks.
         timing: Times [s] and values of the node's timing [ms], by name.
     """
@@ -81,13 +74,7 @@ class Diagnosed:
 
 
 def diagnose(statuses: Iterable[RecordedStatus], origin: int, until: float) -> Diagnosed:
-    """Gather what the statuses of an observer's joint have.
-
-    Args:
-        statuses: Those of the observer, in order.
-        origin: Stamp that times count from [ns].
-        until: End of the run [s]; what is later is left out.
-    """
+    """Gather what statuses have up to the end of a run [s]; times count from a stamp [ns]."""
     found, running = Diagnosed(), dict[str, FaultSpan]()
     reasons = {f"{_REJECTED}{reason.value}": reason.value for reason in RejectReason}
     numbers: dict[str, list[tuple[float, float]]] = {}

@@ -8,7 +8,6 @@ from textwrap import wrap
 from typing import Any
 
 import matplotlib
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -30,16 +29,13 @@ from tsobs_ros.style import MUTED, STYLE
 
 _WIDTH, _ROW, _HEAD, _DPI = 10.0, 1.6, 1.5, 140
 _FAINT = 0.15
+_JUMP: dict[str, Any] = {"color": EVENT_COLOUR, "lw": 1.0, "ls": (0, (2, 2))}
 # Characters of a label and of a remark in a line, for which there is room.
 _LABEL_WIDTH, _REMARK_WIDTH = 20, 70
 
 
 def draw_run(picture: Picture, path: Path) -> None:
     """Draw a run, 1400 pixels wide.
-
-    Args:
-        picture: What is shown.
-        path: The file; it is replaced.
 
     Raises:
         OSError: The file cannot be written.
@@ -70,7 +66,6 @@ def _figure(picture: Picture) -> Figure:
             made[-1].tick_params(labelbottom=False)
     made[0].xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10]))
     made[0].set_xlim(picture.time_range)
-    _label_jumps(made[0], picture)
     figure.align_ylabels(made[::2])
     figure.align_ylabels(made[1::2])
     head = figure.legend(
@@ -79,7 +74,7 @@ def _figure(picture: Picture) -> Figure:
         title_fontproperties={"weight": "bold", "size": 10},
         alignment="left",
         loc="outside upper left",
-        ncols=7,
+        ncols=8,
         handlelength=1.6,
         columnspacing=1.6,
     )
@@ -101,6 +96,7 @@ def _legend(picture: Picture) -> list[Line2D | Patch]:
         *entries,
         *(Patch(color=BAND_COLOUR, alpha=a, lw=0, label=f"bound {s:g}σ") for s, a in bands),
         Patch(color="#E4E7EB", lw=0, label="not counted"),
+        *([Line2D([], [], label="true jump", **_JUMP)] if picture.jumps else []),
     ]
 
 
@@ -129,10 +125,8 @@ def _draw(axes: Axes, plot: Plot, picture: Picture) -> None:
             axes.axhline(sign * plot.level, color=MUTED, lw=0.9, ls=(0, (5, 3)))
     _mark(axes, picture.unsettled, color=SETTLING_COLOUR, zorder=0)
     _mark(axes, plot.spans, color=EVENT_COLOUR, alpha=_FAINT)
-    jumps, whole = [time for time, _ in picture.jumps], axes.get_xaxis_transform()
-    axes.vlines(
-        jumps, 0.0, 1.0, transform=whole, color=EVENT_COLOUR, lw=1.0, ls=(0, (2, 2)), zorder=6
-    )
+    whole = axes.get_xaxis_transform()
+    axes.vlines(picture.jumps, 0.0, 1.0, transform=whole, zorder=6, **_JUMP)
 
 
 def _mark(axes: Axes, spans: Sequence[tuple[float, float]], **style: Any) -> None:
@@ -144,23 +138,3 @@ def _mark(axes: Axes, spans: Sequence[tuple[float, float]], **style: Any) -> Non
 def _plain(name: str) -> str:
     """Return a name that is no formula."""
     return name.replace("$", r"\$")
-
-
-def _label_jumps(axes: Axes, picture: Picture) -> None:
-    begin, end = picture.time_range
-    last = -np.inf
-    for time, label in picture.jumps:
-        # A label is up to 40 % wide, and must not cover the one before it.
-        if time - last < 0.4 * (end - begin):
-            continue
-        last, late = time, time > 0.5 * (begin + end)
-        axes.annotate(
-            label,
-            (time, 1.0),
-            xycoords=axes.get_xaxis_transform(),
-            xytext=(-4 if late else 4, 3),
-            textcoords="offset points",
-            ha="right" if late else "left",
-            fontsize=8.5,
-            color=EVENT_COLOUR,
-        )

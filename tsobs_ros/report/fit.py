@@ -42,20 +42,15 @@ _SEEN = ("hardly", "yes")
 
 
 def write_page(path: Path, fit: Fit, names: str) -> None:
-    """Write a fit as a page that needs nothing but itself.
-
-    Args:
-        path: The page; it is replaced.
-        fit: The fit.
-        names: Of the recordings.
+    """Write a fit to recordings of some names as a page that needs nothing but itself.
 
     Raises:
         OSError: The page cannot be written.
     """
     begin, end = fit.traces.time[[0, -1]].tolist()
     part = f"the {'held-out' if fit.samples[1] else 'last (fitted)'} {end - begin:.3g} s"
-    counts = "{:,} numbers  ·  {:,} samples fitted  ·  {:,} held out  ·  {:,} outliers".format(
-        len(fit.numbers), *fit.samples, fit.outliers
+    headline = "{:,} samples fitted  ·  {:,} held out  ·  {:,} outliers  ·  figures: {}".format(
+        *fit.samples, fit.outliers, part
     )
     facts = [
         ("recordings", names),
@@ -67,7 +62,6 @@ def write_page(path: Path, fit: Fit, names: str) -> None:
         Table("Remarks", ("",), [(note,) for note in fit.notes], 1),
     )
     about = About(_verdict(fit, part), tables, list(_tables(fit, part)))
-    headline = f"{counts}  ·  figures: {part}"
     write_html(Picture(f"Fit to {names}", headline, tuple(_rows(fit)), (begin, end)), path, about)
 
 
@@ -100,24 +94,23 @@ def _tables(fit: Fit, part: str) -> Iterator[Table]:
     ]
     yield Table("Numbers", ("number", "before", "fitted", "1σ", "unit", "shown"), rows)
     predicted = [
-        (_words(name), f"{ahead:.4g}", f"{run:.4g}", f"{std:.3g}", f"{near:.2f}")
-        for name, ahead, run, _, std, near in fit.outputs
-    ]
-    horizon = f"simulated for {fit.outputs[0].horizon:g} s [%]"
-    head = ("one sample ahead [%]", horizon, "innovations / expected", "correlation")
+        (_words(one.name), _percent(one.one_step), _percent(one.free_run),
+         f"{one.innovation_std:.3g}", f"{one.correlation:.2f}")
+        for one in fit.outputs
+    ]  # fmt: skip
+    head = ("output", "one sample ahead", "simulated", "innovations / expected", "correlation")
     note = (
-        f"Of {part}. 100 % is without error, 0 % no better than the mean. Correlation is that of "
-        "neighbouring innovations, 0 if they are white."
+        f"Of {part}, in pieces of {fit.outputs[0].horizon:g} s. 100 % is without error, 0 % no "
+        "better than the mean. Correlation of neighbouring innovations is 0 if they are white."
     )
-    yield Table("Prediction", ("output", *head), predicted, 1, note)
+    yield Table("Prediction", head, predicted, 1, note)
     lacks = [
         (each.what, "the fitted request has it" if each.is_added else each.entry or "none")
         for each in fit.lacks
     ]
     yield Table("What the model lacked", ("what", "entry of the request that adds it"), lacks, 2)
-    unseen = [(_words(each.partition(": ")[0]), each.partition(": ")[2]) for each in fit.unseen]
-    title = "What the recordings do not show"
-    yield Table(title, ("numbers", "motion that would show them"), unseen, 2)
+    unseen = [(each,) for each in fit.unseen]
+    yield Table("What the recordings do not show", ("motion that would show it",), unseen, 1)
 
 
 def _rows(fit: Fit) -> Iterator[tuple[Plot, ...]]:

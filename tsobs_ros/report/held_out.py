@@ -10,7 +10,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.checks import Array, Flags, positive
+from tsobs_ros.checks import Array, positive
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import BagReadError, LogError, ModelError
 from tsobs_ros.replay.estimate import Observer
@@ -19,13 +19,11 @@ from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.report.metrics import QuantityMetrics, Windows, inside_windows, quantity_metrics
 from tsobs_ros.report.quantities import QUANTITIES, Quantity
-from tsobs_ros.report.run import RecordedRun, Rows, align, read_rows, rows_of
-from tsobs_ros.series import Stamps
+from tsobs_ros.report.run import RecordedRun, Rows, align, interpolate, read_rows, rows_of
+from tsobs_ros.series import Series, Stamps
 
 _ARM = {one.key: one for one in QUANTITIES[:4]}
 _MIN_READINGS, _MAX_READINGS = 20, 50_000
-# Estimates further apart than this many of their periods have lost some between them.
-_MAX_PERIODS = 3.5
 _NEIGHBOURS, _ROUNDED = 7, 1e-9
 
 
@@ -35,7 +33,7 @@ class HeldOut(NamedTuple):
     Attributes:
         quantity: Its quantity: link_angle, link_velocity, motor_angle or motor_velocity.
         std: 1σ of its noise (rad, rad/s); None: estimated from its high frequencies.
-        place: Its column, topic or entry, as for `Source.readings`; empty to find it.
+        place: Its column in a log, `/TOPIC`, `/TOPIC:ENTRY` or `:ENTRY` in a bag; empty to find it.
     """
 
     quantity: str
@@ -110,15 +108,7 @@ class HeldOut(NamedTuple):
 
 
 class HeldOutSensor(NamedTuple):
-    """A joint's sensor that is held out.
-
-    Attributes:
-        quantity: What it measures.
-        source: Its column or entry.
-        std: 1σ of its noise, in the quantity's unit.
-        std_is_estimated: Whether that is estimated.
-        rows: Its readings.
-    """
+    """A joint's sensor that is held out: its column or entry, 1σ of its noise, its readings."""
 
     quantity: Quantity
     source: str
@@ -139,28 +129,24 @@ class HeldOutSensor(NamedTuple):
     def errors(self, run: RecordedRun, windows: Windows) -> "HeldOutErrors | None":
         """Return the errors of a run, None if its estimates are no numbers.
 
-        Estimates are interpolated linearly to the stamps of the readings, not across gaps.
-
-        Args:
-            run: With the readings and the health of the estimates.
-            windows: The settled parts.
+        Estimates are interpolated to the stamps of the readings, not across gaps.
 
         Raises:
             LogError: Too few readings are between settled estimates.
         """
-        if run.held_out is None or run.health is None:
+        one = run.of(self.quantity)
+        if run.held_out is None or run.health is None or not np.isfinite(one.values).any():
             return None
         settled = inside_windows(run.held_out.seconds(run.origin), windows)
         readings = run.held_out.take(settled & np.isfinite(run.held_out.values[:, 0]))
-        one, claims = run.of(self.quantity), align(run.health, run.stamps)[:, CLAIMED]
-        series = np.column_stack([one.values, one.bounds, claims])
-        near, at_readings = _between(run.stamps, series, readings.stamps)
-        _require_enough(int(near.sum()), self.quantity, f"{self.source}, between settled estimates")
-        error = at_readings[:, 0] - readings.values[:, 0]
+        found = interpolate(Series(run.stamps, one.values[:, np.newaxis]), readings.stamps)
+        error = (found - readings.values)[:, 0]
         known = np.isfinite(error)
-        if not known.any():
-            return None
-        error, (_, bound, claimed) = error[known], at_readings[known].T
+        where = f"{self.source}, between settled estimates"
+        _require_enough(int(known.sum()), self.quantity, where)
+        claims = align(run.health, run.stamps)[:, CLAIMED]
+        bounds = Series(run.stamps, np.column_stack([one.bounds, claims]))
+        error, (bound, claimed) = error[known], interpolate(bounds, readings.stamps)[known].T
         limit = np.where(claimed == 1.0, np.hypot(bound, self.std), np.nan)
         bias = float(error.mean())
         return HeldOutErrors(
@@ -178,7 +164,6 @@ class HeldOutErrors(NamedTuple):
     """Errors of estimates against a held-out sensor over the settled parts, its noise included.
 
     Attributes:
-        sensor: The sensor.
         samples: Number of its readings between estimates.
         claimed: Share of them for which a bound is claimed.
         bias: Mean of estimate − sensor.
@@ -227,14 +212,3 @@ def _noise_std(stamps: Stamps, values: Array) -> float:
     rest = np.sum(weights * sliding_window_view(values[places], _NEIGHBOURS), axis=1)
     # The median ignores outliers; 0.6745 σ of a normal distribution.
     return max(float(np.median(np.abs(rest))) / 0.6745, rounding)
-
-
-def _between(stamps: Stamps, values: Array, wanted: Stamps) -> tuple[Flags, Array]:
-    """Return which stamps are between others, and values of those there, NaN elsewhere."""
-    right, gaps = np.searchsorted(stamps, wanted).clip(1, len(stamps) - 1), np.diff(stamps)
-    there = (wanted >= stamps[0]) & (wanted <= stamps[-1])
-    there &= (gaps[right - 1] <= _MAX_PERIODS * np.median(gaps)) | (stamps[right] == wanted)
-    part = np.where(there, (wanted - stamps[right - 1]) / gaps[right - 1], np.nan)
-    # At an estimate's own stamp its neighbour does not count.
-    left, after = values[right - (part < 1.0)], values[right - (part == 0.0)]
-    return there, left + part[:, np.newaxis] * (after - left)

@@ -44,7 +44,6 @@ class QuantityMetrics:
     """One estimated quantity over the settled parts; None if the data for it are missing.
 
     Attributes:
-        quantity: Which one.
         rmse: Root mean square error, in the quantity's unit.
         bound: Root mean square of the published 1σ bound.
         ratio: rmse / bound; at most 1, up to chance, if the certificate's model is true.
@@ -148,12 +147,10 @@ def innovation_std(design: Design) -> tuple[float, ...]:
 def measure(
     run: RecordedRun, innovation_std: Sequence[float] = (), settle_time: float = SETTLE_TIME
 ) -> RunMetrics:
-    """Measure a run.
+    """Measure a run; without truth only its bounds and innovations are measured.
 
-    Args:
-        run: The recorded run; without truth only its bounds and innovations are measured.
-        innovation_std: 1σ that the design expects of each output's innovation; empty if unknown.
-        settle_time: Time after the first estimate and after each jump that does not count [s].
+    `innovation_std` is the 1σ that the design expects of each output's innovation, empty if
+    unknown; `settle_time` after the first estimate and each jump does not count [s].
     """
     times, scale = run.times, SCALE
     if isinstance(run.request, TSRequest):  # their sizes before any measurement

@@ -217,7 +217,8 @@ def _shapes(plot: Plot, picture: Picture) -> Iterator[dict[str, Any]]:
         yield _path(span, picture.unsettled) | {"fillcolor": SETTLING_COLOUR} | below
         yield _path(span, plot.spans) | {"fillcolor": EVENT_COLOUR, "opacity": 0.2} | below
         line = {"color": EVENT_COLOUR, "dash": "dot", "width": 1}
-        yield _path("M{0:.4f},0 L{0:.4f},1", picture.jumps) | {"line": line}
+        jumps = [(time,) for time in picture.jumps]
+        yield _path("M{0:.4f},0 L{0:.4f},1", jumps) | {"line": line}
     for sign in (-1.0, 1.0) if plot.level is not None else ():
         assert plot.level is not None
         height = sign * plot.level
@@ -226,6 +227,6 @@ def _shapes(plot: Plot, picture: Picture) -> Iterator[dict[str, Any]]:
         yield {"type": "line", "line": line, **ends}
 
 
-def _path(part: str, times: Sequence[tuple[float, Any]]) -> dict[str, Any]:
+def _path(part: str, times: Sequence[tuple[float, ...]]) -> dict[str, Any]:
     path = " ".join(part.format(*one) for one in times) or "M0,0"
     return {"type": "path", "xref": "x", "yref": "paper", "path": path}

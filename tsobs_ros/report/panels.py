@@ -34,7 +34,6 @@ _MAX_AHEAD = 4.0
 _MAX_TRANSIENT = 10.0
 # Of what is published ten times a second, a longer silence is a gap [s].
 _SLOW_GAP = 1.0
-_JUMPS = {"disturbance": "fault {:+.2g} rad", "torque_disturbance": "torque {:+.2g} N m"}
 
 
 class Style(NamedTuple):
@@ -140,7 +139,7 @@ class Picture(NamedTuple):
         rows: A plot, or one of values and one of their errors.
         time_range: Begin and end of the time axis [s]: all measurements and estimates.
         unsettled: Parts that do not count as settled, (begin, end) in seconds.
-        jumps: Times [s] of the true disturbances' jumps, each with a label.
+        jumps: Times of the true disturbances' jumps [s].
     """
 
     name: str
@@ -148,7 +147,7 @@ class Picture(NamedTuple):
     rows: tuple[tuple[Plot, ...], ...]
     time_range: tuple[float, float]
     unsettled: tuple[tuple[float, float], ...] = ()
-    jumps: tuple[tuple[float, str], ...] = ()
+    jumps: tuple[float, ...] = ()
     timing: TimingSummary = TimingSummary()
 
     @property
@@ -210,7 +209,7 @@ def picture(
         unsettled=tuple(
             span for span in zip(edges[::2], edges[1::2], strict=True) if span[0] < span[1]
         ),
-        jumps=tuple((one.time, _JUMPS[one.kind].format(one.size)) for one in metrics.jumps),
+        jumps=tuple(one.time for one in metrics.jumps),
         timing=timing,
     )
 

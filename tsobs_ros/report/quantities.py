@@ -18,8 +18,6 @@ class Quantity(NamedTuple):
     Attributes:
         key: For programs.
         name: For people.
-        unit: Of its values, empty if not known.
-        kind: Whether it is a state of the plant, an output's disturbance or a torque disturbance.
         column: Its place among those of its kind.
         jump: Change of its truth from one sample to the next that is a jump; infinite if none is,
             None as `metrics.JUMP`.

@@ -68,13 +68,9 @@ def rows_of(times: Any, values: Array) -> Rows:
 
 
 class Estimated(NamedTuple):
-    """A quantity of a run.
+    """A quantity of a run: m estimates with their 1σ bounds, the truth, and that at their stamps.
 
-    Attributes:
-        values: The estimates, shape (m,).
-        bounds: 1σ bound of each, shape (m,).
-        truth: As recorded, values (k, 1); None on a robot.
-        true_values: At the estimates' stamps, NaN if unknown, shape (m,); None on a robot.
+    What is unknown is NaN; without any truth it is None.
     """
 
     values: Array
@@ -96,7 +92,6 @@ class RecordedRun:
 
     Attributes:
         name: Its origin, for titles.
-        joint: The joint's name.
         measurements: In order of arrival: outputs and then inputs at the sampling stamps, of an arm
             [y (rad), u (N m)], values (n, p + m).
         stamps: Of the estimates [ns], ascending, shape (m,).
@@ -107,15 +102,14 @@ class RecordedRun:
         torque_disturbance: Estimated torque disturbances [N m], NaN if lost, shape (m, t).
         torque_disturbance_bound: Published 1σ bound of each [N m], NaN if lost, shape (m, t).
         innovation: y − ŷ at the measurements' stamps, NaN of outputs that were not used, values
-            (n', p); None if not recorded.
-        true_state: At the sampling stamps, values (k, plant); None on a robot.
-        true_disturbance: Of the outputs at the sampling stamps, values (k', p); None on a robot.
-        true_torque_disturbance: At the sampling stamps [N m], values (k'', t); None on a robot.
-        health: Fields of `estimation.records.HEALTH` at their stamps, values (h, 7); None if
-            not recorded.
-        parameters: Learnt changes of the uncertain parameters, values (l, c); None if not recorded.
-        parameter_bound: 1σ of each, values (l, c); None if not recorded.
-        held_out: Readings of a sensor that no observer got, values (r, 1); None without one.
+            (n', p). It is None if not recorded, like all that follow.
+        true_state: At the sampling stamps, values (k, plant).
+        true_disturbance: Of the outputs at the sampling stamps, values (k', p).
+        true_torque_disturbance: At the sampling stamps [N m], values (k'', t).
+        health: Fields of `estimation.records.HEALTH` at their stamps, values (h, 7).
+        parameters: Learnt changes of the uncertain parameters, values (l, c).
+        parameter_bound: 1σ of each, values (l, c).
+        held_out: Readings of a sensor that no observer got, values (r, 1).
         topic: Name of the measurements' topic.
         passes: Number of passes over the recorded time; this is the longest one.
         request: Of the design, for names, units and places.
@@ -218,13 +212,9 @@ def read_rows(source: BagSource, asked: Mapping[Key, tuple[str, Wanted]]) -> dic
 def recorded_parts(
     source: BagSource, place: int, parts: Mapping[str, str], learnt: tuple[str, ...] = ()
 ) -> dict[str, Rows]:
-    """Return what a bag has of a joint.
+    """Return what a bag, whose designs are known, has of a joint.
 
-    Args:
-        source: The bag; its designs are known.
-        place: Of the joint.
-        parts: Full names of topics by the parts of a run; those that the bag lacks are left out.
-        learnt: Names of the parameters that are learnt.
+    `parts` are full names of topics by the parts of a run; those that it lacks are left out.
     """
     joint, own = source.joints[place], source.signals[place]
     # Health and parameters of a joint that is alone are in entries of other names.
@@ -262,11 +252,6 @@ def read_run(
     """Return the recorded estimates of the only joint of a source.
 
     If the recorded time restarts, as in a looped bag, the pass with the longest estimates is read.
-
-    Args:
-        source: A bag.
-        request: Of the joint's design.
-        observer: Name of the node.
 
     Raises:
         BagReadError: The bag has no estimate of the joint, or is damaged.
@@ -313,14 +298,7 @@ def run_of(
 ) -> RecordedRun:
     """Return the run with the longest pass of estimates, and what is nearest to it.
 
-    A looped bag has several passes over the recorded time.
-
-    Args:
-        found: Rows of the parts of a run; there are some of its states.
-        name: Its origin.
-        joint: The joint.
-        request: Of its design.
-        topic: Name of the measurements' topic.
+    A looped bag has several passes over the recorded time. There have to be rows of the states.
     """
     each = {
         key: [rows[begin:end] for begin, end in passes(rows.stamps) if begin < end]
@@ -376,13 +354,8 @@ def interpolate(series: Series, stamps: Stamps, *, rated: bool = False) -> Array
 
     They follow the cubic that has the values and slopes of both neighbours. If slopes are sampled,
     then of a smooth motion an angle is off by at most h⁴/384 max|q⁗| and a velocity by at most
-    √3 h³/216 max|q⁗|: 10⁻⁹ rad and 10⁻⁶ rad/s for the elastic-joint arm at h = 5 ms.
-
-    Args:
-        series: Samples in ascending order, values of shape (n, k).
-        stamps: Where to evaluate [ns], shape (m,).
-        rated: Whether each value is followed by its rate, as in [q₁, q̇₁, q₂, q̇₂]; else slopes are
-            those to the next samples.
+    √3 h³/216 max|q⁗|: 10⁻⁹ rad and 10⁻⁶ rad/s for the elastic-joint arm at h = 5 ms. With `rated`
+    each value is followed by its rate, as in [q₁, q̇₁, q₂, q̇₂]; else samples give the slopes.
     """
     if np.array_equal(series.stamps, stamps):
         return series.values

@@ -35,10 +35,6 @@ _LARGEST = 3.0
 def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
     """Draw the normalised RMSE of all observers on all scenarios, 1400 pixels wide as PNG.
 
-    Args:
-        comparison: The errors.
-        path: The file; it is replaced.
-
     Raises:
         OSError: The file cannot be written.
     """

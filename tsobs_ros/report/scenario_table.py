@@ -85,13 +85,10 @@ class Cell(NamedTuple):
 
 
 class ScenarioRow(NamedTuple):
-    """A scenario.
+    """A scenario: errors by observer, and least errors of a run by the names of `BOUNDS`.
 
-    Attributes:
-        scenario: Its name.
-        cells: Errors by observer, and least errors of a run by the names of `BOUNDS`.
-        unbounded: Why there are no bounds; empty if there are.
-        thetas: θ of the observers of high gain [rad/s].
+    `unbounded` is why there are no bounds, empty if there are; `thetas` are θ of the observers of
+    high gain [rad/s].
     """
 
     scenario: str
@@ -102,14 +99,7 @@ class ScenarioRow(NamedTuple):
 
 @dataclass(frozen=True)
 class ScenarioComparison:
-    """Observers on scenarios.
-
-    Attributes:
-        rows: The scenarios.
-        observers: Names of the observers.
-        seeds: Number of runs of each scenario.
-        remarks: Notes, such as why an observer was left out.
-    """
+    """Observers on scenarios; remarks are notes such as why an observer was left out."""
 
     rows: tuple[ScenarioRow, ...]
     observers: tuple[str, ...]

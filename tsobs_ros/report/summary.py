@@ -63,13 +63,7 @@ def summarise(
 ) -> Summary:
     """Return how a run went, by its errors if they are known, else by its innovations.
 
-    Args:
-        metrics: Of the run.
-        health: Of its estimates, if recorded.
-        diagnosed: Faults and rejects, if recorded.
-        timing: Of its measurements.
-        events: Changes of the estimates' health.
-        until: Stamp of the last measurement [ns]; the silence after it is no fault of the run.
+    A silence after the last measurement, `until` [ns], is no fault of the run.
     """
     silences = sum(
         one.event.text.startswith(Phase.COASTING.name) and one.event.stamp < until for one in events
