@@ -32,6 +32,7 @@ from tsobs_ros.nodes.wire import LATCHED
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 
+README = (Path(__file__).resolve().parents[3] / "README.md").read_text(encoding="utf-8")
 JOINT = "elastic_joint"
 ARM = Arm(BEGIN)
 
@@ -122,6 +123,33 @@ def test_a_silenced_observer_discards_what_comes_and_then_restarts(
         work(True)
         assert observer.received == 30
         assert values(stage.statuses()["observer: state"])["resets"] == "1"
+
+
+def test_the_joint_states_of_a_robot_are_measurements(ros: Any) -> None:
+    """As ros2_control's broadcaster publishes them: all in one message, in any order, reliably.
+
+    The effort of a joint that has none is NaN.
+    """
+    stage, arm, events = Stage(ros, "/joint_states", 10), Arm(BEGIN, "elbow"), []
+    assert f"-r joint_measurements:={stage.topic} -p joints:=[elbow]" in README
+    observer = stage.add(joints=["elbow", "wrist"])
+    stage.step(BEGIN - PERIOD)
+    for event in good(arm, BEGIN, 0.5):
+        (angle,), (torque,) = event.message.position, event.message.effort
+        event.message.name = ["wrist", "shoulder", "elbow"]
+        event.message.position, event.message.velocity = [angle, 0.5, angle], [0.1, 0.2, 0.3]
+        event.message.effort = [np.nan, np.nan, torque]
+        events.append(event)
+    stage.play(events)
+
+    elbow, wrist = observer.joints
+    assert (elbow.tracker.used, wrist.rejected) == (100, {"unknown input": 100})
+    # Without a torque the bound is larger, and the angle is used all the same.
+    bound = stage.watcher.of("error_bound")[-1].message
+    width = dict(zip(bound.name, bound.position, strict=True))
+    assert width["elbow_link"] < width["wrist_link"] < 0.2
+    found = stage.statuses()
+    assert values(found["observer: wrist: measurements"])["rejected: unknown input"] == "100"
 
 
 def test_a_stale_joint_may_hold_its_last_estimate_without_bounds(stage: Stage) -> None:

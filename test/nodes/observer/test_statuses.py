@@ -47,7 +47,7 @@ def reject(joint: ObservedJoint, count: int) -> None:
 
 def statuses(joints: list[ObservedJoint], now: int, *, steady: int = 0) -> dict[str, Status]:
     for joint in joints:
-        joint.count(steady)
+        list(joint.count(steady))
     timing = TickMeter(200.0).status(steady)
     found = statuses_of(joints, timing, now, resets=3, enabled=True)
     return {each.name: each for each in found}
@@ -138,8 +138,8 @@ def test_another_rate_than_the_designs_is_told_once_and_when_it_is_over() -> Non
             stamp += NANOSECONDS / now
             if sample > 20:
                 offer(joint, round(stamp + chance.normal(0.0, 0.02 * MS)))
-        told.append(joint.pace_news((second + 1) * NANOSECONDS))
-    news = {second: each for second, each in enumerate(told) if each is not None}
+        told.append(list(joint.count((second + 1) * NANOSECONDS)))
+    news = {second: each[0] for second, each in enumerate(told) if each}
     assert list(news) == [3, 13]
     assert news[3][0] == Level.WARN
     assert news[3][1].startswith(f"measurements come {text}; set `rate` of its request")

@@ -154,11 +154,11 @@ class Stage:
     observer: Observer
     watcher: Watcher
 
-    def __init__(self, ros: Any) -> None:
-        self.ros = ros
+    def __init__(self, ros: Any, topic: str = TOPIC, qos: Any = _SENSOR_QOS) -> None:
+        self.ros, self.topic = ros, topic
         self.now = 0
         self.node = ros.node("stage")
-        self.sensor = self.node.create_publisher(JointState, TOPIC, _SENSOR_QOS)
+        self.sensor = self.node.create_publisher(JointState, topic, qos)
         self._clock = self.node.create_publisher(Clock, "/clock", 100)
         self._diagnostics: list[tuple[int, DiagnosticArray]] = []
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 100)
@@ -166,7 +166,7 @@ class Stage:
     def add(self, namespace: str = "", **parameters: Any) -> Observer:
         """Start the observer and wait until everything is connected; it has the time there is."""
         self.watcher = Watcher(self.node, f"{namespace}/observer")
-        remap = ["--ros-args", "-r", f"joint_measurements:={TOPIC}"]
+        remap = ["--ros-args", "-r", f"joint_measurements:={self.topic}"]
         options = {"namespace": namespace, "cli_args": remap}
         given = {"use_sim_time": True, **parameters}
         self.observer = start(self.ros, "observer", options=options, **given)

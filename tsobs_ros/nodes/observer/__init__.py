@@ -47,10 +47,10 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.design.published import record_text
 from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.health import Level, Status
-from tsobs_ros.estimation.records import REASONS
+from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.methods import warning
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.observer.joints import FAILURES, OF_INPUT, ObservedJoint, observed_joints
+from tsobs_ros.nodes.observer.joints import NAMES, ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.messages import EstimatePublisher, MeasurementReader
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, statuses_of
@@ -194,8 +194,11 @@ class Observer(ManagedNode[ObserverParameters]):
         for joint, y, u, codes in zip(self._joints, batch.y, batch.u, batch.codes, strict=True):
             innovations.append(joint.offer(batch.stamps, y, u, codes, now))
             for place in np.flatnonzero(codes > 0).tolist() if codes.any() else ():
-                if self.may_log(code := int(codes[place])):
-                    self._warn(joint, code, messages[batch.order[place]], now)
+                reason = RejectReason(NAMES[codes[place]])
+                if self.may_log(reason):
+                    found = self._reader.describe(messages[batch.order[place]], joint.name)
+                    text = f"sample of {joint.name} rejected: {reason.value} ({found}, clock "
+                    self.log(Level.WARN, f"{text}{now * 1e-9:.3f}): {reason.remedy}")
         of_all = np.concatenate(innovations, axis=1)
         used = np.flatnonzero((of_all == of_all).any(axis=1))
         self._publisher.publish_innovations(batch.stamps[used], of_all[used])
@@ -203,15 +206,6 @@ class Observer(ManagedNode[ObserverParameters]):
             taken[batch.order[place]][1]["received_timestamp"] for place in used.tolist()
         ]
         return len(used) > 0
-
-    def _warn(self, joint: ObservedJoint, code: int, data: bytes, now: int) -> None:
-        what, reason = "torque" if code in OF_INPUT else "measurement", REASONS[code]
-        assert reason is not None
-        found = f"{self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f}"
-        self.log(
-            Level.WARN,
-            f"{what} of {joint.name} rejected: {reason.value} ({found}): {reason.remedy}",
-        )
 
     def _publish(self, now: int) -> bool:
         """Publish the estimates for the present; return whether there were any."""
@@ -282,12 +276,7 @@ class Observer(ManagedNode[ObserverParameters]):
             return [Status("state", Level.WARN, "INACTIVE", {})]
         now, steady = int(self.get_clock().now().nanoseconds), time.monotonic_ns()
         for joint in self._joints:
-            joint.count(steady)
-            if joint.newly[FAILURES] and self.may_log(FAILURES):
-                text = "numerical failure: an estimate was not finite; restarted"
-                self.log(Level.ERROR, f"{joint.name}: {text}")
-            if (news := joint.pace_news(steady)) is not None:
-                level, text = news
+            for level, text in joint.count(steady):
                 self.log(level, f"{joint.name}: {text}")
             self._report_missing(joint)
         timing = self._meter.status(steady)
@@ -309,14 +298,13 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _log_designs(self) -> None:
         """Log each joint's design, and warn of methods that cannot work."""
-        by_path = {joint.loaded.name: joint.loaded for joint in self._joints}
-        for path, loaded in by_path.items():
-            names = ", ".join(each.name for each in self._joints if each.loaded.name == path)
-            self.log(Level.OK, f"{names}: design {path} ({loaded.identity}): certificate holds")
+        for joint in self._joints:
+            design = f"design {joint.loaded.name} ({joint.loaded.identity})"
+            self.log(Level.OK, f"{joint.name}: {design}: certificate holds")
         method = self.parameters.method
-        for text in dict.fromkeys(warning(each.design, method) for each in by_path.values()):
-            if text:
-                self.log(Level.WARN, text)
+        designs = (joint.loaded.design for joint in self._joints)
+        for text in filter(None, dict.fromkeys(warning(design, method) for design in designs)):
+            self.log(Level.WARN, text)
 
 
 Parameters, create = ObserverParameters, Observer

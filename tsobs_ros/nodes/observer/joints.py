@@ -28,8 +28,6 @@ from tsobs_ros.series import NANOSECONDS, Stamps
 
 NAMES = tuple(reason.value if reason else "" for reason in REASONS)
 """Names of the reasons of rejection by their codes."""
-OF_INPUT = (records.IMPLAUSIBLE_TORQUE, records.UNKNOWN_INPUT)
-"""Of such a sample the outputs are used all the same."""
 FAILURES = "numerical failures"
 """Name of the count of them."""
 
@@ -192,22 +190,20 @@ class ObservedJoint:
         innovations[output_codes != USED] = math.nan
         return codes, innovations
 
-    def count(self, steady: int) -> None:
-        """Enter the counts there are, at a steady time [ns], into those of the last minute."""
+    def count(self, steady: int) -> Iterator[tuple[Level, str]]:
+        """Count what has come since the last call, at a steady time [ns]; yield what to log."""
         own = {"received": self.received, FAILURES: self.tracker.failures}
         self.newly = self.recent.update(steady, {**own, **self.rejected, **self.tracker.events})
-
-    def pace_news(self, steady: int) -> tuple[Level, str] | None:
-        """Measure the rate since the last call, at a steady time [ns]; return a lasting change."""
+        if self.newly[FAILURES]:
+            yield Level.ERROR, "numerical failure: an estimate was not finite; restarted"
         stamps, self._stamps = np.sort(self._stamps), []
         if len(stamps) < _ENOUGH:
-            return None
+            return
         self.measured_rate = NANOSECONDS / max(1.0, float(np.median(np.diff(stamps))))
         before = self._pace.value
         off, text = health.judge_rate(self.measured_rate, self.request.rate)
-        if self._pace.update(steady, off, _LASTING) == before:
-            return None
-        return Level.WARN if off else Level.OK, text
+        if self._pace.update(steady, off, _LASTING) != before:
+            yield Level.WARN if off else Level.OK, text
 
     @property
     def rejected(self) -> Counter[str]:
