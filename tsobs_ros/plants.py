@@ -35,12 +35,8 @@ def scenario_of(
 ) -> Scenario | SystemScenario:
     """Return a scenario with a request's plant, outputs, noise and rate.
 
-    An arm's torque and the inputs of a T–S system are sin t, scheduled signals 0.
-
-    Args:
-        request: Of a design.
-        mismatch: Relative changes of the true arm, by the names of `Mismatch`; θ of the true T–S
-            system, by the names of its uncertain parameters.
+    An arm's torque and the inputs of a T–S system are sin t, scheduled signals 0. `mismatch` has
+    relative changes of the true arm, by the names of `Mismatch`, or θ of the true T–S system.
 
     Raises:
         ModelError: A name is unknown, or a number out of range.

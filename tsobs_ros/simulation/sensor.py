@@ -130,10 +130,9 @@ class Disturbance:
             # A drift leaves zero one sample after its start.
             before = self._times(start - 1, samples)
             first = samples - int(np.count_nonzero((before >= 0.0) & (before >= drift.start)))
-            numbers = stream.take(samples)[:, first:].copy()
-            decay, strength = _markov_step(1.0 / self._rate, drift.time_constant)
-            native.gauss_markov(decay, strength * drift.std, now, numbers)
-            values[:, first:] += numbers
+            numbers = stream.take(samples)[:, first:]
+            period = 1.0 / self._rate
+            values[:, first:] += _moved(now, numbers, period, drift.time_constant, drift.std)
         return values
 
     def stuck(self, start: int, samples: int) -> Flags:
@@ -161,8 +160,9 @@ class Output:
         self._uniform = RandomStream(seeds, Source.OUTLIER, self._key, uniform=True)
         # Of Student's t, with as many numbers a sample as its degrees of freedom.
         self._tail: RandomStream | None = None
-        self._last, self._frozen = np.zeros((2, len(seeds)))
-        self._was_stuck = False
+        self._last = np.zeros(len(seeds))
+        # What the sensor is stuck at.
+        self._frozen: Array | None = None
         self.exchange(asked, 0)
 
     def exchange(self, asked: SimulatedOutput, index: int) -> bool:
@@ -179,7 +179,8 @@ class Output:
             self._past = Past(latency)
         self._sensor = sensor
         is_other = self._disturbance.exchange(asked.disturbance, index)
-        self._was_stuck &= not is_other
+        if is_other:
+            self._frozen = None
         return is_other
 
     @np.errstate(all="ignore")
@@ -195,11 +196,13 @@ class Output:
         loudness = sensor.noise_std * np.where(is_loud, sensor.burst_factor, 1.0)
         late = self._past.joined(truth)[:, :samples]
         values = late + added + loudness * self._noise(start, samples)
-        stuck = self._disturbance.stuck(start, samples)
-        if stuck.any():
-            values = self._freeze(values, stuck)
-            added[:, stuck] = (values - truth)[:, stuck]
-        self._was_stuck = bool(stuck[-1])
+        stuck, frozen = self._disturbance.stuck(start, samples), self._frozen
+        for k in np.flatnonzero(stuck).tolist():
+            if frozen is None or (k and not stuck[k - 1]):
+                frozen = values[:, k].copy()
+            values[:, k] = frozen
+        added[:, stuck] = (values - truth)[:, stuck]
+        self._frozen = frozen if stuck[-1] else None
         luck = self._uniform.take(samples)
         if sensor.outlier_probability > 0.0:
             values += _outliers(luck, sensor)
@@ -220,24 +223,13 @@ class Output:
                 total += others * others
             noise /= np.sqrt(total / sensor.noise_degrees)
         if sensor.noise_time_constant > 0.0:
-            decay, strength = _markov_step(1.0 / self._rate, sensor.noise_time_constant)
-            first = 0
+            first, period = 0, 1.0 / self._rate
             if start == 0:  # the first one is stationary already
                 first, last[:] = 1, noise[:, 0]
-            moving = noise[:, first:].copy()
-            native.gauss_markov(decay, strength, last, moving)
-            noise[:, first:] = moving
+            noise[:, first:] = _moved(last, noise[:, first:], period, sensor.noise_time_constant)
         else:
             last[:] = noise[:, -1]
         return noise
-
-    def _freeze(self, values: Array, stuck: Flags) -> Array:
-        """Return values that stay as they were where the sensor began to be stuck."""
-        before = np.concatenate([[self._was_stuck], stuck[:-1]])
-        began = np.maximum.accumulate(np.where(stuck & ~before, np.arange(len(stuck)), -1))
-        held = np.where(began >= 0, values[:, began], self._frozen[:, np.newaxis])
-        self._frozen = held[:, -1]
-        return np.where(stuck, held, values)
 
 
 def _is_within(times: Array, interval: float, duration: float) -> Flags:
@@ -257,10 +249,9 @@ def _outliers(luck: Array, sensor: Sensor) -> Array:
     return np.where(luck < probability, sizes, 0.0)
 
 
-def _markov_step(period: float, time_constant: float) -> tuple[float, float]:
-    """Return what multiplies a Gauss–Markov process of unit variance, and a normal number, added.
-
-    This is the exact discretisation over a period [s].
-    """
-    decay = evaluate("exponential", -period / time_constant).item()
-    return decay, math.sqrt(1.0 - decay * decay)
+def _moved(now: Array, numbers: Array, period: float, time: float, std: float = 1.0) -> Array:
+    """Return Gauss–Markov processes after each period [s]; `now` becomes their last values."""
+    decay = evaluate("exponential", -period / time).item()
+    values = numbers.copy()
+    native.gauss_markov(decay, math.sqrt(1.0 - decay * decay) * std, now, values)
+    return values

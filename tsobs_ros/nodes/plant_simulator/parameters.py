@@ -50,6 +50,7 @@ from tsobs_ros.simulation.systems import SystemScenario
 _TORQUES = {side: f"{side}_torque" for side in SIDES}
 """What entries of `signals` call the torque disturbance of each side."""
 _EFFORT_ERROR = "effort_error"
+_SHIPPED_STATE = (0.3, 0.0, 0.2, 0.0)
 _FAULTS = [each for each in fields(Sensor) if each.name != "noise_std"]
 """What a sensor has beside the noise that a design knows."""
 
@@ -141,10 +142,10 @@ class PlantSimulatorParameters(ManagedParameters):
         100.0, "Commands of arms saturate at plus and minus this torque", unit="N m", minimum=0.0
     )
     initial_state: tuple[float, ...] = setting(
-        (0.3, 0.0, 0.2, 0.0),
+        (),
         "Link angle, link velocity, motor angle, motor velocity at t = 0 (rad, rad/s), or the "
-        "states of a T-S system; of one joint for all, or of all joints in turn. With the default, "
-        "joints with a file of their own start at 0",
+        "states of a T-S system, of all joints in turn; none: 0, and 0.3, 0, 0.2, 0 of the shipped "
+        "arm",
     )
     mismatch: Mismatch = settings_group(Mismatch)
     joint_mismatch: tuple[str, ...] = setting(
@@ -262,19 +263,17 @@ class PlantSimulatorParameters(ManagedParameters):
         )
 
     def _initial_states(self) -> dict[str, tuple[float, ...]]:
-        values, default = self.initial_state, type(self).initial_state
-        sizes = {joint: len(each.state_names) for joint, each in self.requests.items()}
-        if values == default:
+        values, sizes = self.initial_state, [len(e.state_names) for e in self.requests.values()]
+        if not values:
             return {
-                joint: (0.0,) * n if self.paths[joint] else values for joint, n in sizes.items()
+                joint: (0.0,) * size if path else _SHIPPED_STATE
+                for (joint, path), size in zip(self.paths.items(), sizes, strict=True)
             }
-        if len(values) == sum(sizes.values()):
-            numbers = iter(values)
-            return {joint: tuple(islice(numbers, n)) for joint, n in sizes.items()}
-        if set(sizes.values()) == {len(values)}:
-            return dict.fromkeys(sizes, values)
-        expected = " + ".join(map(str, sizes.values()))
-        raise ModelError(f"initial_state: expected {expected} numbers, got {len(values)}")
+        if len(values) != sum(sizes):
+            expected = " + ".join(map(str, sizes))
+            raise ModelError(f"initial_state: expected {expected} numbers, got {len(values)}")
+        numbers = iter(values)
+        return {j: tuple(islice(numbers, n)) for j, n in zip(self.requests, sizes, strict=True)}
 
 
 def _signals(request: ArmRequest | TSRequest) -> Readers:
