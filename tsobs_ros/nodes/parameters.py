@@ -66,21 +66,35 @@ class SelectingParameters(ManagedParameters):
         return is_listed or bool(self.regex and re.search(self.regex, name))
 
 
-def design_paths(joints: Sequence[str], own: Sequence[str], common: str) -> dict[str, str]:
-    """Return the path of each joint's design file: its own in `joint_designs`, else `design`.
+@dataclass(frozen=True)
+class JointParameters(ManagedParameters):
+    """The parameters that say which joints there are, and what each of them is."""
 
-    Raises:
-        ParameterError: A name is empty or comes twice, or there is another number of paths.
-    """
-    if not joints or "" in joints or len(set(joints)) < len(joints):
-        raise ParameterError(f"joints: expected names, each once, got {list(joints)}")
-    if own and len(own) != len(joints):
-        raise ParameterError(
-            f"joint_designs: expected one for each of the {len(joints)} joints or none, "
-            f"got {len(own)}"
-        )
-    paths = own or ("",) * len(joints)
-    return {joint: path or common for joint, path in zip(joints, paths, strict=True)}
+    joints: tuple[str, ...] = setting(("elastic_joint",), "Names of the joints in messages")
+    design: str = setting("", "Path of the design file; empty for the one that is shipped")
+    joint_designs: tuple[str, ...] = setting(
+        (),
+        "Design file of each of the joints, empty for the one that `design` names; no list: "
+        "that one for all",
+    )
+
+    @property
+    def design_of(self) -> dict[str, str]:
+        """Path of each joint's design file, empty for the one that is shipped.
+
+        Raises:
+            ParameterError: A name is empty or comes twice, or there is another number of paths.
+        """
+        joints, own = self.joints, self.joint_designs
+        if not joints or "" in joints or len(set(joints)) < len(joints):
+            raise ParameterError(f"joints: expected names, each once, got {list(joints)}")
+        if own and len(own) != len(joints):
+            raise ParameterError(
+                f"joint_designs: expected one for each of the {len(joints)} joints or none, "
+                f"got {len(own)}"
+            )
+        paths = own or ("",) * len(joints)
+        return {joint: path or self.design for joint, path in zip(joints, paths, strict=True)}
 
 
 def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:

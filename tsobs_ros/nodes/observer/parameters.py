@@ -8,23 +8,14 @@ from tsobs_ros.errors import ParameterError
 from tsobs_ros.estimation.events import COAST_AFTER
 from tsobs_ros.estimation.health import DisturbanceLimits
 from tsobs_ros.methods import ObserverSettings
-from tsobs_ros.nodes.parameters import ManagedParameters, design_paths
+from tsobs_ros.nodes.parameters import JointParameters
 from tsobs_ros.settings import live_setting, setting, settings_group
 
 
 @dataclass(frozen=True)
-class ObserverParameters(ObserverSettings, ManagedParameters):
+class ObserverParameters(ObserverSettings, JointParameters):
     """All parameters of the observer node: the settings of its observers, and these."""
 
-    joints: tuple[str, ...] = setting(
-        ("elastic_joint",), "Names of the joints in joint_measurements"
-    )
-    design: str = setting("", "Path of the design file; empty for the one that is shipped")
-    joint_designs: tuple[str, ...] = setting(
-        (),
-        "Design file of each of the joints, empty for the one that `design` names; no list: "
-        "that one for all",
-    )
     rate: float = setting(
         0.0,
         "Rate at which estimates are published; 0: the design's",
@@ -84,11 +75,6 @@ class ObserverParameters(ObserverSettings, ManagedParameters):
         if len(levels) == 1:
             levels *= len(self.joints)
         return dict(zip(self.joints, levels, strict=True))
-
-    @property
-    def design_of(self) -> dict[str, str]:
-        """Path of each joint's design file, empty for the one that is shipped."""
-        return design_paths(self.joints, self.joint_designs, self.design)
 
     @property
     def settings(self) -> ObserverSettings:

@@ -20,7 +20,7 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError, ParameterError, TsobsError
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.nodes.parameters import ManagedParameters, design_paths
+from tsobs_ros.nodes.parameters import JointParameters
 from tsobs_ros.nodes.plant_simulator.entries import PLAYED, Readers, TorqueFile, by_joint
 from tsobs_ros.plants import request_in, scenario_of
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -99,22 +99,13 @@ class ExcitationParameters:
 
 
 @dataclass(frozen=True)
-class PlantSimulatorParameters(ManagedParameters):
-    """All parameters of the node.
+class PlantSimulatorParameters(JointParameters):
+    """All parameters of the node; `design` and `joint_designs` may name requests, too.
 
     Raises:
         ParameterError: They do not describe a plant.
     """
 
-    joints: tuple[str, ...] = setting(("elastic_joint",), "Names of the joints")
-    design: str = setting(
-        "", "Path of the joints' design or request file; empty for the design that is shipped"
-    )
-    joint_designs: tuple[str, ...] = setting(
-        (),
-        "Such a file for each of the joints, empty for the one that `design` names; no list: that "
-        "one for all",
-    )
     rate: float = setting(
         0.0, "Samples a second; 0: the design's", unit="Hz", minimum=0.0, maximum=5000.0
     )
@@ -175,15 +166,10 @@ class PlantSimulatorParameters(ManagedParameters):
         self.scenarios()
 
     @cached_property
-    def paths(self) -> dict[str, str]:
-        """Path of each joint's file, empty for the shipped one."""
-        return design_paths(self.joints, self.joint_designs, self.design)
-
-    @cached_property
     def requests(self) -> dict[str, ArmRequest | TSRequest]:
         """What describes each joint."""
         shipped = str(config_path(SHIPPED_DESIGN))
-        return {joint: _request(path or shipped) for joint, path in self.paths.items()}
+        return {joint: _request(path or shipped) for joint, path in self.design_of.items()}
 
     @property
     def sample_rate(self) -> float:
@@ -267,7 +253,7 @@ class PlantSimulatorParameters(ManagedParameters):
         if not values:
             return {
                 joint: (0.0,) * size if path else _SHIPPED_STATE
-                for (joint, path), size in zip(self.paths.items(), sizes, strict=True)
+                for (joint, path), size in zip(self.design_of.items(), sizes, strict=True)
             }
         if len(values) != sum(sizes):
             expected = " + ".join(map(str, sizes))
