@@ -73,18 +73,14 @@ def require_new(paths: Iterable[Path], *, force: bool) -> None:
 def written_whole(
     folder: Path, error: Callable[[str], TsobsError] = OutputError, *, force: bool = False
 ) -> Iterator[Path]:
-    """Yield a folder whose content moves to another once the block has ended well.
+    """Yield a folder whose content moves to another, made if missing, once the block ended well.
 
     Whatever else ends the block, a signal or a full disk, the other folder gets nothing of it. A
     kill leaves the folder that was yielded, inside of the other: its name ends in `.partial`.
 
-    Args:
-        folder: The other folder, which is made if missing.
-        error: The class of the errors below.
-        force: Whether files may be replaced.
-
     Raises:
-        TsobsError: A file cannot be written, or exists and may not be replaced.
+        TsobsError: A file cannot be written, or exists and may not be replaced; of the class
+            `error`.
     """
     partial = ""
     try:

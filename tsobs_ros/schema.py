@@ -40,17 +40,13 @@ _WORDS = {
 def decode(data: object, kind: type[T]) -> T:
     """Return plain data as an instance of a type. Entries of unknown names are refused.
 
-    Args:
-        data: What a YAML file holds. Text such as 1e-4 counts as a number, which YAML 1.1 does not
-            take for one.
-        kind: A dataclass of plain types, lists, tuples, mappings and dataclasses; None in a union
-            is for an entry that may be left out. `numpy.ndarray` is numbers in lists of lists, each
-            of one length. A class with `from_mapping` is made of a mapping by that. A field's
-            metadata may have the `name` of its entry.
+    Text such as 1e-4 counts as a number, which YAML 1.1 does not take for one. The type is a
+    dataclass of plain types, lists, tuples, mappings and dataclasses; None in a union is for an
+    entry that may be left out, `numpy.ndarray` for numbers in lists of lists. A class with
+    `from_mapping` is made by that. A field's metadata may have the `name` of its entry.
 
     Raises:
-        DesignFileError: The data is not of this type; the text has the path of the entry, what
-            was expected and what came.
+        DesignFileError: The data is not of this type; the text has the path of the entry.
     """
     with within(""):
         return cast(T, _decoded(data, kind))

@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """YAML from files that anybody may have written: plain data, in bounded time and memory.
 
-`yaml.safe_load` runs no code, but a few lines can still make it build gigabytes (merge keys that
-refer to merge keys), overflow the stack (a million brackets), return a structure that is small in
-memory and endless to walk through (aliases of aliases), or calculate for minutes (a number of
-half a million digits in base 60). None of our files needs any of this.
+A few lines can make `yaml.safe_load` build gigabytes (merge keys), overflow the stack (a million
+brackets), return a structure that is endless to walk through (aliases of aliases), or calculate for
+minutes (numbers in base 60). None of our files needs any of this.
 """
 
 import os
@@ -41,12 +40,7 @@ MakeError = Callable[[str], TsobsError]
 def read_yaml(
     path: str | PathLike[str], what: str = "design file", error: MakeError = DesignFileError
 ) -> dict[Any, Any]:
-    """Return the mapping that a YAML file holds.
-
-    Args:
-        path: The file.
-        what: What it is, for errors.
-        error: The kind of error to raise.
+    """Return the mapping that a YAML file holds; `what` it is and the kind of `error` are for errors.
 
     Raises:
         TsobsError: The file is missing, too large, not YAML, or not a mapping.
