@@ -40,7 +40,7 @@ MakeError = Callable[[str], TsobsError]
 def read_yaml(
     path: str | PathLike[str], what: str = "design file", error: MakeError = DesignFileError
 ) -> dict[Any, Any]:
-    """Return the mapping that a YAML file holds; `what` it is and the kind of `error` are for errors.
+    """Return the mapping that a YAML file holds, `what` it is, or raise errors of one kind.
 
     Raises:
         TsobsError: The file is missing, too large, not YAML, or not a mapping.

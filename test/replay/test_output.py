@@ -1,18 +1,17 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""New bags of estimates: recorded chunks copied as they are, or message by message, alike."""
+"""New bags of estimates, with what was recorded."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from mcap.writer import CompressionType, IndexType, Writer
 
-from tsobs_ros.bag import BagMessage, BagReader, BagWriter
+from tsobs_ros.bag import BagReader, BagWriter
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.verification import verify
-from tsobs_ros.replay.source import BagSource, Source
+from tsobs_ros.replay.source import BagSource
 
 TRUTH = "/ground_truth/joint_states"
 TEXT = f"\n{80 * '='}\n".join(
@@ -63,47 +62,13 @@ def write_mcap(path: Path, messages: list[Message], **options: Any) -> Path:
     return path
 
 
-@pytest.fixture
-def copies(monkeypatch) -> list[int]:
-    """Return the numbers of the chunks that are copied; empty if messages are."""
-    counts: list[int] = []
-
-    def counted(writer: BagWriter, *chunk: Any) -> None:
-        counts.append(1)
-        copy(writer, *chunk)
-
-    copy = BagWriter.copy
-    monkeypatch.setattr(BagWriter, "copy", counted)
-    return counts
-
-
-@pytest.fixture
-def both(estimate, tmp_path, monkeypatch) -> Callable[..., list[BagMessage]]:
-    """Estimate into two bags, one as it comes and one message by message; compare them."""
-
-    def run(bag: Path, **options: Any) -> list[BagMessage]:
-        estimate(bag, output="new", **options)
-        monkeypatch.setattr(BagSource, "copy", Source.copy)
-        estimate(bag, output="one_by_one", **options)
-        new, other = (BagReader(tmp_path / name) for name in ("new", "one_by_one"))
-        assert new.topics == other.topics
-        messages = list(new.messages())
-        assert messages == list(other.messages())
-        for name in ("new", "one_by_one"):
-            verification = verify(tmp_path / name)
-            assert verification.holds, verification.text()
-        return messages
-
-    return run
-
-
 @pytest.mark.parametrize("options", [{}, {"rate": 130.0, "window": 32}])
-def test_a_bag_is_copied_by_its_chunks(arms, both, copies, tmp_path, options) -> None:
+def test_a_new_bag_has_what_was_recorded(arms, estimate, tmp_path, options) -> None:
     written = with_truth(arms.messages(100))
+    estimate(write_bag(tmp_path / "bag", written), output="new", **options)
 
-    messages = both(write_bag(tmp_path / "bag", written), **options)
-
-    assert len(copies) == 5
+    assert verify(tmp_path / "new").holds
+    messages = list(BagReader(tmp_path / "new").messages())
     recorded = [(m.topic, m.data, m.log_time) for m in messages if "observer" not in m.topic]
     assert recorded == sorted(written, key=lambda one: one[2])
     # What is made of a measurement comes behind it, but what it is made with in front.
@@ -113,35 +78,21 @@ def test_a_bag_is_copied_by_its_chunks(arms, both, copies, tmp_path, options) ->
         assert topics.index("/joint_measurements") < topics.index("/observer/joint_states")
 
 
-def test_chunks_with_live_estimates_lose_these(arms, both, copies, estimate, tmp_path) -> None:
+def test_live_estimates_are_replaced(arms, estimate, tmp_path) -> None:
     estimate(write_bag(tmp_path / "bag", with_truth(arms.messages(60))), output="live")
-    live = [
-        (one.topic, one.data, one.log_time)
-        for one in BagReader(tmp_path / "live").messages()
-        if not one.topic.endswith("design")
-    ]
+    estimate(tmp_path / "live", output="again")
 
-    messages = both(write_bag(tmp_path / "recorded", live))
-
-    assert copies
-    assert [one.data for one in messages if one.topic.endswith("observer/joint_states")] == [
-        data for topic, data, _ in live if topic.endswith("observer/joint_states")
-    ]
+    live, again = (sorted(BagReader(tmp_path / name).messages()) for name in ("live", "again"))
+    assert live == again
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"max_duration_ns": 200_000_000},
-        {"enable_crcs": False},
-        {"index_types": IndexType.CHUNK},
-    ],
-)
-def test_other_files_are_copied_by_their_chunks(arms, both, copies, tmp_path, options) -> None:
-    """Split ones, and those of others."""
-    write = write_bag if "max_duration_ns" in options else write_mcap
-    assert len(both(write(tmp_path / "bag", with_truth(arms.messages(100)), **options))) > 500
-    assert copies
+@pytest.mark.parametrize("options", [{"enable_crcs": False}, {"index_types": IndexType.CHUNK}])
+def test_files_of_other_writers_are_copied(arms, estimate, tmp_path, options) -> None:
+    bag = write_mcap(tmp_path / "bag.mcap", with_truth(arms.messages(100)), **options)
+    estimate(bag, output="new")
+
+    assert verify(tmp_path / "new").holds
+    assert BagReader(tmp_path / "new").topics[TRUTH].count == 100
 
 
 def damaged(path: Path, messages: list[Message], topic: str) -> Path:
