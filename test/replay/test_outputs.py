@@ -5,12 +5,13 @@
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 
 import tsobs_ros as ts
+from tsobs_ros.api import Simulation
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointState, JointStateDecoder, JointStateEncoder
 from tsobs_ros.cli.main import main
@@ -23,10 +24,6 @@ from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.report.export import export_bag
 from tsobs_ros.report.run import ESTIMATED
-from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, TorqueDisturbance
-from tsobs_ros.simulation.scenarios import simulate
-from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import BiasStep
 
 DATA = Path(__file__).parents[1]
 BOTH = DATA / "estimation/data/both_encoders.design.yaml"
@@ -36,77 +33,58 @@ NAN = float("nan")
 DECODE = JointStateDecoder()
 
 
-class Recorded(NamedTuple):
-    """A run of n samples: times [s], outputs and inputs; and what is true of an arm."""
-
-    time: Any
-    y: Any
-    u: Any
-    physical: Any = None
-    disturbances: Any = None
-    torques: Any = None
-
-    @property
-    def stamps(self) -> list[int]:
-        return (START + np.round(self.time * 1e9).astype(np.int64)).tolist()
-
-
 @pytest.fixture(scope="module")
-def arm() -> Recorded:
+def arm() -> Simulation:
     """Two and a half seconds of an arm with two encoders that is touched at 1 s.
 
     The motor's encoder is silent from sample 100 to 150, the link's from 200 to 220.
     """
-    outputs = (
-        SimulatedOutput("link_angle", Sensor(noise_std=0.005), (BiasStep(0.05, 0.0),)),
-        SimulatedOutput("motor_angle", Sensor(noise_std=0.002)),
-    )
-    torque = TorqueDisturbance(link=(BiasStep(2.0, 1.0),))
-    runs = simulate(Scenario(outputs=outputs, torque_disturbance=torque), [3], 2.5)
-    y = runs.measurements[0].copy()
-    y[100:150, 1] = y[200:220, 0] = NAN
-    return Recorded(
-        runs.times, y, runs.torques[0], runs.physical[0], runs.disturbances[0],
-        runs.torque_disturbances[0],
+    run = ts.simulate(
+        ts.load_design(BOTH), duration=2.5, seed=3,
+        disturbance={"bias_step": {"amplitude": 0.05, "start": 0.0}},
+        torque_disturbance={"link": {"bias_step": {"amplitude": 2.0, "start": 1.0}}},
     )  # fmt: skip
+    run.angle[100:150, 1] = run.angle[200:220, 0] = NAN
+    return run
 
 
 @pytest.fixture(scope="module")
-def system() -> Recorded:
-    """Two seconds of the outputs and inputs of a T–S system; any will do."""
-    request = ts.load_design(SYSTEM).request
-    count, random = 400, np.random.default_rng(7)
-    time = np.arange(count) / request.rate
-    y = 0.1 * np.sin(time[:, np.newaxis] + np.arange(len(request.output_names)))
-    u = 0.1 * np.cos(time[:, np.newaxis] + np.arange(len(request.input_names)))
-    return Recorded(time, y + random.normal(0.0, 0.01, y.shape), u)
+def system() -> Simulation:
+    """Two seconds of a T–S system."""
+    return ts.simulate(ts.load_design(SYSTEM), duration=2.0)
 
 
-def messages_of_arm(run: Recorded) -> Iterator[tuple[str, bytes, int]]:
+def stamps_of(run: Simulation) -> list[int]:
+    return (START + np.round(run.time * 1e9).astype(np.int64)).tolist()
+
+
+def messages_of_arm(run: Simulation) -> Iterator[tuple[str, bytes, int]]:
     """Yield measurements and truth; a silent encoder of the motor has no entry."""
-    both = JointStateEncoder(["elbow", "elbow_motor"])
-    alone, sides = JointStateEncoder(["elbow"]), JointStateEncoder(["elbow_link", "elbow_motor"])
+    both, alone = JointStateEncoder(["elbow", "elbow_motor"]), JointStateEncoder(["elbow"])
+    sides = JointStateEncoder(["elbow_link", "elbow_motor"])
     outputs = JointStateEncoder(["elbow/link_angle", "elbow/motor_angle"])
-    for k, stamp in enumerate(run.stamps):
-        (link, motor), (torque,), time = run.y[k].tolist(), run.u[k].tolist(), stamp + LATENCY
+    for k, stamp in enumerate(stamps_of(run)):
+        (link, motor), torque, time = run.angle[k].tolist(), float(run.torque[k]), stamp + LATENCY
         data = both(stamp, [link, motor], (), [NAN, torque])
         if np.isnan(motor):
             data = alone(stamp, [link], (), [torque])
         yield "/joint_measurements", data, time
-        truth = run.physical[k].tolist()
+        truth = run.state[k].tolist()
         yield "/ground_truth/joint_states", sides(stamp, truth[::2], truth[1::2]), time
-        yield "/ground_truth/disturbance", outputs(stamp, run.disturbances[k].tolist()), time
-        motor, link = run.torques[k].tolist()
+        yield "/ground_truth/disturbance", outputs(stamp, run.disturbance[k].tolist()), time
+        motor, link = run.torque_disturbance[k].tolist()
         yield "/ground_truth/torque_disturbance", sides(stamp, (), (), [link, motor]), time
 
 
-def messages_of_systems(run: Recorded, joints: tuple[str, ...]) -> Iterator[tuple[str, bytes, int]]:
+def messages_of_systems(
+    run: Simulation, joints: tuple[str, ...]
+) -> Iterator[tuple[str, bytes, int]]:
     """Yield measurements of T–S systems, of several with their names before the signals'."""
     request = ts.load_design(SYSTEM).request
     names = [*request.output_names, *request.input_names]
     before = [f"{joint}/" for joint in joints] if len(joints) > 1 else [""]
     encode = JointStateEncoder([joint + name for joint in before for name in names])
-    for stamp, y, u in zip(run.stamps, run.y, run.u, strict=True):
+    for stamp, y, u in zip(stamps_of(run), run.angle, run.torque, strict=True):
         values = [*y.tolist(), *u.tolist()] * len(joints)
         yield "/joint_measurements", encode(stamp, values), stamp + LATENCY
 
@@ -149,7 +127,7 @@ def test_estimates_with_two_encoders_are_those_of_arrays_and_repeated_to_the_bit
     bag = write_bag(messages_of_arm(arm))
     run = estimate(bag, BOTH, tmp_path / "live")
 
-    expected = ts.estimate(ts.load_design(BOTH), arm.time, arm.y, arm.u)
+    expected = ts.estimate(ts.load_design(BOTH), arm.time, arm.angle, arm.torque)
     assert run.used == expected.used == len(arm.time)
     for name in ESTIMATED:
         np.testing.assert_array_equal(run.values(0, name), getattr(expected, name))
@@ -194,7 +172,7 @@ def test_ts_systems_are_estimated_and_repeated_to_the_bit(
     run = estimate(source, SYSTEM, tmp_path / "live")
 
     design = ts.load_design(SYSTEM)
-    expected = ts.estimate(design, system.time, system.y, system.u)
+    expected = ts.estimate(design, system.time, system.angle, system.torque)
     assert run.used == expected.used * len(joints) == len(system.time) * len(joints)
     for joint in range(len(joints)):
         np.testing.assert_array_equal(run.values(joint, "state"), expected.state)
