@@ -30,7 +30,7 @@ from tsobs_ros.simulation.signals import KINDS, Signal, parse_kinds
 
 if TYPE_CHECKING:
     from tsobs_ros.replay.estimate import Observer
-    from tsobs_ros.replay.source import Source
+    from tsobs_ros.replay.source import BagSource
     from tsobs_ros.report.comparison import ObserverErrors
 
 Disturbance = str | Mapping[str, Mapping[str, float]] | Iterable[Signal]
@@ -428,7 +428,7 @@ def _observers(
     methods: Sequence[str],
     joints: Sequence[str],
     both_sides: bool = False,
-) -> "tuple[Source, list[Observer]]":
+) -> "tuple[BagSource, list[Observer]]":
     # Not needed for arrays, and slow to import.
     from tsobs_ros.replay.estimate import make_observers, open_source, without_misfits
 

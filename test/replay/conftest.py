@@ -19,7 +19,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
-from tsobs_ros.replay.source import BagSource, Source
+from tsobs_ros.replay.source import BagSource
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 START = 1_700_000_000_000_000_000
@@ -83,7 +83,7 @@ def estimate(design: Design, tmp_path: Path) -> Callable[..., Run]:
     """Estimate over a bag as `tsobs estimate` does, into `tmp_path/output`."""
 
     def run(
-        source: Path | Source,
+        source: Path | BagSource,
         output: str | None = None,
         rate: float | None = None,
         as_live: bool = True,

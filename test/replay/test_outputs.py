@@ -21,7 +21,7 @@ from tsobs_ros.errors import BagReadError, LogError, ModelError
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
 from tsobs_ros.replay.log import LogSource
-from tsobs_ros.replay.source import BagSource, Source
+from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.export import export_bag
 from tsobs_ros.report.run import ESTIMATED
 
@@ -90,7 +90,7 @@ def messages_of_systems(
 
 
 def estimate(
-    source: Path | Source, design: Path, output: Path | None = None, **options: Any
+    source: Path | BagSource, design: Path, output: Path | None = None, **options: Any
 ) -> Run:
     """Estimate with a design over a recording, as `tsobs estimate` does."""
     source = BagSource(source) if isinstance(source, Path) else source

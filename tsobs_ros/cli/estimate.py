@@ -25,7 +25,7 @@ from tsobs_ros.errors import BagWriteError, printable
 
 if TYPE_CHECKING:
     from tsobs_ros.replay.estimate import Observer, Run
-    from tsobs_ros.replay.source import Source
+    from tsobs_ros.replay.source import BagSource
     from tsobs_ros.report.comparison import ObserverErrors
     from tsobs_ros.report.held_out import HeldOut
 
@@ -194,7 +194,7 @@ def given_parameters(options: argparse.Namespace) -> dict[str, Any]:
     return {**in_file, **given}
 
 
-def _about(source: "Source", observers: "Sequence[Observer]") -> list[str]:
+def _about(source: "BagSource", observers: "Sequence[Observer]") -> list[str]:
     """Return a line on each design."""
     joints: dict[str, dict[str, None]] = {}
     for observer in observers:
@@ -243,7 +243,7 @@ def _lines_of(run: "Run", width: int) -> list[str]:
 
 
 def _result(
-    source: "Source",
+    source: "BagSource",
     runs: "list[Run]",
     errors: "list[ObserverErrors]",
     output: Path | None,

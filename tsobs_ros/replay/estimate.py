@@ -50,7 +50,7 @@ from tsobs_ros.replay.live import COMPARED, Agreement, digests
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.loop import WINDOW, Window, Windows
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
-from tsobs_ros.replay.source import BagSource, Records, Source
+from tsobs_ros.replay.source import BagSource, Records
 from tsobs_ros.series import NANOSECONDS, Spool, Stamps
 
 # So many intervals between measurements show their rate.
@@ -145,7 +145,7 @@ class Run:
     done: Flags
     innovations: list[Array]
 
-    def __init__(self, observer: Observer, source: Source, windows: Windows) -> None:
+    def __init__(self, observer: Observer, source: BagSource, windows: Windows) -> None:
         self.observer, self.windows, self._source = observer, windows, source
         settings, each = observer.settings, {id(design): design for design in observer.designs}
         made = {key: make_estimator(design, settings) for key, design in each.items()}
@@ -422,7 +422,7 @@ def open_source(
     units: Mapping[str, str] | None = None,
     assume_zero_torque: bool | None = None,
     both_sides: bool = False,
-) -> Source:
+) -> BagSource:
     """Open a bag, or a log if it is a file that is none of a bag's; options as for their classes.
 
     Raises:
@@ -436,7 +436,7 @@ def open_source(
 
 
 def make_runs(
-    source: Source,
+    source: BagSource,
     observers: Iterable[Observer],
     *,
     rate: float | None,
@@ -458,7 +458,7 @@ def make_runs(
 
 
 def run_all(
-    source: Source,
+    source: BagSource,
     runs: Sequence[Run],
     output: Path | None,
     *,
@@ -497,7 +497,7 @@ def run_all(
             after_window()
 
 
-def _begin_bag(writer: BagWriter, source: Source, runs: Sequence[Run], *, copy: bool) -> None:
+def _begin_bag(writer: BagWriter, source: BagSource, runs: Sequence[Run], *, copy: bool) -> None:
     """Write what runs are of, and recorded messages, which come first among those of their time."""
     if copy:
         source.add_topics(writer)

@@ -1,28 +1,28 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Measurements from a log of one's own: a CSV file of time, outputs and inputs."""
+"""Measurements from a log of one's own, a CSV file of time, outputs and inputs, as a bag."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
-from zlib import crc32
+from weakref import finalize
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tsobs_ros.bag.cdr import MessageSeries
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.joint_states import JOINT_STATE
-from tsobs_ros.bag.metadata import QosProfile, TopicInfo
-from tsobs_ros.bag.reader import BagMessage
-from tsobs_ros.checks import Array
+from tsobs_ros.bag.metadata import QosProfile
+from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.request import ArmRequest, Output
 from tsobs_ros.design.signals import Place
 from tsobs_ros.errors import LogError
 from tsobs_ros.replay.csv_file import NO_TIME, Column, CsvFile, naming_file, plain_unit
 from tsobs_ros.replay.places import Layout
-from tsobs_ros.replay.source import MEASUREMENTS, Records, Source, passes
-from tsobs_ros.series import NANOSECONDS, Spool, Stamps
+from tsobs_ros.replay.source import MEASUREMENTS, BagSource, passes
+from tsobs_ros.series import NANOSECONDS, Spool
 
 _BLOCK = 4096
 _ONLY = "elastic_joint"
@@ -45,11 +45,12 @@ class _Signal(NamedTuple):
     titles: tuple[str, ...]
     quantity: str
     unit: str
-    at: tuple[str, int, int]
+    joint: str
+    place: Place
 
 
-class LogSource(Source):
-    """A CSV log as a source of measurements, read line by line.
+class LogSource(BagSource):
+    """A CSV log as a source of measurements: its lines become a temporary bag.
 
     Cells that are empty or NaN are measurements that will be rejected, and counted. A log whose
     times begin at zero or before is moved, so that it begins at 1 s: a stamp of zero means none.
@@ -80,8 +81,8 @@ class LogSource(Source):
         *,
         assume_zero_torque: bool = False,
     ) -> None:
-        self.path, self.topic, self.guessed = path, path.name, not joints
-        self._torque_needed = not assume_zero_torque
+        self.path, self.topic, self.guessed = path, f"/{MEASUREMENTS}", not joints
+        self._assume_zero_torque = assume_zero_torque
         self._given, self._units = dict(columns or {}), dict(units or {})
         with naming_file(path):
             self._file = CsvFile(path)
@@ -98,11 +99,12 @@ class LogSource(Source):
     def _read(self) -> None:
         with naming_file(self.path):
             self._choose()
-            self._read_lines()
+            self._write_bag()
+        super()._read()
 
     def _choose(self) -> None:
         """Find the columns of what the designs measure."""
-        time = _Signal("time", _NAMES["time"], "time", "", ("", 0, 0))
+        time = _Signal("time", _NAMES["time"], "time", "", "", Place("", "position"))
         signals = [one for joint in range(len(self.joints)) for one in self._signals(joint)]
         labels = {one.label: one.titles for one in (time, *signals)}
         quantities = {one.quantity: [one.quantity] for one in (time, *signals) if one.quantity}
@@ -114,9 +116,10 @@ class LogSource(Source):
                 if not any(key in names for names in known.values()):
                     raise LogError(f"{option}: expected some of {', '.join(known)}, got {key!r}")
         found = {one: column for one in (time, *signals) if (column := self._column(one))}
-        there = {one.at for one in found}
+        driven = {one.joint for one in found if one.quantity == "torque"}
         for one in (time, *signals):
-            if one.at not in there and (one.quantity != "torque" or self._torque_needed):
+            is_silent = one.joint in driven or self._assume_zero_torque
+            if one not in found and not (one.quantity == "torque" and is_silent):
                 raise self._missing(one)
         self._time = found.pop(time)
         self._measured = found
@@ -127,27 +130,23 @@ class LogSource(Source):
         if isinstance(request, ArmRequest):
             torques = [("torque", place) for place in (*own.inputs, *own.other_inputs)]
             outputs = zip(request.output_names, own.outputs, strict=True)
-            for number, (label, place) in enumerate([*outputs, *torques]):
+            for label, place in (*outputs, *torques):
                 quantity = _KINDS[place.field]
                 titles = [f"{each}.{place.name}" for each in _NAMES[quantity]]
                 titles.insert(0, f"{label}.{name}")
                 if self._is_only:
                     titles += [label, *(_NAMES[quantity] if place.name == name else ())]
-                at = ("u", joint, 0) if quantity == "torque" else ("y", joint, number)
-                yield _Signal(label, tuple(titles), quantity, "", at)
+                yield _Signal(label, tuple(titles), quantity, "", name, place)
             return
-        for field, places, labels, units in (
-            ("y", own.outputs, request.output_names, request.output_units),
-            ("u", own.inputs, request.input_names, request.input_units),
-        ):
-            for number, (place, label, unit) in enumerate(zip(places, labels, units, strict=True)):
-                names = dict.fromkeys([place.name, f"{name}/{label}"])
-                titles = [title for one in names for title in (one, f"position.{one}")]
-                yield _Signal(label, tuple(titles), "", unit, (field, joint, number))
+        labels = request.output_names + request.input_names
+        units = request.output_units + request.input_units
+        for place, label, unit in zip(own.outputs + own.inputs, labels, units, strict=True):
+            names = dict.fromkeys([place.name, f"{name}/{label}"])
+            titles = [title for one in names for title in (one, f"position.{one}")]
+            yield _Signal(label, tuple(titles), "", unit, name, place)
 
     def _missing(self, one: _Signal) -> LogError:
-        joint = self.joints[one.at[1]]
-        of = f" of {joint}" if one.label != "time" and joint != _ONLY else ""
+        of = f" of {one.joint}" if one.joint not in ("", _ONLY) else ""
         zero = ", or take it for 0: --param assume_zero_torque=true"
         return LogError(
             f"no column is called {one.label}{of}; name it: --columns {one.label}=…"
@@ -172,76 +171,45 @@ class LogSource(Source):
             return column._replace(unit=one.unit)
         return None
 
-    def _read_lines(self) -> None:
-        spool = Spool(self._sample_type)
-        for _, stamps, values in self._file.read(self._time, list(self._measured.values())):
-            spool.add(self._samples_of(stamps, values))
-        samples = self.samples = spool.read()
-        there = samples.stamps != NO_TIME
+    def _write_bag(self) -> None:
+        """Write the measurements into a temporary bag, in the order of the lines."""
+        columns = list(self._measured.values())
+        lines_type = np.dtype([("stamps", np.int64), ("values", np.float64, (len(columns),))])
+        spool = Spool(lines_type)
+        for _, stamps, values in self._file.read(self._time, columns):
+            spool.add(np.rec.fromarrays([stamps, values], lines_type))
+        lines = spool.read()
+        there = lines.stamps != NO_TIME
         if not there.any():
             raise LogError("no line below the titles has a time")
-        first = int(samples.stamps[there].min())
+        first = int(lines.stamps[there].min())
         self.moved_by = 0 if first > 0 else NANOSECONDS - first
-        samples.stamps = np.where(there, samples.stamps + self.moved_by, 0)
-        parts, last = passes(samples.stamps), first + self.moved_by
-        for begin, end in parts:
-            # Log times rise from line to line: time that has gone back goes on after what was.
-            shift = last + _AFTER_RESTART - int(samples.stamps[begin]) if begin else 0
-            times = np.append(last, samples.stamps[begin:end] + shift)
-            samples.log_times[begin:end] = np.maximum.accumulate(times)[1:]
-            last = int(samples.log_times[end - 1])
-        self.same_clock = len(parts) == 1
-        for part in self._blocks():
-            part.checksums = [crc32(row) for row in self._encoded(part)]
+        lines.stamps = np.where(there, lines.stamps + self.moved_by, 0)
+        layout, last = Layout([one.place for one in self._measured]), first + self.moved_by
+        folder = TemporaryDirectory()
+        finalize(self, folder.cleanup)
+        bag = Path(folder.name, "log")
+        with BagWriter(bag) as writer:
+            definition = find_definition(JOINT_STATE)
+            qos = QosProfile(reliability="best_effort")
+            writer.add_topic(self.topic, JOINT_STATE, [qos], definition=definition)
+            for begin, end in passes(lines.stamps):
+                # Log times rise from line to line: time that has gone back goes on after what was.
+                shift = last + _AFTER_RESTART - int(lines.stamps[begin]) if begin else 0
+                for place in range(begin, end, _BLOCK):
+                    part = lines[place : min(place + _BLOCK, end)]
+                    times = np.maximum.accumulate(np.append(last, part.stamps + shift))[1:]
+                    last = int(times[-1])
+                    data = layout.encode(part.stamps, part["values"])
+                    writer.write_series(
+                        [MessageSeries(self.topic, JOINT_STATE, times, times, data)]
+                    )
+        self.reader = BagReader(bag)
         if self._file.cut_off:
             self.remarks += ("note: the last line is cut off, and left out",)
         if self.moved_by:
             moved = f"{self.moved_by / NANOSECONDS:g} s"
             self.remarks += (f"note: {moved} was added to all times: 0 means no time",)
-
-    def _samples_of(self, stamps: Stamps, values: Array) -> Records:
-        samples: Records = np.recarray(len(stamps), self._sample_type)
-        samples.stamps, samples.complete, samples.refused = stamps, True, 0
-        # Inputs without a column are 0.
-        samples.y, samples.u = np.nan, 0.0
-        filled = set[tuple[str, int, int]]()
-        for one, column in zip(self._measured, values.T, strict=True):
-            field, joint, place = one.at
-            own = np.asarray(samples[field])[:, joint, place]
-            # A second column has what the first one lacks.
-            own[:] = np.where(np.isnan(own), column, own) if one.at in filled else column
-            filled.add(one.at)
-        return samples
-
-    def _blocks(self) -> Iterator[Records]:
-        """Yield all samples, some at a time."""
-        begins = range(0, self.count, _BLOCK)
-        return (self.samples[begin : begin + _BLOCK] for begin in begins)
-
-    def _encoded(self, samples: Records) -> NDArray[np.uint8]:
-        """Return the messages of measurements, shape (n, size)."""
-        places, values = list[Place](), list[Array]()
-        for joint, own in enumerate(self.signals):
-            places += [*own.outputs, *own.inputs]
-            values += [
-                samples.y[:, joint, : len(own.outputs)],
-                samples.u[:, joint, : len(own.inputs)],
-            ]
-        return Layout(places).encode(samples.stamps, np.hstack(values))
-
-    @property
-    def topics(self) -> tuple[TopicInfo, ...]:  # type: ignore[override]
-        qos = (QosProfile(reliability="best_effort"),)
-        definition = find_definition(JOINT_STATE)
-        return (
-            TopicInfo(f"/{MEASUREMENTS}", JOINT_STATE, qos_profiles=qos, definition=definition),
-        )
-
-    def messages(self) -> Iterator[BagMessage]:
-        for samples in self._blocks():
-            times, data = samples.log_times, self._encoded(samples)
-            series = MessageSeries(f"/{MEASUREMENTS}", JOINT_STATE, times, times, data)
-            yield from map(BagMessage._make, series.messages())
 
     def sensor(self, quantity: str, column: str = "") -> tuple["LogSource", list[str]]:
         """Return the log as of a sensor that no design measures, and its column for each joint.

@@ -15,7 +15,7 @@ import numpy as np
 
 from tsobs_ros.checks import Integers
 from tsobs_ros.replay.live import LiveRun
-from tsobs_ros.replay.source import Records, Source, passes
+from tsobs_ros.replay.source import BagSource, Records, passes
 from tsobs_ros.series import NANOSECONDS, Stamps
 
 WINDOW = 4096
@@ -65,7 +65,7 @@ class Windows:
         at_samples: Whether there are only estimates at measurements that are in use.
     """
 
-    def __init__(self, source: Source, rate: float | None, as_live: bool, size: int) -> None:
+    def __init__(self, source: BagSource, rate: float | None, as_live: bool, size: int) -> None:
         self._source, self._rate, self._size = source, rate, size
         self.live = source.live() if as_live else None
         self.at_samples = self.live is None and rate is None

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded measurements of some joints, in the order of recording, and the bags that hold them."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice, pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeAlias
 from zlib import crc32
 
@@ -23,7 +24,7 @@ from tsobs_ros.bag.joint_series import (
 )
 from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.metadata import TopicInfo
-from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
+from tsobs_ros.bag.reader import UNCHECKED, BagReader
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.checks import Flags
 from tsobs_ros.design.file import DesignFile
@@ -70,13 +71,23 @@ def passes(stamps: Times) -> list[tuple[int, int]]:
     return list(pairwise([*begins, len(stamps)]))
 
 
-class Source:
-    """Measurements of some joints, from a bag or a log.
+class BagSource:
+    """Measurements of some joints in a bag.
 
     What is read depends on the designs: `observe` comes before `signals` and `samples`.
 
+    Args:
+        path: The bag's folder, or one MCAP file.
+        topic: Full name of the measurements' topic; by default the only one that ends in
+            `joint_measurements`, or the one that the live observer used.
+        joints: Names of the joints to read; by default those that the live observer observed and
+            the first messages have, else those of the first messages.
+        assume_zero_torque: Take messages without effort as torque 0; None: as the live observer.
+        both_sides: Take a joint with an entry of its motor for one with encoders on both sides.
+
     Attributes:
         path: The bag or the log.
+        reader: The bag.
         joints: Names of the joints.
         signals: The places of each joint's signals.
         samples: The measurements in the order of recording, one record per message, in a temporary
@@ -87,32 +98,75 @@ class Source:
             `checksums` the CRC-32 of the message.
         ran: What the observer ran that was recorded.
         same_clock: Whether stamps and log times seem to be of the same clock.
-        topic: Name of the measurements' topic, or of the log's file.
+        topic: Name of the measurements' topic.
         namespace: Begin of the topics' names: empty, or with a slash at its front only.
         was_observed: Whether there is output of an observer that ran during the recording.
+        truth: Full names of the simulator's topics that there are, by those of `TRUTH`.
         damage: The error that ended reading early.
         remarks: Notes for the user.
         guessed: Whether the joints are those of the first messages, for want of anything better.
-        topics: Topics that belong with estimates: measurements, and the truth of a simulation.
         both_sides: Whether arms have encoders on both sides, although a design may measure one.
-        alone: Whether messages name the signals of the only joint without the joint's name.
+
+    Raises:
+        BagReadError: There is no bag, no such topic, or several topics fit.
     """
 
-    path: Path
-    joints: tuple[str, ...]
+    reader: BagReader
     signals: tuple[Signals, ...] = ()
     samples: Records
-    ran = RecordedObserver()
     same_clock: bool
-    topic: str
+    ran = RecordedObserver()
     namespace = ""
     was_observed = False
+    truth: Mapping[str, str] = MappingProxyType({})
     damage: BagReadError | None = None
     remarks: tuple[str, ...] = ()
-    guessed = False
-    topics: tuple[TopicInfo, ...] = ()
     both_sides = False
+    _alone = True
+    _live: Mapping[str, str] = MappingProxyType({})
     _requests: tuple[AnyRequest, ...] = ()
+
+    def __init__(
+        self,
+        path: Path,
+        topic: str | None = None,
+        joints: Sequence[str] = (),
+        *,
+        assume_zero_torque: bool | None = None,
+        both_sides: bool = False,
+    ) -> None:
+        self.path = path
+        self.reader = BagReader(path)
+        of_topic = self._recorded_observers()
+        self.topic = self._find_measurements(list(of_topic)) if topic is None else topic
+        require_joint_states(self.reader, self.topic)
+        self.namespace = of_topic.get(self.topic, self.topic.rpartition("/")[0])
+        self.ran = recorded_observer(self.reader, f"{self.namespace}/{_OBSERVER}")
+        first = self._first_names()
+        parts = {name.partition("/")[0] for name in first}
+        ran = tuple(
+            joint
+            for joint in self.ran.designs
+            if len(self.ran.designs) == 1 or not parts.isdisjoint({joint, f"{joint}_motor"})
+        )
+        self.guessed = not joints and not ran
+        motors = {f"{name}_motor" for name in first}
+        self.joints = tuple(joints) or ran or tuple(one for one in first if one not in motors)
+        self._alone = len(self.ran.designs) <= 1 and not any(
+            name.startswith(f"{joint}/") for joint in self.joints for name in first
+        )
+        self.both_sides = both_sides and any(topics.sides(one)[1] in first for one in self.joints)
+        if assume_zero_torque is None:
+            assume_zero_torque = self.ran.settings().assume_zero_torque
+        self._assume_zero_torque = assume_zero_torque
+        live = self._there(f"{_OBSERVER}/", (topics.RESTARTS, *COMPARED))
+        states = live.get(topics.STATES)
+        self.was_observed = states is not None and self.reader.topics[states].count > 0
+        ticks = f"{self.namespace}/{_OBSERVER}/{topics.TICKS}"
+        info = self.reader.topics.get(ticks)
+        has_ticks = info is not None and info.type == TICK_LOG and info.count > 0
+        self._live = {topics.TICKS: ticks, **live} if has_ticks else {}
+        self.truth = self._there("", topics.TRUTH)
 
     def observe(self, requests: Sequence[AnyRequest]) -> None:
         """Read what the designs of the joints need.
@@ -165,138 +219,38 @@ class Source:
 
     @property
     def alone(self) -> bool:
-        return len(self.joints) == 1
+        """Whether messages name the signals of the only joint without the joint's name."""
+        return self._alone and len(self.joints) == 1
 
     def signals_of(self, requests: Sequence[AnyRequest]) -> tuple[Signals, ...]:
         """Return the places of the joints' signals if they have these designs."""
         each = zip(requests, self.joints, strict=True)
         return tuple(signals(one, joint, self.alone, self.both_sides) for one, joint in each)
 
+    @property
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """Topics that belong with estimates: measurements, and the truth of a simulation."""
+        names = (self.topic, *self.truth.values())
+        return tuple(self.reader.topics[name] for name in names)
+
     def live(self) -> LiveRun | None:
         """Return what the recorded observer sent, None without its tick log."""
-        return None
-
-    def messages(self) -> Iterator[BagMessage]:
-        """Yield the messages of `topics` in order of log time, up to any damage."""
-        raise NotImplementedError
-
-    def add_topics(self, writer: BagWriter) -> None:
-        """Register `topics` in a new bag."""
-        for one in self.topics:
-            writer.add_topic(one.name, one.type, one.qos_profiles, definition=one.definition)
-
-    def copy(self, writer: BagWriter) -> None:
-        """Copy the messages of `topics` to a new bag that has them, up to any damage."""
-        writer.write_all(self.messages())
-
-    def _read(self) -> None:
-        """Read the measurements, and what there is to know of them."""
-        raise NotImplementedError
-
-    @property
-    def _sample_type(self) -> np.dtype[np.void]:
-        joints = len(self.joints)
-        p = max(len(one.outputs) for one in self.signals)
-        m = max(len(one.inputs) for one in self.signals)
-        return np.dtype(
-            [
-                ("stamps", np.int64),
-                ("log_times", np.int64),
-                ("y", np.float64, (joints, p)),
-                ("u", np.float64, (joints, m)),
-                ("complete", np.bool_, (joints,)),
-                ("refused", np.int64),
-                ("checksums", np.int64),
-            ]
-        )
-
-
-class BagSource(Source):
-    """A bag as a source of measurements.
-
-    Args:
-        path: The bag's folder, or one MCAP file.
-        topic: Full name of the measurements' topic; by default the only one that ends in
-            `joint_measurements`, or the one that the live observer used.
-        joints: Names of the joints to read; by default those that the live observer observed and
-            the first messages have, else those of the first messages.
-        assume_zero_torque: Take messages without effort as torque 0; None: as the live observer.
-        both_sides: Take a joint with an entry of its motor for one with encoders on both sides.
-
-    Attributes:
-        reader: The bag.
-        truth: Full names of the simulator's topics that there are, by those of `TRUTH`.
-
-    Raises:
-        BagReadError: There is no bag, no such topic, or several topics fit.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        topic: str | None = None,
-        joints: Sequence[str] = (),
-        *,
-        assume_zero_torque: bool | None = None,
-        both_sides: bool = False,
-    ) -> None:
-        self.path = path
-        self.reader = BagReader(path)
-        of_topic = self._recorded_observers()
-        self.topic = self._find_measurements(list(of_topic)) if topic is None else topic
-        require_joint_states(self.reader, self.topic)
-        self.namespace = of_topic.get(self.topic, self.topic.rpartition("/")[0])
-        self.ran = recorded_observer(self.reader, f"{self.namespace}/{_OBSERVER}")
-        first = self._first_names()
-        parts = {name.partition("/")[0] for name in first}
-        ran = tuple(
-            joint
-            for joint in self.ran.designs
-            if len(self.ran.designs) == 1 or not parts.isdisjoint({joint, f"{joint}_motor"})
-        )
-        self.guessed = not joints and not ran
-        motors = {f"{name}_motor" for name in first}
-        self.joints = tuple(joints) or ran or tuple(one for one in first if one not in motors)
-        self._alone = len(self.ran.designs) <= 1 and not any(
-            name.startswith(f"{joint}/") for joint in self.joints for name in first
-        )
-        self.both_sides = both_sides and any(topics.sides(one)[1] in first for one in self.joints)
-        if assume_zero_torque is None:
-            assume_zero_torque = self.ran.settings().assume_zero_torque
-        self._assume_zero_torque = assume_zero_torque
-        live = self._there(f"{_OBSERVER}/", (topics.RESTARTS, *COMPARED))
-        states = live.get(topics.STATES)
-        self.was_observed = states is not None and self.reader.topics[states].count > 0
-        ticks = f"{self.namespace}/{_OBSERVER}/{topics.TICKS}"
-        info = self.reader.topics.get(ticks)
-        has_ticks = info is not None and info.type == TICK_LOG and info.count > 0
-        self._live = {topics.TICKS: ticks, **live} if has_ticks else {}
-        self.truth = self._there("", topics.TRUTH)
-        shown = self.topic, *self.truth.values()
-        self.topics = tuple(self.reader.topics[name] for name in shown)
-
-    @property
-    def alone(self) -> bool:
-        return self._alone and len(self.joints) == 1
-
-    def live(self) -> LiveRun | None:
         if not self._live:
             return None
         return LiveRun(self.reader, self._live, self.samples.checksums, self.damaged)
 
-    def messages(self) -> Iterator[BagMessage]:
-        names = [topic.name for topic in self.topics]
-        return until_damage(self.reader.messages(names), self.damaged)
-
     def add_topics(self, writer: BagWriter) -> None:
+        """Register `topics` in a new bag."""
         add_topics(self.reader, writer, [topic.name for topic in self.topics])
 
     def copy(self, writer: BagWriter) -> None:
+        """Copy the messages of `topics` into a bag that has these, up to any damage."""
+        names = [topic.name for topic in self.topics]
         if self.damage is not None:  # the messages in front of it are wanted, and no others
-            super().copy(writer)
+            writer.write_all(until_damage(self.reader.messages(names), self.damaged))
             return
         try:
-            copy_chunks(self.reader, writer, [topic.name for topic in self.topics])
+            copy_chunks(self.reader, writer, names)
         except BagReadError as error:
             self.damaged(error)
 
@@ -369,6 +323,23 @@ class BagSource(Source):
         off = max((apart <= -_SAME_CLOCK).sum(), (apart >= _SAME_CLOCK).sum())
         self.same_clock = bool(2 * off < self.count)  # as of the median of the differences
         self.remarks += tuple(self._notes(without_input))
+
+    @property
+    def _sample_type(self) -> np.dtype[np.void]:
+        joints = len(self.joints)
+        p = max(len(one.outputs) for one in self.signals)
+        m = max(len(one.inputs) for one in self.signals)
+        return np.dtype(
+            [
+                ("stamps", np.int64),
+                ("log_times", np.int64),
+                ("y", np.float64, (joints, p)),
+                ("u", np.float64, (joints, m)),
+                ("complete", np.bool_, (joints,)),
+                ("refused", np.int64),
+                ("checksums", np.int64),
+            ]
+        )
 
     def _samples_of(self, series: JointSeries, raw: RawMessages) -> Records:
         """Return the measurements in messages, of which the wanted numbers are read."""

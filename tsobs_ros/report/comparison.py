@@ -23,7 +23,7 @@ from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import EKFS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
-from tsobs_ros.replay.source import BagSource, Source
+from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.held_out import HeldOutErrors, HeldOutSensor
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics, innovation_std, measure, root_mean
 from tsobs_ros.report.quantities import QUANTITIES, outputs_of
@@ -127,7 +127,7 @@ def best_ekf(source: BagSource, file: DesignFile, settings: ObserverSettings) ->
     return Rival(best.observer, best.metrics, run)
 
 
-def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer], list[str]]:
+def tune(source: BagSource, observers: Sequence[Observer]) -> tuple[list[Observer], list[str]]:
     """Return the observers, those of high gain with the best θ of `THETAS`, and remarks on them.
 
     The best one has the smallest error of the states over the settled parts. Without a truth, or
@@ -156,7 +156,7 @@ def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer],
 
 
 def compare_observers(
-    source: Source, observers: Sequence[Observer], sensors: Sequence[HeldOutSensor] = ()
+    source: BagSource, observers: Sequence[Observer], sensors: Sequence[HeldOutSensor] = ()
 ) -> list[ObserverErrors]:
     """Run observers when the recorded one estimated, if there is one, and measure them.
 
@@ -166,7 +166,7 @@ def compare_observers(
 
 
 def _scores(
-    source: Source, observers: Sequence[Observer], sensors: Sequence[HeldOutSensor] = ()
+    source: BagSource, observers: Sequence[Observer], sensors: Sequence[HeldOutSensor] = ()
 ) -> "RunScores":
     runs = make_runs(source, observers, rate=None, as_live=True)
     scores = RunScores(source, runs, sensors)
@@ -183,7 +183,7 @@ class RunScores:
 
     def __init__(
         self,
-        source: Source,
+        source: BagSource,
         runs: Sequence[Run],
         sensors: Sequence[HeldOutSensor] = (),
     ) -> None:

@@ -16,7 +16,7 @@ from tsobs_ros.errors import BagReadError, LogError, ModelError
 from tsobs_ros.replay.estimate import Observer
 from tsobs_ros.replay.health import CLAIMED
 from tsobs_ros.replay.log import LogSource
-from tsobs_ros.replay.source import BagSource, Source
+from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.metrics import QuantityMetrics, Windows, inside_windows, quantity_metrics
 from tsobs_ros.report.quantities import QUANTITIES, Quantity
 from tsobs_ros.report.run import RecordedRun, Rows, align, interpolate, read_rows, rows_of
@@ -52,7 +52,7 @@ class HeldOut(NamedTuple):
             raise ModelError(f"held out: expected one of {', '.join(_ARM)}, got {quantity!r}")
         return cls(quantity, None if std is None else positive("held_out_std", std), place)
 
-    def read(self, source: Source, observers: Sequence[Observer]) -> "list[HeldOutSensor]":
+    def read(self, source: BagSource, observers: Sequence[Observer]) -> "list[HeldOutSensor]":
         """Return the sensor of each joint.
 
         Raises:
@@ -71,13 +71,12 @@ class HeldOut(NamedTuple):
         is_topic = self.place.startswith("/") and ":" not in self.place
         if len(arms) > 1 and self.place and not is_topic:
             raise ModelError(f"held out: {self.place} is of one joint; choose it: --joints NAME")
-        if isinstance(source, BagSource):
-            read = self._read_bag(source, arms)
-        else:
-            assert isinstance(source, LogSource)
+        if isinstance(source, LogSource):
             sensor, titles = source.sensor(self.quantity, self.place)
             each = zip(titles, sensor.samples.y.swapaxes(0, 1), strict=True)
             read = {f"column {title!r}": rows_of(sensor.samples, y) for title, y in each}
+        else:
+            read = self._read_bag(source, arms)
         return [self._sensor(quantity, where, rows) for where, rows in read.items()]
 
     def _sensor(self, quantity: Quantity, where: str, rows: Rows) -> "HeldOutSensor":

@@ -18,7 +18,7 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.replay.health import CLAIMED
 from tsobs_ros.replay.places import ESTIMATES, places_of
-from tsobs_ros.replay.source import BagSource, Source, passes
+from tsobs_ros.replay.source import BagSource, passes
 from tsobs_ros.report.quantities import QUANTITIES, Quantity, quantities_of
 from tsobs_ros.series import NANOSECONDS, Series, Spool, Stamps
 
@@ -230,7 +230,7 @@ def recorded_parts(
     return read_rows(source, asked)
 
 
-def measured(source: Source, place: int) -> Rows:
+def measured(source: BagSource, place: int) -> Rows:
     """Return the measurements of a joint in the order of recording: outputs, then inputs."""
     samples, own = source.samples, source.signals[place]
     y, u = samples.y[:, place, : len(own.outputs)], samples.u[:, place, : len(own.inputs)]
@@ -238,9 +238,9 @@ def measured(source: Source, place: int) -> Rows:
     return rows_of(samples, np.hstack([y, u]))[there]
 
 
-def true_parts(source: Source, place: int) -> dict[str, Rows]:
+def true_parts(source: BagSource, place: int) -> dict[str, Rows]:
     """Return the recorded truth of a joint by the parts of a run; nothing if there is none."""
-    if not isinstance(source, BagSource):
+    if not source.truth:
         return {}
     there = {key: source.truth[topic] for key, topic in TRUE.items() if topic in source.truth}
     return recorded_parts(source, place, there)
