@@ -183,7 +183,7 @@ class Ros:
         """Close and destroy a node before the test ends."""
         self._nodes.remove(node)
         self.executor.remove_node(node)
-        _close(node)
+        getattr(node, "close", lambda: None)()
         node.destroy_node()
 
     def spin_until(
@@ -216,18 +216,12 @@ class Ros:
     def shutdown(self) -> None:
         """Tear everything down in order."""
         for node in self._nodes:
-            _close(node)
+            getattr(node, "close", lambda: None)()
         for node in self._nodes:
             self.executor.remove_node(node)
             node.destroy_node()
         self.executor.shutdown()
         self.context.try_shutdown()
-
-
-def _close(node: Any) -> None:
-    close = getattr(node, "close", None)
-    if close is not None:
-        close()
 
 
 @pytest.fixture
@@ -251,28 +245,20 @@ class Finished(NamedTuple):
     stderr: str
 
 
-class RosProcess:
+class RosProcess(subprocess.Popen[bytes]):
     """A child process; its output goes to files in a folder of its own."""
 
     def __init__(
         self, command: Sequence[str], environment: Mapping[str, str], folder: Path
     ) -> None:
-        self.command = list(command)
         self._streams = [folder / "stdout", folder / "stderr"]
         with self._streams[0].open("wb") as out, self._streams[1].open("wb") as err:
-            self._process = subprocess.Popen(
-                self.command,
+            super().__init__(
+                command, stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True,
                 env={**environment, "PYTHONUNBUFFERED": "1"},
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=err,
-                start_new_session=True,
-            )
+            )  # fmt: skip
 
-    @property
-    def pid(self) -> int:
-        """The process's id."""
-        return self._process.pid
+    signal = subprocess.Popen.send_signal
 
     @property
     def output(self) -> str:
@@ -283,36 +269,29 @@ class RosProcess:
         """Wait until a line of either stream matches the regular expression, and return it."""
         deadline = time.monotonic() + timeout
         while True:
-            ended, late = self._process.poll() is not None, time.monotonic() > deadline
-            for stream in self._streams:
-                for line in stream.read_text("utf-8", "replace").splitlines(keepends=True):
-                    if re.search(pattern, line) and (ended or line.endswith("\n")):
-                        return line
+            ended, late = self.poll() is not None, time.monotonic() > deadline
+            for line in self.output.splitlines(keepends=True):
+                if re.search(pattern, line) and (ended or line.endswith("\n")):
+                    return line
             if ended or late:
                 why = "it ended" if ended else f"{timeout:g} s passed"
                 raise AssertionError(f"no line matches {pattern!r} ({why}):\n{self.output}")
             time.sleep(0.02)
 
-    def signal(self, number: int) -> None:
-        """Send a signal."""
-        self._process.send_signal(number)
-
     def finish(self, timeout: float = 20.0) -> Finished:
         """Wait for the process to end by itself."""
         try:
-            self._process.wait(timeout)
-        except subprocess.TimeoutExpired:
-            raise AssertionError(
-                f"{self.command} still runs after {timeout:g} s:\n{self.output}"
-            ) from None
+            self.wait(timeout)
+        except subprocess.TimeoutExpired as error:
+            raise AssertionError(f"{error}:\n{self.output}") from None
         out, err = (each.read_text("utf-8", "replace") for each in self._streams)
-        return Finished(self._process.returncode, out, err)
+        return Finished(self.returncode, out, err)
 
     def kill(self) -> None:
         """End the process and its children at once."""
-        if self._process.poll() is None:
-            os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.wait()
+        if self.poll() is None:
+            os.killpg(self.pid, signal.SIGKILL)
+            self.wait()
 
 
 def executable(name: str) -> list[str]:
@@ -352,17 +331,14 @@ def ros_process(
         environment: Mapping[str, str] | None = None,
         prefix: Sequence[str] = (),
     ) -> RosProcess:
-        ros_arguments: list[str] = []
-        if params_file is not None:
-            ros_arguments += ["--params-file", str(params_file)]
+        of_ros = [] if params_file is None else ["--params-file", str(params_file)]
         for name, value in (parameters or {}).items():
-            ros_arguments += ["-p", f"{name}:={json.dumps(value)}"]  # JSON is YAML
+            of_ros += ["-p", f"{name}:={json.dumps(value)}"]  # JSON is YAML
         for old, new in (remap or {}).items():
-            ros_arguments += ["-r", f"{old}:={new}"]
-        base = executable(command) if isinstance(command, str) else list(command)
-        ros_part = ["--ros-args", *ros_arguments] if ros_arguments else []
+            of_ros += ["-r", f"{old}:={new}"]
+        base = executable(command) if isinstance(command, str) else command
         process = RosProcess(
-            [*prefix, *base, *arguments, *ros_part],
+            [*prefix, *base, *arguments, *(["--ros-args", *of_ros] if of_ros else [])],
             {**ros.environment, **(environment or {})},
             tmp_path_factory.mktemp("process"),
         )
