@@ -15,7 +15,7 @@ from tsobs_ros.bag.estimate_topics import CONDITIONS
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.records import Basis, Hypothesis, Innovation, Measurement
+from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.replay.health import BASIS, CLAIMED, HYPOTHESIS
 from tsobs_ros.report.run import RecordedRun
@@ -38,66 +38,27 @@ class Row(NamedTuple):
     effort: Sequence[float] = ()
 
 
-def blank_run(measurements: Series, stamps: Any, **truth: Any) -> RecordedRun:
-    """Return a run whose estimates are still to be made."""
-    m = len(stamps)
+@pytest.fixture(scope="session")
+def simulated(design: Design) -> RecordedRun:
+    """Twenty seconds of the arm with a bias step at 8 s, estimated between its samples."""
+    scenario = Scenario(duration=20.0, disturbance=(BiasStep(0.1, 8.0),))
+    (times, states, biases, y, u, *_) = simulate(scenario, [1])
+    stamps = START + np.round(times * 1e9).astype(np.int64)
+    ticks, known = stamps[:-1] + TICK_LAG, 1 + np.arange(len(stamps) - 1)
+    tracker = Tracker(design.observer(), x_max=design.request.x_max)
+    found = tracker.run(stamps, y[0], u[0], (ticks, ticks, known))
+    rows = tracker.estimator.as_rows(found.rows)
+    names = ("state", "state_bound", "disturbance", "disturbance_bound")
     return RecordedRun(
         name="run",
         joint="elastic_joint",
-        measurements=measurements,
-        stamps=stamps,
-        state=np.full((m, 4), np.nan),
-        state_bound=np.full((m, 4), np.nan),
-        disturbance=np.full((m, 1), np.nan),
-        disturbance_bound=np.full((m, 1), np.nan),
-        **truth,
+        measurements=Series(stamps, np.hstack([y[0], u[0]])),
+        stamps=ticks,
+        **{name: np.array(rows[name]) for name in names},
+        innovation=Series(stamps[:-1], found.innovations[:-1]),
+        true_state=Series(stamps, scenario.arm.to_physical(states[0])),
+        true_disturbance=Series(stamps, biases[0]),
     )
-
-
-def observed(run: RecordedRun, tracker: Tracker) -> RecordedRun:
-    """Return the run with estimates at its stamps, each from the measurements up to it."""
-    stamps, values = run.measurements
-    innovations, rows, place = [], [], 0
-    for stamp in run.stamps.tolist():
-        while place < len(stamps) and stamps[place] <= stamp:
-            sample = Measurement(int(stamps[place]), values[place, :1], values[place, 1:])
-            outcome = tracker.offer(sample, stamp)
-            if isinstance(outcome, Innovation):
-                innovations.append((outcome.stamp, outcome.value[0]))
-            place += 1
-        one = tracker.estimate(stamp)
-        assert one is not None
-        parts = (one.state, one.state_bound, one.disturbance, one.disturbance_bound)
-        rows.append(np.concatenate(parts))
-    table, used = np.array(rows), np.array([stamp for stamp, _ in innovations])
-    return replace(
-        run,
-        state=table[:, :4],
-        state_bound=table[:, 4:8],
-        disturbance=table[:, 8:9],
-        disturbance_bound=table[:, 9:10],
-        innovation=Series(used, np.array([[value] for _, value in innovations])),
-    )
-
-
-@pytest.fixture(scope="session")
-def unobserved() -> RecordedRun:
-    """Twenty seconds of the arm with a bias step at 8 s, and stamps that ask for estimates."""
-    scenario = Scenario(duration=20.0, disturbance=(BiasStep(0.1, 8.0),))
-    runs = simulate(scenario, [1])
-    stamps = START + np.round(runs.times * 1e9).astype(np.int64)
-    return blank_run(
-        Series(stamps, np.column_stack([runs.measurements[0, :, 0], runs.torques[0, :, 0]])),
-        stamps[:-1] + TICK_LAG,
-        true_state=Series(stamps, scenario.arm.to_physical(runs.states[0])),
-        true_disturbance=Series(stamps, runs.disturbances[0]),
-    )
-
-
-@pytest.fixture(scope="session")
-def simulated(unobserved: RecordedRun, design: Design) -> RecordedRun:
-    """The same with the certified observer's estimates."""
-    return observed(unobserved, Tracker(design.observer(), x_max=design.request.x_max))
 
 
 @pytest.fixture
@@ -126,37 +87,31 @@ def topics_of(run: RecordedRun, namespace: str = "") -> dict[str, list[Row]]:
     """Return the messages that the nodes publish in a run."""
     own, arm = [run.joint], [f"{run.joint}_link", f"{run.joint}_motor"]
 
-    def motion(stamps: Any, values: Any) -> list[Row]:
-        return [Row(s, arm, v[0::2], v[1::2]) for s, v in zip(stamps.tolist(), values, strict=True)]
+    def rows(series: Any, row: Callable[..., Row]) -> list[Row]:
+        return [row(*each) for each in zip(series[0].tolist(), series[1], strict=True)]
 
-    def scalar(stamps: Any, values: Any) -> list[Row]:
-        return [Row(s, own, [v]) for s, v in zip(stamps.tolist(), values, strict=True)]
+    def motion(stamp: int, x: Any) -> Row:
+        return Row(stamp, arm, x[0::2], x[1::2])
 
-    measured = [
-        Row(s, own, [y], effort=[u])
-        for s, (y, u) in zip(run.measurements.stamps.tolist(), run.measurements.values, strict=True)
-    ]
+    def scalar(stamp: int, x: Any) -> Row:
+        return Row(stamp, own, x)
+
     topics = {
-        "joint_measurements": measured,
-        "observer/joint_states": motion(run.stamps, run.state),
-        "observer/error_bound": motion(run.stamps, run.state_bound),
-        "observer/disturbance": scalar(run.stamps, run.disturbance[:, 0]),
-        "observer/disturbance_bound": scalar(run.stamps, run.disturbance_bound[:, 0]),
+        "joint_measurements": rows(run.measurements, lambda s, x: Row(s, own, x[:1], (), x[1:])),
+        "observer/joint_states": rows((run.stamps, run.state), motion),
+        "observer/error_bound": rows((run.stamps, run.state_bound), motion),
+        "observer/disturbance": rows((run.stamps, run.disturbance), scalar),
+        "observer/disturbance_bound": rows((run.stamps, run.disturbance_bound), scalar),
     }
-    if run.innovation is not None:
-        stamps, values = run.innovation
-        topics["observer/innovation"] = scalar(stamps, values[:, 0])
-    if run.true_state is not None:
-        topics["ground_truth/joint_states"] = motion(*run.true_state[:2])
-    if run.true_disturbance is not None:
-        stamps, values = run.true_disturbance
-        topics["ground_truth/disturbance"] = scalar(stamps, values[:, 0])
-    if run.health is not None:
-        topics["observer/health"] = [
-            Row(s, CONDITIONS, v)
-            for s, v in zip(run.health.stamps.tolist(), run.health.values, strict=True)
-        ]
-    return {f"{namespace}/{name}": rows for name, rows in topics.items()}
+    for name, series, row in (
+        ("observer/innovation", run.innovation, scalar),
+        ("ground_truth/joint_states", run.true_state, motion),
+        ("ground_truth/disturbance", run.true_disturbance, scalar),
+        ("observer/health", run.health, lambda stamp, x: Row(stamp, CONDITIONS, x)),
+    ):
+        if series is not None:
+            topics[name] = rows(series, row)
+    return {f"{namespace}/{name}": each for name, each in topics.items()}
 
 
 @pytest.fixture
@@ -184,12 +139,6 @@ def troubled(simulated: RecordedRun) -> RecordedRun:
 def messages_of() -> Callable[..., dict[str, list[Row]]]:
     """`topics_of` for tests, which cannot import this file."""
     return topics_of
-
-
-@pytest.fixture
-def new_run() -> Callable[..., RecordedRun]:
-    """`blank_run` for tests."""
-    return blank_run
 
 
 @pytest.fixture

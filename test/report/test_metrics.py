@@ -16,6 +16,7 @@ from tsobs_ros.report.comparison import (
     render_comparison,
 )
 from tsobs_ros.report.metrics import measure
+from tsobs_ros.report.run import RecordedRun
 from tsobs_ros.series import Series
 
 PERIOD = 5_000_000
@@ -24,19 +25,22 @@ BOUND = 0.1
 
 
 @pytest.fixture
-def exact(new_run):
+def exact() -> RecordedRun:
     """Forty seconds of an arm at rest, estimated without error; the bias is 0.1 from 20 s on."""
-    stamps = START + np.arange(8001) * PERIOD
+    stamps, nothing = START + np.arange(8001) * PERIOD, np.zeros((8001, 4))
     bias = np.where(stamps >= START + 20_000_000_000, 0.1, 0.0)[:, np.newaxis]
-    run = new_run(
-        Series(stamps, np.zeros((8001, 2))),
-        stamps,
-        true_state=Series(stamps, np.zeros((8001, 4))),
+    return RecordedRun(
+        name="run",
+        joint="elastic_joint",
+        measurements=Series(stamps, nothing[:, :2]),
+        stamps=stamps,
+        state=nothing,
+        state_bound=nothing + BOUND,
+        disturbance=bias,
+        disturbance_bound=nothing[:, :1] + BOUND,
+        true_state=Series(stamps, nothing),
         true_disturbance=Series(stamps, bias),
     )
-    bounds = {"state_bound": np.full((8001, 4), BOUND)}
-    bounds |= {"disturbance_bound": np.full_like(bias, BOUND)}
-    return replace(run, state=np.zeros((8001, 4)), disturbance=bias, **bounds)
 
 
 def with_error(run, begin: float, end: float, size: float, column: int = 0):
