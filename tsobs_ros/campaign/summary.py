@@ -21,21 +21,11 @@ _WORST = 5
 
 
 def summarise(campaign: Campaign, columns: Columns) -> dict[str, Any]:
-    """Return the summary of runs as plain data, None for what is not known.
+    """Return the summary of runs, all or some, as plain data, None for what is not known.
 
-    Args:
-        campaign: The campaign.
-        columns: Of its runs, of all or of some.
-
-    Returns:
-        Numbers of `runs`, of those `asked` for and of those that `failed`, with an error that is
-        not known; `duration` of a run [s]; `design`, the beginning of its file's checksum; for each
-        of `scenarios` runs, the share that keeps the premises, quantiles of the normalised RMSE and
-        the share of errors inside; for each of `quantities` unit and quantiles of the RMSE;
-        `bounds` of runs that keep the premises and of others, by what they are said to be: the
-        share of samples, and of each quantity the share of errors inside three bounds, root mean
-        square and largest of error / bound with its run; runs that `violated` each premise; the
-        `worst` runs by measure.
+    Runs that `failed` have an error that is not known. Quantiles are those of the table's head. Of
+    `bounds` by what they are said to be there are the share of samples and, of each quantity, the
+    share of errors inside three bounds, and the root mean square and the largest of error / bound.
     """
     file, entries = campaign.file, campaign.entries
     quantities = quantities_of(file.design.arm_request)

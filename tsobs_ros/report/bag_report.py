@@ -43,19 +43,8 @@ class ReportError(TsobsError, RuntimeError):
 class BagReport:
     """A report that has been made.
 
-    Attributes:
-        bag: The bag it is on.
-        design: The design that the estimates were made with.
-        run: The recorded run.
-        metrics: Of the recorded estimates.
-        health: Of the estimates, None if it was not recorded.
-        events: Changes of their health, in order.
-        ekf: An EKF on the same measurements, if asked for.
-        diagnosed: Faults and rejects, as the recorded diagnostics have them.
-        shown: What its figure and its page show.
-        facts: Names and values of what it was made with.
-        files: The files that were written, in order of interest.
-        remarks: Limits of the report itself.
+    Health is None if it was not recorded, the EKF if it is not asked for. Facts are names and
+    values of what the report was made with, remarks its limits, files those that were written.
     """
 
     bag: Path
@@ -168,11 +157,11 @@ def make_bag_report(
     force: bool = False,
     notes: Mapping[str, str] = MappingProxyType({}),
 ) -> BagReport:
-    """Measure a bag and write `report.html`, `report.png` and `report.json`.
+    """Measure a bag and write `report.html`, `report.png` and `report.json` to a folder.
 
     Args:
         bag: Bag folder or MCAP file.
-        output: Folder for the files, which is created.
+        output: The folder, which is created.
         design: File of the design that the estimates were made with; if None, the one in the bag,
             else the shipped one.
         other_design: Whether that may be another one than the bag's.

@@ -175,8 +175,8 @@ def picture(
     times = samples.seconds(run.origin)
     # What is outside of the time axis must not squeeze the rest.
     samples = samples.take((times >= 0.0) & (times <= last + _MAX_AHEAD))
-    times, period = samples.seconds(run.origin), 1.0 / run.request.rate
-    timing = _timing(times, period)
+    times = samples.seconds(run.origin)
+    timing, intervals = _timing(times, 1.0 / run.request.rate)
     singles: list[Plot] = []
     inputs = zip(inputs_of(run.request), samples.values.T[len(outputs) :], strict=False)
     for (name, unit), values in inputs:
@@ -188,8 +188,7 @@ def picture(
     if run.health is not None and len(run.health.stamps):
         singles.append(_health(run.health.seconds(run.origin), run.health.values))
     singles += _learnt(run)
-    if timing.rate is not None:
-        singles.append(_intervals(times, timing))
+    singles += intervals
     if diagnosed.timing:
         singles.append(lines("node's latency and tick time", "ms", diagnosed.timing))
     if diagnosed.reject_rates:
@@ -281,16 +280,15 @@ def lines(
     """Return a plot of curves, times [s] and values by name, of colours that differ."""
     styled = zip(curves.items(), cycle(_OTHERS), strict=False)
     drawn = tuple(thinned_curve(name, *values, style, max_gap) for (name, values), style in styled)
-    limits = limits_around([values for _, values in curves.values()], zero=len(curves) > 1)
+    limits = limits_around([*(values for _, values in curves.values()), np.zeros(1)])
     return Plot(label, unit, limits, drawn)
 
 
-def limits_around(values: Iterable[Array], *, zero: bool = False) -> tuple[float, float]:
-    """Return a range with all finite values, zero if asked for, and a margin."""
+def limits_around(values: Iterable[Array]) -> tuple[float, float]:
+    """Return a range with all finite values and a margin."""
     finite = [each[np.isfinite(each)] for each in values]
     ends = [float(end) for each in finite if len(each) for end in (each.min(), each.max())]
     low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
-    low, high = (min(low, 0.0), max(high, 0.0)) if zero else (low, high)
     margin = 0.08 * (high - low) or 0.1 * abs(high) or 0.1
     return low - margin, high + margin
 
@@ -425,7 +423,7 @@ def _health(times: Array, values: Array) -> Plot:
     return Plot(
         "noise scale",
         "design's = 1",
-        limits_around([scale, coloured, np.array([1.5])], zero=True),
+        limits_around([scale, coloured, np.array([0.0, 1.5])]),
         (
             thinned_curve("noise scale", times, scale, Style(BLUE), _SLOW_GAP),
             thinned_curve("coloured power", times, coloured, Style(MUTED, 1.0, "--"), _SLOW_GAP),
@@ -435,28 +433,23 @@ def _health(times: Array, values: Array) -> Plot:
     )
 
 
-def _timing(times: Array, period: float) -> TimingSummary:
-    """Return how regular the measurements came that should be so far apart [s]."""
-    steps = np.diff(np.unique(times))
+def _timing(times: Array, period: float) -> tuple[TimingSummary, tuple[Plot, ...]]:
+    """Return how regular the measurements came that should be so far apart [s], with a plot."""
+    times = np.unique(times)
+    steps = np.diff(times)
     if not len(steps):
-        return TimingSummary()
+        return TimingSummary(), ()
     usual = steps[steps <= MAX_GAP]
-    return TimingSummary(
+    found = TimingSummary(
         rate=1.0 / float(np.median(steps)),
         jitter=math.sqrt(np.square(usual - period).sum() / max(len(usual), 1)),
         max_interval=float(steps.max()),
         lost=int(np.maximum(np.rint(steps / period) - 1.0, 0.0).sum()),
         gaps=int((steps > MAX_GAP).sum()),
     )
-
-
-def _intervals(times: Array, found: TimingSummary) -> Plot:
-    assert found.rate is not None
-    times = np.unique(times)
-    steps = 1000.0 * np.diff(times)
     remark = (
         f"median {found.rate:.4g} Hz, jitter {1e3 * found.jitter:.3f} ms",
         f"{found.lost} lost, {found.gaps} gaps, at most {1e3 * found.max_interval:.3g} ms",
     )
-    curve = thinned_curve("measured", times[1:], steps, max_gap=math.inf)._replace(name="interval")
-    return Plot("measurement interval", "ms", limits_around([steps], zero=True), (curve,), remark)
+    shown = {"interval": (times[1:], 1000.0 * steps)}
+    return found, (lines("measurement interval", "ms", shown)._replace(remark=remark),)
