@@ -109,23 +109,6 @@ def zero(data: bytes, start: int, end: int) -> bytes:
     return data[:start] + bytes(end - start) + data[end:]
 
 
-@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-@pytest.mark.parametrize("tail", [b"", bytes(5000)], ids=["cut", "zeros"])
-def test_the_front_of_a_large_chunk_is_kept_and_unchecked(
-    tmp_path: Path, compression: str, tail: bytes
-) -> None:
-    written = [random.Random(number).randbytes(100_000) for number in range(7)]
-    with BagWriter(tmp_path / "bag", compression=compression) as writer:
-        writer.add_topic("/a", STRING)
-        for number, one in enumerate(written):
-            writer.write("/a", one, number, number)
-    data = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
-    result, found = recovered(tmp_path, data[:500_000] + tail)
-    assert [e.data for e in found] == written[: len(found)]
-    assert len(found) == result.unchecked >= 3
-    assert f"unchecked {result.unchecked}: no checksum covers" in result.text()
-
-
 def test_a_damaged_chunk_is_dropped_and_what_it_held_is_missing(tmp_path: Path) -> None:
     data, entries, chunks = sample("none")
     start = chunks[1][1] - 12
@@ -190,7 +173,7 @@ def test_a_folder_is_recovered_file_by_file_and_not_touched(
     assert in_recorded_order(new) == entries
     assert verify(new).holds
     if info["problem"]:
-        assert (info["messages"], info["unchecked"]) == (len(entries), 0)
+        assert info["messages"] == len(entries)
         assert info.text().startswith("NOT FINISHED: ")
     assert len(list(new.iterdir())) == len(list(bag.iterdir()))
     assert read_metadata(new).custom_data == {"why": "a test"}

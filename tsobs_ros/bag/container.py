@@ -142,7 +142,7 @@ def chunk_records(chunk: Chunk) -> bytes:
     if size > MAX_SIZE:
         raise RecordError(f"the chunk states {size} bytes of content, too many to read")
     try:
-        records = b"".join(decompressed(chunk))
+        records = b"".join(_decompressed(chunk))
     except Exception as error:  # the libraries' errors have several roots
         raise RecordError(f"the chunk cannot be decompressed: {error}") from error
     if len(records) != size:
@@ -153,12 +153,8 @@ def chunk_records(chunk: Chunk) -> bytes:
     return records
 
 
-def decompressed(chunk: Chunk) -> Iterator[bytes]:
-    """Yield the content of a chunk in parts, at most one of them beyond the size it states.
-
-    Raises:
-        Exception: It cannot be decompressed from there on; the libraries have errors of all kinds.
-    """
+def _decompressed(chunk: Chunk) -> Iterator[bytes]:
+    """Yield the content of a chunk in parts, at most one of them beyond the size it states."""
     # Imported here: bags without compression need neither library.
     left = chunk.uncompressed_size
     if not chunk.compression:
@@ -191,7 +187,6 @@ class Span(NamedTuple):
         offset: Its first byte in the file.
         size: Its size in the file, bytes.
         places: The places of its message indexes in the file, as its record has them.
-        index_size: The size of its message indexes, bytes.
     """
 
     start: int
@@ -200,13 +195,6 @@ class Span(NamedTuple):
     offset: int
     size: int
     places: bytes
-    index_size: int
-
-    @property
-    def message_count(self) -> int:
-        """The number of messages that its indexes state."""
-        heads = len(self.places) // _INDEX_OFFSET.size * INDEX_HEAD.size
-        return (self.index_size - heads) // 16
 
     @property
     def index_offsets(self) -> dict[int, int]:
@@ -372,8 +360,7 @@ def _chunk_span(record: bytes, rank: int) -> Span:
     rest = _CHUNK_INDEX.size + index_size
     if index_size % _INDEX_OFFSET.size or len(record) < rest + _CHUNK_INDEX_REST:
         raise RecordError("an index of a chunk is malformed")
-    length = int.from_bytes(record[rest : rest + 8], "little")
-    return Span(start, end, rank, offset, size, record[_CHUNK_INDEX.size : rest], length)
+    return Span(start, end, rank, offset, size, record[_CHUNK_INDEX.size : rest])
 
 
 def read_span(stream: IO[bytes], span: Span) -> tuple[Records, Chunk]:

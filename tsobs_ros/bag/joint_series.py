@@ -3,7 +3,6 @@
 """JointState topics of a bag as arrays: one row a message, in the order of recording."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import chain, pairwise
 from typing import NamedTuple, TypeVar
 
@@ -16,7 +15,6 @@ from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.errors import BagReadError
 
-_STEP = 8192
 _MAX_OTHERS = 32
 
 Read = TypeVar("Read")
@@ -28,68 +26,6 @@ Place = tuple[str, str]
 
 Wanted = Sequence[Sequence[Place]]
 """What to read off a topic's messages: the places of each joint's numbers."""
-
-
-@dataclass(frozen=True)
-class JointSeries:
-    """A topic's messages, n of them.
-
-    Attributes:
-        stamps: Of their headers, ns since the epoch, shape (n,).
-        log_times: When they were received, ns since the epoch, shape (n,).
-        publish_times: When they were published, ns since the epoch, shape (n,).
-        values: NaN where a message has none, or a joint has fewer, shape (n, joints, places).
-        named: Whether a message has any of a joint's entries, shape (n, joints).
-        given: Whether it has a value, NaN or not, shape (n, joints, places).
-        other_names: Other entries, a few of them at most.
-    """
-
-    stamps: Times
-    log_times: Times
-    publish_times: Times
-    values: Array
-    named: Flags
-    given: Flags
-    other_names: tuple[str, ...]
-
-    @property
-    def count(self) -> int:
-        """The number of messages."""
-        return len(self.stamps)
-
-
-class _Builder:
-    """Turns a topic's messages into arrays, a block at a time."""
-
-    def __init__(self, wanted: Wanted) -> None:
-        self._wanted = wanted
-        self._names = {name for places in wanted for name, _ in places}
-        self._decoder = JointStateDecoder()
-        self._others: dict[str, None] = {}
-
-    def decode(self, raw: "RawMessages") -> JointSeries:
-        """Return messages as numbers; those that are malformed have none."""
-        count = len(raw.log_times)
-        shape = (count, len(self._wanted), max(map(len, self._wanted), default=0))
-        stamps, values = np.zeros(count, np.int64), np.full(shape, np.nan)
-        named, given = np.zeros(shape[:2], np.bool_), np.zeros(shape, np.bool_)
-        for group in chain.from_iterable(self._decoder.decode_rows(*one) for one in raw.groups):
-            rows = group.places
-            stamps[rows] = group.stamps
-            for name in group.names:
-                if name not in self._names and len(self._others) < _MAX_OTHERS:
-                    self._others[name] = None
-            for joint, places in enumerate(self._wanted):
-                for at, (name, field) in enumerate(places):
-                    if name not in group.names:
-                        continue
-                    place, numbers = group.names.index(name), getattr(group, field)
-                    named[rows, joint] = True
-                    if place < numbers.shape[1]:
-                        values[rows, joint, at] = numbers[:, place]
-                        given[rows, joint, at] = True
-        times = raw.log_times, raw.publish_times
-        return JointSeries(stamps, *times, values, named, given, tuple(self._others))
 
 
 class RawMessages(NamedTuple):
@@ -106,42 +42,85 @@ class RawMessages(NamedTuple):
     groups: list[tuple[NDArray[np.intp], NDArray[np.uint8]]]
 
 
-class Block(NamedTuple):
-    """A part of some topics.
+class JointSeries(NamedTuple):
+    """A topic's messages, n of them.
 
     Attributes:
-        series: JointStates by the topics' names.
-        raw: Messages as bytes by the topics' names.
+        stamps: Of their headers, ns since the epoch, shape (n,).
+        log_times: When they were received, ns since the epoch, shape (n,).
+        publish_times: When they were published, ns since the epoch, shape (n,).
+        values: NaN where a message has none, or a joint has fewer, shape (n, joints, places).
+        named: Whether a message has any of a joint's entries, shape (n, joints).
+        given: Whether it has a value, NaN or not, shape (n, joints, places).
     """
 
-    series: dict[str, JointSeries]
-    raw: dict[str, RawMessages]
+    stamps: Times
+    log_times: Times
+    publish_times: Times
+    values: Array
+    named: Flags
+    given: Flags
+
+
+class JointReader:
+    """Reads numbers of joints off a topic's messages.
+
+    Args:
+        wanted: The places of each joint's numbers.
+
+    Attributes:
+        other_names: Other entries so far, a few of them at most.
+    """
+
+    def __init__(self, wanted: Wanted) -> None:
+        self._wanted = wanted
+        self._names = {name for places in wanted for name, _ in places}
+        self._decoder = JointStateDecoder()
+        self.other_names: dict[str, None] = {}
+
+    def __call__(self, raw: RawMessages) -> JointSeries:
+        """Return messages as numbers; those that are malformed have none."""
+        count = len(raw.log_times)
+        shape = (count, len(self._wanted), max(map(len, self._wanted), default=0))
+        stamps, values = np.zeros(count, np.int64), np.full(shape, np.nan)
+        named, given = np.zeros(shape[:2], np.bool_), np.zeros(shape, np.bool_)
+        for group in chain.from_iterable(self._decoder.decode_rows(*one) for one in raw.groups):
+            rows = group.places
+            stamps[rows] = group.stamps
+            for name in group.names:
+                if name not in self._names and len(self.other_names) < _MAX_OTHERS:
+                    self.other_names[name] = None
+            for joint, places in enumerate(self._wanted):
+                for at, (name, field) in enumerate(places):
+                    if name not in group.names:
+                        continue
+                    place, numbers = group.names.index(name), getattr(group, field)
+                    named[rows, joint] = True
+                    if place < numbers.shape[1]:
+                        values[rows, joint, at] = numbers[:, place]
+                        given[rows, joint, at] = True
+        return JointSeries(stamps, raw.log_times, raw.publish_times, values, named, given)
 
 
 def read_blocks(
     reader: BagReader,
-    wanted: Mapping[str, Wanted],
+    topics: Iterable[str],
     size: int | None = None,
     *,
-    raw: Sequence[str] = (),
     on_damage: Callable[[BagReadError], None] | None = None,
-) -> Iterator[Block]:
+) -> Iterator[dict[str, RawMessages]]:
     """Read some topics of a bag block by block.
 
     Args:
         reader: The bag.
-        wanted: What to read of which topic.
-        raw: Topics of any type whose messages to return as bytes; some may be wanted too.
+        topics: Their names.
         size: Least number of messages in a block, of all topics; None for one block.
         on_damage: Called with damage to the bag, up to which all is returned; else it is raised.
 
     Raises:
-        BagReadError: The bag has no such topic, a topic is of another type, or it is damaged.
+        BagReadError: The bag has no such topic, or it is damaged.
     """
-    for name in wanted:
-        require_joint_states(reader, name)
-    builders = {name: _Builder(each) for name, each in wanted.items()}
-    names = list(dict.fromkeys([*wanted, *raw]))
+    names = list(topics)
     parts = until_damage(reader.rows(names), on_damage)
     whole = False
     while not whole:
@@ -155,10 +134,10 @@ def read_blocks(
             found.append(rows)
             records |= new
         block = np.concatenate(found)
-        own_rows = [block[block["channel"] == place] for place in range(len(names))]
-        found_raw = {name: _raw(rows, records) for name, rows in zip(names, own_rows, strict=True)}
-        series = {name: builder.decode(found_raw[name]) for name, builder in builders.items()}
-        yield Block(series, {name: found_raw[name] for name in raw})
+        yield {
+            name: _raw(block[block["channel"] == place], records)
+            for place, name in enumerate(names)
+        }
 
 
 def require_joint_states(reader: BagReader, topic: str) -> None:

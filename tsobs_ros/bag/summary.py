@@ -4,27 +4,23 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-from tsobs_ros.bag.container import CHUNK_HEAD_SIZE, RecordError, Span, chunk_head
 from tsobs_ros.bag.metadata import BagMetadata, TopicInfo
-from tsobs_ros.bag.reader import UNCHECKED, BagReader
+from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.recovery import DamagedBag
 from tsobs_ros.errors import BagReadError, printable
-from tsobs_ros.files import open_regular
 
 
 class BagSummary(dict[str, Any]):
     """The summary of a bag, as plain data.
 
     The problem is the reason for which it was read message by message, empty for a finished bag.
-    `size` is in bytes, log times are in ns since the epoch, the mean rates of topics in Hz.
-    Unchecked messages are those without a checksum. Unknown values, such as the times of a bag
-    without messages, are None.
+    `size` is in bytes, log times are in ns since the epoch, the mean rates of topics in Hz. Unknown
+    values, such as the times of a bag without messages, are None.
     """
 
     def text(self) -> str:
@@ -42,8 +38,6 @@ class BagSummary(dict[str, Any]):
             f"End:          {_time(self['end_ns'])}",
             f"Messages:     {self['messages']}",
         ]
-        if self["unchecked"]:
-            lines.append(f"Unchecked:    {self['unchecked']} {UNCHECKED}")
         lines += [f"Custom data:  {key}: {value}" for key, value in self["custom_data"].items()]
         for topic in self["topics"]:
             parts = [topic["name"], topic["type"], f"{topic['messages']} messages", "cdr"]
@@ -82,7 +76,7 @@ def summarise(bag: str | Path) -> BagSummary:
         for name, topic in reader.topics.items()
     ]
     found = _summary(path, "", files, reader.start_time, reader.end_time, reader.metadata)
-    return BagSummary(**found, unchecked=_unchecked(reader), topics=topics)
+    return BagSummary(**found, topics=topics)
 
 
 def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
@@ -105,8 +99,7 @@ def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
     ]
     times = min(first.values(), default=None), max(last.values(), default=None)
     found = _summary(path, str(error), files, *times, damaged.metadata)
-    unchecked = sum(each.unchecked for each in damaged.files)
-    return BagSummary(**found, unchecked=unchecked, topics=topics)
+    return BagSummary(**found, topics=topics)
 
 
 def _summary(
@@ -144,28 +137,6 @@ def _topic(topic: TopicInfo, duration: int) -> dict[str, Any]:
         "type_hash": topic.type_hash,
         "rate": (topic.count - 1) * 1e9 / duration if is_periodic else None,
     }
-
-
-def _unchecked(reader: BagReader) -> int:
-    """Return the number of messages without a checksum, of the heads of chunks alone."""
-    found = 0
-    for summary in reader.summaries:
-        try:
-            with open_regular(summary.path) as stream:
-                checked = [span for span in summary.spans if _has_checksum(stream, span)]
-        except OSError as error:
-            raise BagReadError(f"{summary.path}: {error}") from error
-        if len(checked) < len(summary.spans):
-            count = summary.statistics.message_count
-            found += max(0, count - sum(span.message_count for span in checked))
-    return found
-
-
-def _has_checksum(stream: IO[bytes], span: Span) -> bool:
-    stream.seek(span.offset)
-    with suppress(RecordError):
-        return chunk_head(stream.read(CHUNK_HEAD_SIZE))[0].uncompressed_crc != 0
-    return False
 
 
 def _time(stamp: int | None) -> str:

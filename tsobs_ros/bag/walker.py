@@ -4,8 +4,8 @@
 
 Three things are certain. The checksum of a chunk covers its records. The head of a chunk states its
 size twice. And a file that was cut off is intact up to the cut. So a chunk is taken if its checksum
-holds, the front of a chunk is taken if the end of the file cuts it off, and after bytes that are no
-record the next chunk is searched for. A file that ends with a footer was not cut off.
+holds, and after bytes that are no record the next chunk is searched for. A file that ends with a
+footer was not cut off.
 
 But messages may carry MCAP files themselves, and a disk may hold chunks of other files. So of a
 file with a sound summary only the chunks that it states are its own. In others a chunk that comes
@@ -30,7 +30,6 @@ from tsobs_ros.bag.container import (
     FOOTER_SIZE,
     INDEX_HEAD,
     MAGIC,
-    MAX_MESSAGES,
     MAX_SIZE,
     MAX_SUMMARY_SIZE,
     MESSAGE,
@@ -40,7 +39,6 @@ from tsobs_ros.bag.container import (
     Summary,
     chunk_head,
     chunk_records,
-    decompressed,
     parse_record,
     parse_summary,
     split_records,
@@ -224,12 +222,6 @@ class FileWalker:
             if not (is_checked or self._starts_record(end)):
                 raise RecordError("the chunk has no checksum, and no record follows it")
         except RecordError as error:
-            if not self.has_end and end > self._end:
-                chunk.data = chunk.data[: max(0, self._end - at - data_at)]
-                if len((front := _front(chunk)).rows):
-                    reason = "the file ends inside of a chunk, the front of which is kept"
-                    self._lose(at, reason, self._size)
-                    return part._replace(size=self._size - at, content=front)
             if end > self._end or not self._starts_record(end):
                 # A chunk that has lost bytes reaches into what follows it: search inside of it,
                 # unless so many do that the file was made to take the time for it.
@@ -365,24 +357,3 @@ class FileWalker:
                 return start + kept
             end = start
         return 0
-
-
-def _front(chunk: Chunk) -> Records:
-    """Return the whole records in the front of a chunk that is cut off."""
-    content, at, count = bytearray(), 0, 0
-    with suppress(Exception):  # the libraries' errors have several roots
-        for part in decompressed(chunk) if chunk.uncompressed_size <= MAX_SIZE else ():
-            content += part
-    data = bytes(content[: chunk.uncompressed_size])
-    while at + MESSAGE.size <= len(data) and count < MAX_MESSAGES:
-        opcode, length, _, _, log_time, _ = MESSAGE.unpack_from(data, at)
-        end = at + RECORD.size + length
-        if end > len(data) or opcode not in _IN_CHUNKS:
-            break
-        if opcode == Opcode.MESSAGE and (
-            length < MESSAGE.size - RECORD.size
-            or not chunk.message_start_time <= log_time <= chunk.message_end_time
-        ):
-            break
-        at, count = end, count + 1
-    return split_records(data[:at])

@@ -103,10 +103,9 @@ class LiveRun:
         ticks, checksums = Spool(_TICK), Spool(np.dtype(np.int64))
         self._estimates = Spool(_MESSAGE)
         self.restarts: list[MessageSeries] = []
-        raw = list(names.values())
-        for block in read_blocks(reader, {}, _BLOCK, raw=raw, on_damage=on_damage):
+        for block in read_blocks(reader, names.values(), _BLOCK, on_damage=on_damage):
             for topic, name in names.items():
-                messages = block.raw[name]
+                messages = block[name]
                 if topic == topics.TICKS:
                     _add_ticks(messages, ticks, checksums)
                     continue

@@ -15,6 +15,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import TICK_LOG
 from tsobs_ros.bag.copying import add_topics, copy_chunks
 from tsobs_ros.bag.joint_series import (
+    JointReader,
     JointSeries,
     RawMessages,
     Times,
@@ -298,27 +299,25 @@ class BagSource:
         count, samples = len(self.joints), Spool(self._sample_type)
         outputs = max(len(one.outputs) for one in self.signals)
         there = np.zeros((count, outputs), np.bool_)
-        others, without_input = dict[str, None](), 0
+        without_input = 0
         wanted = [
             *(one.outputs for one in self.signals),
             *(one.inputs for one in self.signals),
             *(one.other_inputs for one in self.signals),
         ]
-        for block in read_blocks(
-            self.reader, {self.topic: wanted}, _BLOCK, raw=[self.topic], on_damage=self.damaged
-        ):
-            measured = block.series[self.topic]
+        read = JointReader(wanted)
+        for block in read_blocks(self.reader, [self.topic], _BLOCK, on_damage=self.damaged):
+            measured = read(block[self.topic])
             given = measured.given[:, :count, :outputs]
             there |= given.any(axis=0)
-            others |= dict.fromkeys(measured.other_names)
             if not self._assume_zero_torque:
                 inputs = measured.given[:, count:].any(axis=(1, 2))
                 without_input += int((given.any(axis=(1, 2)) & ~inputs).sum())
-            samples.add(self._samples_of(measured, block.raw[self.topic]))
+            samples.add(self._samples_of(measured, block[self.topic]))
         self.samples = samples.read()
         if not self.count:
             raise self.damage or BagReadError(f"{self.path}: no message on {self.topic}")
-        self._require_outputs(there, others)
+        self._require_outputs(there, read.other_names)
         apart = self.samples.log_times - self.samples.stamps
         off = max((apart <= -_SAME_CLOCK).sum(), (apart >= _SAME_CLOCK).sum())
         self.same_clock = bool(2 * off < self.count)  # as of the median of the differences
@@ -344,7 +343,7 @@ class BagSource:
     def _samples_of(self, series: JointSeries, raw: RawMessages) -> Records:
         """Return the measurements in messages, of which the wanted numbers are read."""
         count = len(self.joints)
-        samples: Records = np.recarray(series.count, self._sample_type)
+        samples: Records = np.recarray(len(series.stamps), self._sample_type)
         p, m = samples.y.shape[2], samples.u.shape[2]
         own, other = slice(count, 2 * count), slice(2 * count, None)
         there: Flags = series.given[:, own, :m] | series.given[:, other, :m]

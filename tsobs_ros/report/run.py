@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One recorded run of the observer as stamped series of numbers, read from a bag."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import DIAGNOSTICS, RecordedStatus, read_statuses
-from tsobs_ros.bag.joint_series import Place, Wanted, read_blocks
+from tsobs_ros.bag.joint_series import JointReader, Wanted, read_blocks, require_joint_states
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import BagReadError
@@ -190,22 +190,19 @@ def read_rows(source: BagSource, asked: Mapping[Key, tuple[str, Wanted]]) -> dic
     Raises:
         BagReadError: The bag has no such topic, or a topic is of another type.
     """
-    wanted: dict[str, list[Sequence[Place]]] = {}
+    names = dict.fromkeys(topic for topic, _ in asked.values())
+    for name in names:
+        require_joint_states(source.reader, name)
     spools = {key: Spool(row_type(len(groups[0]))) for key, (_, groups) in asked.items()}
-    places: dict[Key, range] = {}
-    for key, (topic, groups) in asked.items():
-        all_of_topic = wanted.setdefault(topic, [])
-        places[key] = range(len(all_of_topic), len(all_of_topic) + len(groups))
-        all_of_topic += groups
-    for block in read_blocks(source.reader, wanted, BLOCK, on_damage=source.damaged):
+    readers = {key: JointReader(groups) for key, (_, groups) in asked.items()}
+    for block in read_blocks(source.reader, names, BLOCK, on_damage=source.damaged):
         for key, (topic, groups) in asked.items():
-            series, width = block.series[topic], len(groups[0])
-            values: Array = np.full((series.count, width), np.nan)
-            for place in places[key]:
+            series, width = readers[key](block[topic]), len(groups[0])
+            values: Array = np.full((len(series.stamps), width), np.nan)
+            for place in range(len(groups)):
                 named: Flags = series.named[:, place]
                 values[named] = series.values[named, place, :width]
-            there = series.named[:, places[key]].any(axis=1)
-            spools[key].add(rows_of(series, values)[there])
+            spools[key].add(rows_of(series, values)[series.named.any(axis=1)])
     return {key: spool.read() for key, spool in spools.items()}
 
 
