@@ -98,7 +98,7 @@ def test_the_sine_sector_is_the_sine_and_level_outside(width: float) -> None:
     assert not grades(upper, np.array([-np.inf, -7.8, 3.1, 7.8, 1e300])).any()
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda each: each.shape)
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda each: each.mapping["shape"])
 def test_the_covariance_follows_the_derivative_of_the_weights(
     example: Membership, predicted: Any
 ) -> None:

@@ -384,7 +384,7 @@ def _system_entries(request: TSRequest) -> dict[str, Any]:
         },
         rules=[
             _Rule(
-                if_={name: one.as_mapping() for name, one in zip(names, each, strict=True)},
+                if_={name: dict(one.mapping) for name, one in zip(names, each, strict=True)},
                 A=A,
                 B=B,
                 C=C,

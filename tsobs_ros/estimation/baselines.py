@@ -126,17 +126,10 @@ def extended_kalman(
     *,
     gate: float = GATE,
 ) -> Estimator:
-    """Return the extended Kalman filter (EKF) of a model.
+    """Return the extended Kalman filter (EKF) of a model; see `riccati_estimator`.
 
-    Args:
-        flow: Prediction model.
-        measurement_covariance: R of one sample, diagonal, shape (p, p).
-        initial_covariance: Error covariance of the zero estimate before any sample, shape (n, n).
-        uncertainty: Parameters to have as states; none if None.
-        gate: Sigmas beyond which an output is left out, infinite for a filter that leaves none out.
-
-    Raises:
-        ModelError: A matrix has the wrong shape, or the uncertainty is of another model.
+    Parameters that are uncertain are states of it. The gate is in sigmas, infinite for a filter
+    that leaves no output out.
     """
     covariances = (measurement_covariance, initial_covariance)
     estimator = riccati_estimator(flow, *covariances, uncertainty)
@@ -180,7 +173,6 @@ def integrated_estimator(
         period: Nominal sampling period [s].
         max_step: Upper limit of a Runge–Kutta step [s].
         scale: Physical units of the plant's states, the first of x̂, shape (plant,).
-        measurement_covariance: Of one sample, shape (p, p).
         rule_base: Memberships of the first measurements; one rule that always fires if None.
         gravity_gain: g [1/s²].
         D: Sample to expected measurement, shape (p, p); zero if None.

@@ -277,13 +277,13 @@ def riccati_estimator(
 
     Args:
         flow: Prediction model.
-        measurement_covariance: R of one sample, shape (p, p).
+        measurement_covariance: R of one sample, diagonal, shape (p, p).
         initial_covariance: Error covariance of the zero estimate before any sample, shape (n, n).
         uncertainty: Parameters to learn, see `Estimator.learn`; none if None.
         auxiliary: As of `new_model`.
 
     Raises:
-        ModelError: A matrix has the wrong shape, or the uncertainty is of another model.
+        ModelError: A matrix has the wrong shape.
     """
     n, p = flow.state_count, flow.output_matrix.shape[0]
     k = 0 if uncertainty is None else uncertainty.count

@@ -139,7 +139,7 @@ def new_model(
     Args:
         shape: Sizes of the estimator.
         period: Nominal sampling period [s].
-        flow: The prediction model, a record, shape (1,).
+        flow: The record of the prediction model.
         auxiliary: Whether there are states of an unknown torque and of parts of the outputs, and
             other hypotheses than the design.
         torque: How torques reach the motor of an arm.

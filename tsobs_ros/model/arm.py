@@ -105,11 +105,9 @@ class ElasticJointArm:
         return self.measured(("link_angle",))
 
     def measured(self, outputs: Sequence[str], delays: Sequence[float] = ()) -> Array:
-        """Return the matrix that takes the state to measured quantities, shape (p, 4).
+        """Return the matrix that takes the state to some of `QUANTITIES`, shape (p, 4).
 
-        Args:
-            outputs: Names of `QUANTITIES`.
-            delays: How late each is measured, an angle q as q − delay q̇ [s]; () if none is.
+        Each may be late by a delay [s], an angle q as q − delay q̇.
 
         Raises:
             ModelError: A name is unknown or listed twice, or a velocity is late.
@@ -151,20 +149,14 @@ class ElasticJointArm:
     def slope_matrix(self, slope: float) -> Array:
         """Return the state matrix A(c), shape (4, 4), with gravity replaced by mgl·c·q₁.
 
-        Args:
-            slope: c, a value of sin q₁/q₁ (a T–S rule) or of its derivative (an error system).
+        The slope c is a value of sin q₁/q₁ (a T–S rule) or of its derivative (an error system).
         """
         matrix = self.spring_matrix.copy()
         matrix[LINK_VELOCITY, LINK_ANGLE] -= self.gravity_gain * slope
         return matrix
 
     def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
-        """Return ẋ in design coordinates.
-
-        Args:
-            x: State, shape (..., 4).
-            u: Motor torque [N m], shape (..., 1).
-        """
+        """Return ẋ for states of shape (..., 4) and motor torques of shape (..., 1) [N m]."""
         state = np.asarray(x, dtype=np.float64)
         rate = state @ self.spring_matrix.T + np.asarray(u, dtype=np.float64) @ self.input_matrix.T
         rate[..., LINK_VELOCITY] -= self.gravity_gain * np.sin(state[..., LINK_ANGLE])

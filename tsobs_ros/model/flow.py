@@ -42,12 +42,7 @@ from tsobs_ros.model.uncertainty import EXTERNAL, SINE, TORQUE, Uncertainty
 
 @dataclass(frozen=True)
 class ProcessNoise:
-    """White angular-acceleration noise of the arm, in physical units.
-
-    Attributes:
-        link: Density on the link's acceleration [rad²/s³].
-        motor: Density on the motor's acceleration [rad²/s³].
-    """
+    """Densities of white noise on the accelerations of link and motor [rad²/s³]."""
 
     link: float = 1e-4
     motor: float = 1e-5
@@ -70,8 +65,7 @@ def kick_corners(
 
     Args:
         slopes: Smallest and largest cosine of the domain; any single number without gravity.
-        uncertainty: The uncertain parameters, if any are to be covered.
-        bounds: Bound of each |θ|, in the order of `uncertainty`.
+        uncertainty: The uncertain parameters, if any are to be covered, up to their bounds.
 
     Yields:
         The slope c, that of uncertain gravity and inertia included, and θ of every direction that
@@ -179,10 +173,9 @@ class ArmFlow(Flow):
         and one without.
 
         Args:
-            slope_min: Smallest cosine of the domain.
-            slope_max: Largest cosine of the domain.
-            uncertainty: Parameters whose errors are to be covered in both half kicks.
-            share: How much of their bounds.
+            slope_min: Smallest cosine of the domain; `slope_max` is the largest.
+            uncertainty: Parameters whose errors are to be covered in both half kicks, up to a
+                share of their bounds.
         """
         step, bounds, names = self.nominal, [], []
         if uncertainty is not None:

@@ -86,27 +86,18 @@ SHAPES: Mapping[str, Shape] = {
 """Every kind of membership function by its name."""
 
 
-@dataclass(frozen=True)
-class Membership:
-    """A grade in [0, 1] of one premise variable z; see `membership`.
+class Membership(NamedTuple):
+    """A grade in [0, 1] of one premise variable z, made by `membership`.
 
     Attributes:
-        shape: A name of `SHAPES`.
-        values: Its parameters.
+        code: Of its shape in the compiled core.
+        numbers: Its four parameters there.
+        mapping: Shape and parameters as a file has them.
     """
 
-    shape: str
-    values: tuple[float, ...]
-
-    @property
-    def coded(self) -> tuple[float, ...]:
-        """The parameters for the compiled core, filled up to four."""
-        return (*SHAPES[self.shape].encode(*self.values), 0.0, 0.0, 0.0, 0.0)[:4]
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return shape and parameters as a file has them."""
-        names = SHAPES[self.shape].parameters
-        return {"shape": self.shape, **dict(zip(names, self.values, strict=True))}
+    code: int
+    numbers: tuple[float, ...]
+    mapping: Mapping[str, Any]
 
 
 def membership(shape: str, parameters: Mapping[str, float] | None = None) -> Membership:
@@ -115,8 +106,8 @@ def membership(shape: str, parameters: Mapping[str, float] | None = None) -> Mem
     Raises:
         ModelError: The name is unknown, a parameter is missing, unknown or out of range.
 
-    >>> membership("linear", {"zero": 1.0, "one": 3.0}).values
-    (1.0, 3.0)
+    >>> membership("linear", {"zero": 1.0, "one": 3.0}).numbers
+    (1.0, 3.0, 0.0, 0.0)
     """
     if shape not in SHAPES:
         raise ModelError(
@@ -131,7 +122,9 @@ def membership(shape: str, parameters: Mapping[str, float] | None = None) -> Mem
     values = [finite(f"membership {shape}: {name}", given[name]) for name in kind.parameters]
     if not kind.obeys(*values):
         raise ModelError(f"membership {shape}: expected {kind.requirement}, got {values}")
-    return Membership(shape, tuple(values))
+    numbers = (*kind.encode(*values), 0.0, 0.0, 0.0, 0.0)[:4]
+    mapping = {"shape": shape, **dict(zip(kind.parameters, values, strict=True))}
+    return Membership(kind.code, numbers, mapping)
 
 
 @dataclass(frozen=True)
@@ -159,8 +152,9 @@ class RuleBase:
     @cached_property
     def coded(self) -> tuple[Integers, Array]:
         """The rules as the compiled core has them: codes (r, q) and parameters (r, q, 4)."""
-        codes = [[SHAPES[each.shape].code for each in rule] for rule in self.rules]
-        return np.array(codes, np.int64), np.array([[f.coded for f in rule] for rule in self.rules])
+        codes = [[each.code for each in rule] for rule in self.rules]
+        numbers = [[each.numbers for each in rule] for rule in self.rules]
+        return np.array(codes, np.int64), np.array(numbers)
 
     def weights(self, z: ArrayLike) -> Array:
         """Return the normalised rule weights h, each ≥ 0, summing to one, shape (..., r).
@@ -171,12 +165,11 @@ class RuleBase:
         Raises:
             ModelError: z has the wrong last axis, or no rule fires at some z.
         """
-        premise, (r, q) = np.asarray(z, dtype=np.float64), self.coded[0].shape
-        if premise.ndim == 0 or premise.shape[-1] != q:
+        premise, (r, q) = np.array(z, np.float64, order="C"), self.coded[0].shape
+        if premise.shape[-1:] != (q,):
             raise ModelError(
                 f"z: expected a last axis of {q} premise variables, got shape {premise.shape}"
             )
-        premise = np.ascontiguousarray(premise)
         weights = np.empty((*premise.shape[:-1], r))
         native.weights_of_each(*self.coded, premise, weights, r, q)
         if np.isnan(weights).any():

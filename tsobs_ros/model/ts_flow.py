@@ -45,12 +45,8 @@ class TSFlow(Flow):
         process_noise: Densities of white noise on each state's derivative [unit²/s], shape (n,).
         period: Nominal step [s].
 
-    Attributes:
-        deviations: [Aᵢ − A₀, Bᵢ − B₀] of every rule, shape (r, n, n + m).
-
     Raises:
-        ModelError: The disturbance has another number of channels than the system outputs, or a
-            density is negative or of the wrong shape.
+        ModelError: As `Flow`; a density is negative or of the wrong shape.
     """
 
     kind, linear_share = native.KIND_SYSTEM, 0.5

@@ -104,19 +104,14 @@ class TSModel:
         return self.rule_base.weights(x @ self.premise.T + scheduled @ self.schedule.T)
 
     def derivative(self, x: Array, held: Array) -> Array:
-        """Return ẋ, shape (..., n).
-
-        Args:
-            x: State, shape (..., n).
-            held: Inputs and scheduled signals [u; s], shape (..., m + s).
-        """
+        """Return ẋ, shape (..., n), for states and held signals as of `weights`."""
         signals = np.concatenate([x, held[..., : self.input_count]], axis=-1)
         weights = self.weights(x, held)
         return np.asarray(np.einsum("...r,rnk,...k->...n", weights, self.rates, signals))
 
 
 def _length(name: str, matrix: ArrayLike, axis: int, axes: int) -> int:
-    """Return the length of an axis of a matrix with so many axes, or raise `ModelError`."""
+    """Return the length of an axis of a matrix with so many axes."""
     shape = np.shape(matrix)
     if len(shape) != axes:
         kind = "one matrix per rule, shape (r, ·, ·)" if axes == 3 else "a matrix"
