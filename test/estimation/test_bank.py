@@ -12,7 +12,6 @@ import pytest
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.options import TorqueLimits
 from tsobs_ros.estimation.records import (
     Basis,
     Hypothesis,
@@ -329,7 +328,6 @@ def test_limits_of_the_torque_come_from_the_settings_the_request_or_the_arm() ->
     limit, rate, spread = request.torque_limits()
     assert (rate, spread) == (1e3 * limit, limit / 3.0)
     assert request.torque_limits(50.0, 7.0) == (50.0, 7.0, 50.0 / 3.0)
-    assert TorqueLimits.of(0.0, 0.0, 400.0) == (math.inf, math.inf, 400.0 / 3.0)
     for method in ("certified", "high_gain"):
         settings = ObserverSettings(method).with_parameters({"torque_limit": "2.5"})
         tracker = make_tracker(DESIGNS["fixed"], settings)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates are a function of the measurements and the stamp, however and whenever they came."""
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import cache
@@ -203,7 +204,7 @@ def test_enormous_numbers_never_give_an_estimate_that_is_not_finite(
 ) -> None:
     # Without supervision: what overflows here is the observer itself.
     enormous = Tracker(DESIGN.observer(), x_max=X_MAX)
-    enormous.estimator.limit_torque(TorqueLimits.of(0.0, 0.0, 1.0))
+    enormous.estimator.limit_torque(TorqueLimits(math.inf, math.inf, 1.0))
     for k in range(120):
         measurement = sample(k)
         if k in (0, 40, 80):

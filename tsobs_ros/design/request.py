@@ -300,7 +300,9 @@ class ArmRequest(Request):
             0.0 if each is not None and each >= NO_LIMIT else each
             for each in (limit or self.torque_limit, rate_limit or self.torque_rate_limit)
         )
-        return TorqueLimits.of(known, rate, largest)
+        size = known or largest
+        rate = size / 1e-3 if rate is None else rate or math.inf
+        return TorqueLimits(math.inf if known == 0.0 else size, rate, size / 3.0)
 
     @property
     def reach(self) -> Array:

@@ -33,19 +33,6 @@ class TorqueLimits(NamedTuple):
     rate_limit: float
     spread: float
 
-    @classmethod
-    def of(cls, limit: float | None, rate_limit: float | None, largest: float) -> "TorqueLimits":
-        """Return limits of which 0 means none and None the default.
-
-        Args:
-            limit: [N m].
-            rate_limit: [N m/s]; the default goes through the whole range in 2 ms.
-            largest: Default of the limit [N m].
-        """
-        known = limit or largest
-        rate = known / 1e-3 if rate_limit is None else rate_limit or math.inf
-        return cls(math.inf if limit == 0.0 else known, rate, known / 3.0)
-
 
 @dataclass(frozen=True)
 class SupervisionOptions:
