@@ -33,20 +33,10 @@ Rows = Any
 
 
 class Correction(NamedTuple):
-    """The effect of one measurement; a batch has its axis in front.
-
-    Attributes:
-        innovation: y − ŷ before the correction, shape (..., p).
-        innovation_covariance: Expected covariance of the innovation, shape (..., p, p).
-        gain: The gain for the estimate, times the weight, shape (..., n, p).
-        weight: The share of each output's correction that was applied; 0 if it was not used,
-            shape (..., p).
-    """
+    """A measurement's y − ŷ, shape (..., p), and its expected covariance, (..., p, p)."""
 
     innovation: Array
     innovation_covariance: Array
-    gain: Array
-    weight: Array
 
 
 class Estimator:
@@ -176,7 +166,7 @@ class Estimator:
             y: Measurement, NaN of an output that is missing, shape (..., p).
 
         Returns:
-            The corrected state, and the innovation with its gain.
+            The corrected state, and the innovation.
 
         Raises:
             ModelError: The measurement has another shape.
@@ -186,7 +176,7 @@ class Estimator:
         native.estimator_correct(
             numbers_of(self.model), numbers_of(after.records), samples, numbers_of(corrections)
         )
-        fields = (self.shape.trim(name, corrections[name]) for name in Correction._fields)
+        fields = (corrections[name] for name in Correction._fields)
         return after, Correction(*(each.reshape(*state.batch, *each.shape[1:]) for each in fields))
 
     def predict(

@@ -45,7 +45,7 @@ class Shape(NamedTuple):
     def trim(self, name: str, values: Any) -> Any:
         """Return a field's numbers, shape (records, ...), of the n states only."""
         n, square = self.n, (self.n, self.n)
-        wide = {"x": (n,), "upsilon": (self.k, n), "gain": (n, self.p)}
+        wide = {"x": (n,), "upsilon": (self.k, n)}
         wide |= dict.fromkeys(("covariance", "X", "P", "posterior"), square)
         return values[(slice(None), *map(slice, wide.get(name, ())))]
 
