@@ -43,5 +43,5 @@ for name, unit, place in (("angle", "rad", 0), ("rate", "rad/s", 1)):
     sensor = np.sqrt(np.mean((y - truth)[settled, place] ** 2))
     print(f"{name}: RMSE {rmse[place]:.4f} {unit}, of the sensor alone {sensor:.4f} {unit}")
 print(f"bias of the gyroscope: {estimates.disturbance[-1, 1]:.3f} rad/s, true {bias:.3f} rad/s")
-for name, theta in zip(design.request.uncertainty.names, estimates.parameters[-1], strict=True):
+for name, theta in zip(design.request.uncertainty, estimates.parameters[-1], strict=True):
     print(f"learnt change of {name}: {theta:+.3f}")
