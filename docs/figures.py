@@ -131,15 +131,14 @@ def markers(path: Path) -> None:
     from tsobs_ros.estimation.health import Level
     from tsobs_ros.nodes.visualizer.scene import Angles, Arm, VisualizerParameters, scene
 
-    def arm(level: Level, fault: str, link: float, motor: float, sensor: float) -> Arm:
+    def arm(level: Level, fault: str, link: float, motor: float) -> Arm:
         truth, estimate = Angles(link, motor), Angles(link + 0.01, motor - 0.02)
-        seen = Angles(sensor, np.nan)
-        return Arm("elastic_joint", truth, estimate, Angles(0.05, 0.07), seen, level, fault)
+        return Arm("elastic_joint", truth, estimate, Angles(0.017, 0.023), level, fault)
 
     arms = [
-        arm(Level.OK, "no fault", 0.35, 0.15, 0.36),
-        arm(Level.WARN, "bias 0.3 rad", -0.3, 0.4, 0.0),
-        arm(Level.ERROR, "drift 0.9 rad", 0.6, 1.5, -0.3),
+        arm(Level.OK, "none", 0.35, 0.15),
+        arm(Level.WARN, "bias", -0.3, 0.4),
+        arm(Level.ERROR, "drift", 0.6, 1.5),
     ]
     figure, axis = plt.subplots(layout="constrained", figsize=(8, 2.6))
     for marker in scene(arms, VisualizerParameters(), Time()).markers:

@@ -25,7 +25,7 @@ DEFAULTS = VisualizerParameters()
 
 def markers(angles: Angles) -> dict[tuple[str, int], Any]:
     """Return all markers that there are of an arm, by namespace and number."""
-    arm = Arm("elastic_joint", angles, angles, Angles(0.1, 0.1), angles)
+    arm = Arm("elastic_joint", angles, angles, Angles(0.1, 0.1))
     return {(each.ns, each.id): each for each in scene([arm], DEFAULTS, Time()).markers}
 
 

@@ -133,7 +133,7 @@ def test_names_and_texts_are_shown_and_not_obeyed(
         hostile: Status(hostile, Level.WARN, hostile, {hostile: hostile}),
     }
     console = Console(file=StringIO(), width=200)
-    console.print(picture(View(hostile, 7.2, {"estimate": rows}, statuses, hostile)))
+    console.print(picture(View(hostile, 7.2, {"estimate": rows}, statuses)))
     text = console.file.getvalue()
 
     check_shown(text)

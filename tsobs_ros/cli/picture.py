@@ -42,7 +42,7 @@ def _heading(view: View) -> Text:
         text.append("  waiting for an observer of this name", "dim")
     if view.age > _SILENT:
         text.append(f"  no estimate for {view.age:.0f} s", _STYLES[2])
-    return text.append(f"\n{printable(view.problem)}" if view.problem else "", _STYLES[1])
+    return text
 
 
 def _table(title: str, rows: dict[str, dict[str, dict[str, float]]]) -> Table:

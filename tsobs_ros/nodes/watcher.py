@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What live views show: the newest messages of an observer, of its sensors and of the truth.
+"""What live views show: the newest messages of an observer, and of the truth.
 
 `ObserverFeed` keeps them for any node; `Watcher` is the node of `tsobs watch`.
 """
@@ -14,27 +14,17 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.validate_full_topic_name import validate_full_topic_name
 from sensor_msgs.msg import JointState as JointStateMessage
-from std_msgs.msg import String
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_states import JointState, JointStateDecoder
-from tsobs_ros.design.file import parse_design
-from tsobs_ros.design.published import read_record
-from tsobs_ros.design.request import ArmRequest, TSRequest
-from tsobs_ros.design.signals import Signals, signals
-from tsobs_ros.errors import MessageError, NodeError, TsobsError
+from tsobs_ros.errors import MessageError, NodeError
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.runtime import Ticker
-from tsobs_ros.nodes.wire import LATCHED, DrainedSubscription
+from tsobs_ros.nodes.wire import DrainedSubscription
 from tsobs_ros.replay.places import FIELDS
-
-MEASUREMENTS = "measurements"
-"""The key of the sensors' messages: `joint_measurements` until the observer publishes its topic."""
 
 _QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _COLUMNS = ("value", "bound", "truth")
@@ -57,14 +47,12 @@ class View(NamedTuple):
         tables: By title, name of the entry and field of the message: the `value`, and its 1σ
             `bound` and the `truth` if they are known.
         statuses: Its diagnostics by name.
-        problem: What keeps the view from being complete.
     """
 
     observer: str
     age: float
     tables: dict[str, dict[str, dict[str, dict[str, float]]]]
     statuses: Mapping[str, Status]
-    problem: str
 
 
 class ObserverFeed:
@@ -77,29 +65,23 @@ class ObserverFeed:
 
     Attributes:
         name: The observer's full name.
-        latest: The newest message of each topic, by the name in `wanted`, and of `MEASUREMENTS`.
+        latest: The newest message of each topic, by the name in `wanted`.
         arrived: When it was read, on the monotonic clock [s].
         statuses: The observer's newest diagnostics, by name without the observer's.
-        requests: What each joint's design was made for, by its name; empty without a record.
-        problem: Why the record cannot be used; empty if it can.
     """
 
     def __init__(self, node: Node, observer: str, wanted: Iterable[str]) -> None:
-        self._node = node
         self._decode = JointStateDecoder()
         self.name = node.resolve_topic_name(observer)
         self.latest: dict[str, JointState] = {}
         self.arrived: dict[str, float] = {}
         self.statuses: dict[str, Status] = {}
-        self.requests: dict[str, ArmRequest | TSRequest] = {}
-        self.problem = ""
         self._prefix = f"{self.name.lstrip('/')}: "
+        names = {key: key if key in topics.TRUTH else f"{observer}/{key}" for key in wanted}
         self._topics = {
-            key: self._subscribe(key if key in topics.TRUTH else f"{observer}/{key}")
-            for key in wanted
+            key: DrainedSubscription(node, JointStateMessage, topic, _QOS, raw=True)
+            for key, topic in names.items()
         }
-        self._topics[MEASUREMENTS] = self._subscribe("joint_measurements")
-        node.create_subscription(String, f"{observer}/{topics.DESIGN}", self._take_record, LATCHED)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._take_statuses, 10)
 
     def read(self) -> None:
@@ -125,31 +107,6 @@ class ObserverFeed:
             for name, status in self.statuses.items()
             if name.removeprefix(f"{joint}: ").startswith(concern)
         ]
-
-    def places(self, joint: str) -> Signals:
-        """Return the places of a joint's signals in messages."""
-        return signals(self.requests[joint], joint, alone=len(self.requests) == 1)
-
-    def _subscribe(self, topic: str) -> DrainedSubscription:
-        return DrainedSubscription(self._node, JointStateMessage, topic, _QOS, raw=True)
-
-    def _take_record(self, message: Any) -> None:
-        """Take over what the observer runs, which is new after each of its starts."""
-        self.problem = ""
-        try:
-            record = read_record(message.data)
-            validate_full_topic_name(record.measurements)
-            self.requests = {
-                joint: parse_design(each.file, each.text).request
-                for each in record.designs
-                for joint in each.joints
-            }
-        except (TsobsError, InvalidTopicNameException) as error:
-            self.problem = f"{self.name}/{topics.DESIGN}: {error}"
-            return
-        if self._topics[MEASUREMENTS].topic != record.measurements:
-            self._topics[MEASUREMENTS].destroy()
-            self._topics[MEASUREMENTS] = self._subscribe(record.measurements)
 
     def _take_statuses(self, array: DiagnosticArray) -> None:
         found = {
@@ -213,4 +170,4 @@ class Watcher(Node):
                     rows.setdefault(name, {})[field] = numbers
             tables[title] = rows
         age = time.monotonic() - feed.arrived.get(topics.STATES, math.nan)
-        return View(feed.name, age, tables, feed.statuses, feed.problem)
+        return View(feed.name, age, tables, feed.statuses)

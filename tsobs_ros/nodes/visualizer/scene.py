@@ -20,15 +20,15 @@ from visualization_msgs.msg import Marker, MarkerArray
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.parameters import ManagedParameters
 from tsobs_ros.settings import live_setting, setting
-from tsobs_ros.style import BLUE, GREEN, GRID, MUTED, ORANGE, PURPLE, RED
+from tsobs_ros.style import BLUE, GREEN, GRID, MUTED, ORANGE, RED
 
 LIFETIME = 1
 """Time for which a marker is drawn, and messages are [s]."""
 
 _COLOUR_OF = {Level.OK: BLUE, Level.WARN: ORANGE, Level.ERROR: RED, Level.STALE: MUTED}
 _TRUTH = "#9AA5B1"
-_GHOST = 0.45
-"""Opacity of the estimate."""
+_GHOST, _SIGMAS = 0.45, 3.0
+"""Opacity of the estimate; half width of its bound, in 1σ bounds."""
 
 # All lengths are shares of the link's.
 _SPACING, _MOTOR_RADIUS = 2.6, 0.24
@@ -50,22 +50,21 @@ class VisualizerParameters(ManagedParameters):
 
 
 class Angles(NamedTuple):
-    """Angles of an arm's sides, or half widths of their bounds [rad]; NaN if they are not known."""
+    """Angles of an arm's sides, or their 1σ bounds [rad]."""
 
     link: float
     motor: float
 
 
 class Arm(NamedTuple):
-    """What is known of an arm: angles, half widths of the bound, level and words of the fault."""
+    """What is known of an arm: angles, bounds, level and words of the sensor's fault."""
 
     name: str
     truth: Angles | None = None
     estimate: Angles | None = None
     bound: Angles | None = None
-    measured: Angles | None = None
     level: Level = Level.STALE
-    fault: str = ""
+    fault: str = "?"
 
 
 def scene(arms: Sequence[Arm], look: VisualizerParameters, stamp: Any) -> MarkerArray:
@@ -125,17 +124,12 @@ def _markers(arm: Arm, pen: _Pen) -> Iterator[Marker]:
         yield from _sides("truth", arm.truth, pen, _colour(_TRUTH), 1.0)
     if arm.estimate is not None:
         yield from _sides("estimate", arm.estimate, pen, _colour(colour, _GHOST), 1.4)
-        for number, half in enumerate(arm.bound or ()):
-            if math.isfinite(half):
-                what, area = ("bound", number, Marker.TRIANGLE_LIST), (1.0 / pen.unit,) * 3
-                points = _sector(arm.estimate[number], min(half, math.pi), _DIALS[number], pen)
-                yield pen.draw(what, _colour(colour, 0.7), area, points=points)
-    for number, angle in enumerate(arm.measured or ()):
-        if math.isfinite(angle):
-            at = pen.point(angle, sum(_DIALS[number]) / 2, -0.02)
-            what = ("measurement", number, Marker.SPHERE)
-            yield pen.draw(what, _colour(PURPLE), (0.06, 0.06, 0.06), at)
-    lines = [arm.name, arm.fault or "no diagnostics"]
+        for number, bound in enumerate(arm.bound or ()):
+            what, area = ("bound", number, Marker.TRIANGLE_LIST), (1.0 / pen.unit,) * 3
+            half = min(_SIGMAS * bound, math.pi)
+            points = _sector(arm.estimate[number], half, _DIALS[number], pen)
+            yield pen.draw(what, _colour(colour, 0.7), area, points=points)
+    lines = [arm.name, f"sensor fault: {arm.fault}"]
     moving = arm.estimate or arm.truth
     if moving is not None:
         lying = Quaternion(x=math.sqrt(0.5), w=math.sqrt(0.5))
