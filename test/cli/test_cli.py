@@ -102,12 +102,9 @@ def test_numbers_in_another_unit_are_asked_about(tmp_path: Path) -> None:
         encoding="utf-8",
     )
     assert list(questions(load_request(request))) == [
-        "link_inertia: 350000 kg m^2? As kg mm^2 it would be 0.35 kg m^2",
-        "measurement_std: 30 rad? As degrees it would be 0.5236 rad",
-        "initial_std[0]: 90 rad? As degrees it would be 1.571 rad",
-        "initial_std[2]: 90 rad? As degrees it would be 1.571 rad",
-        "rate: 0.002 Hz, below the 6.5 Hz that the arm's resonance wants? As seconds between "
-        "samples it would be 500 Hz",
+        "link_inertia: 350000 kg m^2, or kg mm^2?",
+        "measurement_std of link_angle: 30 rad, or degrees?",
+        "rate: 0.002 Hz, although 6.5 Hz are wanted, or seconds?",
     ]
 
 

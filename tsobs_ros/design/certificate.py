@@ -102,20 +102,12 @@ class CertificateReport:
 
 
 def check_certificate(problem: AnyRequest, P: Array, K: Array) -> CertificateReport:
-    """Check the certificate of gain K and matrix P from the problem's model alone.
+    """Check the certificate of gain K (n, p) and matrix P (n, n) from the problem's model alone.
 
     P is scaled to unit diagonal, so that units do not matter. Its factor is then exact to n ε κ, κ
     the condition number of the scaled matrix, and so is the decrease over a step; divided by the
-    period that is what a margin must exceed. `exact.verify_exactly` needs no such allowance.
-
-    Args:
-        problem: The model, noise and domain the certificate is for.
-        P: Symmetric matrix, shape (n, n), in design coordinates.
-        K: Filter gain, shape (n, p).
-
-    Returns:
-        Every inequality with its margin, NaN if the matrices leave the range of numbers;
-        nothing is raised for one that fails.
+    period that is what a margin must exceed. `exact.verify_exactly` needs no such allowance. A
+    margin is NaN if the matrices leave the range of numbers; nothing is raised for one that fails.
 
     Raises:
         ModelError: The request describes no model.

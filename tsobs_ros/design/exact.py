@@ -43,11 +43,11 @@ Rational = NDArray[Any]
 
 _LARGEST_GROWTH = 1000
 
-_LEAST_MARGIN = 1e-300
-"""Margin of what is positive definite by less than any share of the guess."""
+_SHARES = (1.0 - 2.0**-20, 1.0 - 2.0**-10, 1.0 - 2.0**-4, 0.5, 0.1, 1e-3, 1e-6)
+"""Shares of the floating-point margin that are tried, in this order, until one is proved."""
 
-_NEARLY_ALL = (2.0**-20, 2.0**-10, 2.0**-4, 0.5, 0.9, 1.0 - 1e-3, 1.0 - 1e-6)
-"""Shares taken off the floating-point margin, in this order, until the rest is proved."""
+_LEAST_MARGIN = 1e-300
+"""Margin of what is positive definite by less than any of them."""
 
 
 class Enclosure(NamedTuple):
@@ -58,10 +58,7 @@ class Enclosure(NamedTuple):
 
 
 def verify_exactly(design: Design) -> CertificateReport:
-    """Check the certificate of a design in exact rational arithmetic.
-
-    Returns:
-        Every inequality with a margin that is proved, 0 if the inequality is not.
+    """Return every inequality of a design with a margin that is proved exactly, 0 if it is not.
 
     Raises:
         ModelError: The model is so fast for the period that its flow cannot be enclosed.
@@ -75,25 +72,21 @@ def _inequalities(design: Design) -> Iterator[Inequality]:
         yield UNMODELLED
         return
     guesses = {(each.name, each.where): each.margin for each in design.certificate.inequalities}
-
-    def judged(name: str, where: str, matrix: Rational, unit: Rational) -> Inequality:
-        return Inequality(name, where, _margin(matrix, unit, guesses.get((name, where), 0.0)), 0.0)
-
-    P = rational(design.P)
-    name = "P symmetric and positive definite"
-    positive = Inequality(name, "", 0.0, 0.0)
+    P, name = rational(design.P), "P symmetric and positive definite"
+    margin = 0.0
     if (P == P.T).all():
-        positive = judged(name, "", P, np.diag(np.diag(P)))
-    yield positive
-    if positive.holds:
-        for where, decrease, unit in _decreases(design):
-            yield judged("covariance decrease", where, decrease, unit)
+        margin = _margin(P, np.diag(np.diag(P)), guesses[name, ""])
+    yield Inequality(name, "", margin, 0.0)
+    name = "covariance decrease"
+    for where, decrease, unit in _decreases(design) if margin else ():
+        margin = _margin(decrease, unit, guesses.get((name, where), 0.0))
+        yield Inequality(name, where, margin, 0.0)
 
 
 def _margin(matrix: Rational, unit: Rational, guess: float) -> float:
     """Return a number μ > 0, printed with four digits and no more, with matrix − μ unit ≻ 0."""
     if is_positive_definite(matrix):
-        for candidate in (*(guess * (1.0 - taken) for taken in _NEARLY_ALL), _LEAST_MARGIN):
+        for candidate in (*(share * guess for share in _SHARES), _LEAST_MARGIN):
             text = f"{candidate:.3e}"
             if candidate > 0.0 and is_positive_definite(matrix - Fraction(text) * unit):
                 return float(text)

@@ -27,14 +27,10 @@ _UNDECIDED = 1e-7
 
 
 class CommonLyapunov(NamedTuple):
-    """The answer for some matrices, with its proof.
+    """P of shape (n, n) with trace n, or the proof that there is none: Z of (r, n, n), traces 1.
 
-    Attributes:
-        margin: With P, the largest eigenvalue of AᵢᵀP + PAᵢ over all i, negative, with
-            trace P = n; else the smallest eigenvalue of Σ AᵢZᵢ + ZᵢAᵢᵀ with Σ tr Zᵢ = 1, not
-            negative but for rounding.
-        P: The common matrix, shape (n, n); None if there is none.
-        Z: The proof that there is none, shape (r, n, n); None if there is one.
+    `margin` is the largest eigenvalue of AᵢᵀP + PAᵢ, negative; or the smallest of Σ AᵢZᵢ + ZᵢAᵢᵀ,
+    not negative but for rounding.
     """
 
     margin: float
@@ -52,10 +48,7 @@ class LyapunovGains(NamedTuple):
 
 
 def common_lyapunov(A: Array) -> CommonLyapunov:
-    """Decide whether one P ≻ 0 has AᵢᵀP + PAᵢ ≺ 0 for every i.
-
-    Args:
-        A: Shape (r, n, n).
+    """Decide whether one P ≻ 0 has AᵢᵀP + PAᵢ ≺ 0 for every matrix of A, shape (r, n, n).
 
     Raises:
         DesignError: The solver failed, or the problem is too close to the border for a proof.
@@ -100,17 +93,10 @@ def smallest_lyapunov(M: Array, C: Array, D: Array) -> LyapunovGains:
     Here sym(X) = X + Xᵀ. Qᵢ enters only through QᵢC and could grow without bound, which the
     weight prevents.
 
-    Args:
-        M: Shape (r, n, n).
-        C: Shape (p, n).
-        D: Symmetric, the margin of the inequalities, shape (n, n).
+    M has the shape (r, n, n), C (p, n), and D, the margin of the inequalities, (n, n).
 
     Raises:
         DesignError: The solver failed or found no solution.
-
-    >>> smallest_lyapunov(-np.eye(2)[None], np.eye(1, 2), 0.1 * np.eye(2)).P.round(3)
-    array([[1., 0.],
-           [0., 1.]])
     """
     n, p = M.shape[-1], C.shape[0]
     P = cp.Variable((n, n), symmetric=True)

@@ -9,15 +9,15 @@ import math
 from collections.abc import Iterator
 
 from tsobs_ros.design.request import AnyRequest, ArmRequest
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import ANGLES, ElasticJointArm
 
 _ENTRIES = {
-    "link_inertia": ("kg m^2", 1e5, "kg mm^2", 1e-6),
-    "motor_inertia": ("kg m^2", 1e5, "kg mm^2", 1e-6),
-    "stiffness": ("N m/rad", 1e8, "N mm/rad", 1e-3),
-    "gravity_torque": ("N m", 1e6, "N mm", 1e-3),
-    "link_damping": ("N m s/rad", math.inf, "", 1.0),
-    "motor_damping": ("N m s/rad", math.inf, "", 1.0),
+    "link_inertia": ("kg m^2", 1e5, "kg mm^2"),
+    "motor_inertia": ("kg m^2", 1e5, "kg mm^2"),
+    "stiffness": ("N m/rad", 1e8, "N mm/rad"),
+    "gravity_torque": ("N m", 1e6, "N mm"),
+    "link_damping": ("N m s/rad", math.inf, ""),
+    "motor_damping": ("N m s/rad", math.inf, ""),
 }
 """Unit of each number of an arm, the largest plausible one, and the unit it may be in if larger.
 
@@ -49,23 +49,14 @@ def description(request: ArmRequest) -> list[str]:
 
 def questions(request: AnyRequest) -> Iterator[str]:
     """Yield a question about each number that may be in another unit."""
-    wanted, rate = 0.0, request.rate
+    wanted = _SLOWEST
     if isinstance(request, ArmRequest):
-        wanted = _SAMPLES_PER_PERIOD * resonances(request.arm)[1]
-        for name, (unit, largest, other, factor) in _ENTRIES.items():
+        wanted = max(wanted, _SAMPLES_PER_PERIOD * resonances(request.arm)[1])
+        for name, (unit, largest, other) in _ENTRIES.items():
             if (value := getattr(request.arm, name)) > largest:
-                yield f"{name}: {value:g} {unit}? As {other} it would be {factor * value:g} {unit}"
-        angles = [
-            (f"outputs[{i}].measurement_std" if request.outputs else "measurement_std",
-             output.measurement_std, _LARGEST_STD)
-            for i, output in enumerate(request.sensors) if output.measures.endswith("angle")
-        ]  # fmt: skip
-        angles += [(f"initial_std[{i}]", request.initial_std[i], math.tau) for i in (0, 2)]
-        for name, value, largest in angles:
-            if value > largest:
-                degrees = math.radians(value)
-                yield f"{name}: {value:g} rad? As degrees it would be {degrees:.4g} rad"
-    slow = f", below the {wanted:.3g} Hz that the arm's resonance wants" if rate < wanted else ""
-    if slow or rate < _SLOWEST:
-        unit, period = ("seconds", 1.0) if rate < 1.0 else ("milliseconds", 1e3)
-        yield f"rate: {rate:g} Hz{slow}? As {unit} between samples it would be {period / rate:g} Hz"
+                yield f"{name}: {value:g} {unit}, or {other}?"
+        for output in request.sensors:
+            if output.measures in ANGLES and (std := output.measurement_std) > _LARGEST_STD:
+                yield f"measurement_std of {output.measures}: {std:g} rad, or degrees?"
+    if request.rate < wanted:
+        yield f"rate: {request.rate:g} Hz, although {wanted:.3g} Hz are wanted, or seconds?"

@@ -33,13 +33,7 @@ class PublishedDesign:
 
 @dataclass(kw_only=True)
 class ObserverRecord:
-    """What an observer runs.
-
-    Attributes:
-        measurements: Full name of the topic of its measurements.
-        designs: Its design files.
-        parameters: Those of the node that decide estimates, by name.
-    """
+    """The full name of the measurements' topic, designs, and parameters that decide estimates."""
 
     format: str = FORMAT
     version: int = VERSION

@@ -21,15 +21,10 @@ from tsobs_ros.model.matrices import inverse
 
 @dataclass(frozen=True)
 class SolverReport:
-    """Who computed the matrices; for the record only, nothing is trusted because of it.
+    """The solver that computed the matrices; for the record only, nothing is trusted because of it.
 
-    Attributes:
-        name: Solver.
-        version: Its version.
-        status: What it reported of its answer.
-        iterations: Of its last solve.
-        seconds: Time of the whole synthesis [s].
-        margin: Extra noise it was asked to allow for, as a fraction of the bound per second.
+    `iterations` are those of its last solve, `seconds` the time of the synthesis, and `margin` the
+    extra noise it was asked to allow for, as a fraction of the bound per second.
     """
 
     name: str = ""

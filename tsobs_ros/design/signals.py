@@ -16,12 +16,7 @@ Field: TypeAlias = Literal["position", "velocity", "effort"]
 
 
 class Place(NamedTuple):
-    """Where a number is in a JointState.
-
-    Attributes:
-        name: Of the entry.
-        field: Of the message.
-    """
+    """Where a number is in a JointState: the entry's name and the message's field."""
 
     name: str
     field: Field
@@ -64,9 +59,8 @@ def signals(request: AnyRequest, joint: str, alone: bool, both_sides: bool = Fal
 
     Args:
         request: Of the joint's design.
-        joint: Its name.
-        alone: Whether it is the only one of its node; entries of a T–S system have the joint's
-            name before theirs if not.
+        joint: Its name, which is before the names of a T–S system's entries if it is not `alone`.
+        alone: Whether it is the only one of its node.
         both_sides: Whether an arm has encoders on both sides, although the design may measure one.
 
     >>> signals(ArmRequest(), "elbow", alone=True).outputs

@@ -60,7 +60,7 @@ def synthesise(request: AnyRequest) -> Design:
         request: Model, noise, domain and rate.
 
     Returns:
-        A design whose certificate was re-checked on the returned matrices.
+        The design with the smallest proved bound, its certificate re-checked.
 
     Raises:
         DetectabilityError: No observer can exist; the text says which mode is hidden and why.
@@ -91,10 +91,8 @@ def solve_gain(
 ) -> tuple[Array, Array, SolverReport]:
     """Return P and K with the smallest proved bound, re-checked, and who computed them.
 
-    Args:
-        problem: Error systems and noise, every one of them detectable.
-        passes: Largest number of solves until the bound's volume stops shrinking.
-        smallest_step: Share of the domain by which the last attempts to reach it grow.
+    At most so many passes shrink the bound's volume; attempts to reach the domain grow by at least
+    `smallest_step` of it.
 
     Raises:
         DesignError: The solver found no common matrix P, or its answer failed the re-check.
