@@ -89,7 +89,7 @@ def compare_scenarios(
         if name not in SCENARIOS:
             raise ModelError(f"scenario: expected one of {', '.join(SCENARIOS)}, got {name!r}")
     request = design.arm_request
-    if request.output_names != ("link_angle",) or any(request.torque_disturbance.by_side):
+    if request.output_names != ("link_angle",) or request.torque_sides:
         raise ModelError(
             "scenarios: expected a design with the link angle as its only output and without "
             f"torque disturbance, got {', '.join(request.output_names)}"

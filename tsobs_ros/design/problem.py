@@ -140,6 +140,7 @@ class Request(ABC):
     output_units: tuple[str, ...]
     input_names: tuple[str, ...]
     input_units: tuple[str, ...]
+    torque_sides: tuple[str, ...] = ()
 
     @property
     @abstractmethod

@@ -98,14 +98,9 @@ class Output:
         require_terms("disturbance", self.disturbance)
 
     @property
-    def channel(self) -> Channel:
-        """The disturbance, named by the output."""
-        return Channel(self.measures, tuple(self.disturbance))
-
-    @property
     def model(self) -> DisturbanceModel:
         """The sum of the disturbance's terms."""
-        return self.channel.model
+        return Channel(self.measures, tuple(self.disturbance)).model
 
 
 @dataclass(frozen=True)
@@ -136,17 +131,6 @@ class TorqueDisturbance:
                         f"{side}[{place}]: expected a torque with a model, e.g. gauss_markov, "
                         "got kind arbitrary"
                     )
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        """The disturbances of motor and link, with or without terms."""
-        return tuple(Channel(f"the torque at the {s}", getattr(self, s)) for s in SIDES)
-
-    @cached_property
-    def by_side(self) -> Mapping[str, DisturbanceModel]:
-        """The exosystems with at least one state by their sides, the motor's first."""
-        models = zip(SIDES, (channel.model for channel in self.channels), strict=True)
-        return Fixed({side: model for side, model in models if model.state_count})
 
 
 @dataclass(frozen=True)
@@ -210,12 +194,19 @@ class ArmRequest(Request):
             self._take(**{name: first})
         link_angle = Output(QUANTITIES[LINK_ANGLE], self.measurement_std, self.disturbance)
         sensors = self.outputs or (link_angle,)
-        measured = tuple(each.measures for each in sensors)
+        torques, measured = self.torque_disturbance, tuple(each.measures for each in sensors)
+        sides = [Channel(f"the torque at the {side}", getattr(torques, side)) for side in SIDES]
         self.arm.measured(measured, [each.delay for each in sensors])
         self._take(
             sensors=sensors,
             measurement_std=sensors[0].measurement_std,
-            channels=(*(each.channel for each in sensors), *self.torque_disturbance.channels),
+            channels=(
+                *(Channel(each.measures, tuple(each.disturbance)) for each in sensors),
+                *sides,
+            ),
+            torque_sides=tuple(
+                side for side, one in zip(SIDES, sides, strict=True) if one.model.state_count
+            ),
             output_std=np.array([each.measurement_std for each in sensors]),
             x_max=finite("x_max", self.x_max),
             initial_std=tuple(as_matrix("initial_std", self.initial_std, (4,)).tolist()),
@@ -254,13 +245,9 @@ class ArmRequest(Request):
                 raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
             _ = uncertain.linear_places
 
-    @property
-    def torque_sides(self) -> tuple[str, ...]:
-        return tuple(self.torque_disturbance.by_side)
-
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:
-        return per_channel([output.model for output in self.sensors])
+        return per_channel([channel.model for channel in self.channels[: len(self.sensors)]])
 
     @cached_property
     def flow(self) -> ArmFlow:
@@ -270,7 +257,7 @@ class ArmRequest(Request):
             self.process_noise,
             self.period,
             self.output_names,
-            per_channel([channel.model for channel in self.torque_disturbance.channels]),
+            per_channel([channel.model for channel in self.channels[len(self.sensors) :]]),
             self.torque,
             [output.delay for output in self.sensors],
         )
@@ -326,18 +313,22 @@ class ArmRequest(Request):
         parts = [f"disturbance {self.disturbance_model.label}"]
         if self.outputs:
             parts = [f"{output.measures} ({output.model.label})" for output in self.outputs]
-        for side, model in self.torque_disturbance.by_side.items():
-            parts.append(f"torque at the {side} ({model.label})")
+        parts += [f"torque at the {side} ({label})" for side, label in self._torque_labels.items()]
         gravity = f"|q1| <= {self.x_max:.4g} rad" if self.arm.gravity_torque else "no gravity"
         return ", ".join([*parts, gravity])
+
+    @property
+    def _torque_labels(self) -> dict[str, str]:
+        torques = dict(zip(SIDES, self.channels[len(self.sensors) :], strict=True))
+        return {side: torques[side].model.label for side in self.torque_sides}
 
     @property
     def details(self) -> dict[str, Any]:
         details: dict[str, Any] = {"x_max": self.x_max} if self.arm.gravity_torque else {}
         if self.outputs:
             details["outputs"] = self.output_names
-        if models := self.torque_disturbance.by_side:
-            details["torque_disturbance"] = {side: model.label for side, model in models.items()}
+        if self.torque_sides:
+            details["torque_disturbance"] = self._torque_labels
         if self.torque != DIRECT:
             details["torque"] = asdict(self.torque)
         return details
@@ -432,7 +423,7 @@ class TSRequest(Request):
     names: Labels = NO_LABELS
     units: Labels = NO_LABELS
 
-    default_torque_rate, max_angle, reach, torque_sides = 0.0, math.inf, None, ()
+    default_torque_rate, max_angle, reach = 0.0, math.inf, None
 
     def __post_init__(self) -> None:
         model, (n, p) = self.model, (self.model.state_count, len(self.model.C))
