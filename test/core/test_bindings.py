@@ -153,7 +153,7 @@ def test_arguments_of_another_kind_are_refused() -> None:
     with pytest.raises(ValueError, match="elementary: function: expected sine, cosine"):
         native.elementary("tangent", zeros(3))
     with pytest.raises(ValueError, match="layout: expected sizes within their limits"):
-        native.layout("flow", np.full(8, -1))
+        native.layout("flow", np.full(7, -1))
     with pytest.raises(ValueError, match="layout: expected a record and its sizes"):
         native.layout("model", np.ones(3, int))
 

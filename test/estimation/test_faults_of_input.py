@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from staging.stage import Arm
+from staging.stage import PERIOD, Arm
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
@@ -77,13 +77,17 @@ KINDS: dict[str, Kind] = {
 }  # fmt: skip
 
 
+def stamps(begin: int, seconds: float) -> range:
+    return range(begin, begin + round(seconds * NANOSECONDS), PERIOD)
+
+
 def script(arm: Arm, kind: Kind) -> list[Event]:
     """Return all samples from the arm's first on, in the order of arrival."""
     bad_from = BEGIN + round(kind.warm_up * NANOSECONDS)
     good_from = bad_from + round(kind.lasts * NANOSECONDS)
-    good = [*arm.stamps(BEGIN, kind.warm_up), *arm.stamps(good_from, kind.recovery)]
+    good = [*stamps(BEGIN, kind.warm_up), *stamps(good_from, kind.recovery)]
     events: list[Event] = [(at, arm.measurement(at), USED) for at in good]
-    for index, at in enumerate(arm.stamps(bad_from, kind.samples)):
+    for index, at in enumerate(stamps(bad_from, kind.samples)):
         sample = kind.change(arm.measurement(at), index)
         events.append((kind.arrival(at, bad_from), sample, kind.outcome))
     return sorted(events, key=lambda event: event[0])

@@ -48,9 +48,10 @@ const char *model_view(double *memory, size_t length, model *view)
     }
     MODEL_FIELDS(LAYOUT_BIND, s)
     sizes = flow_sizes_of(view->flow);
-    if (sizes.n != s->n || sizes.m != s->m || sizes.k != s->k
+    if (sizes.n != s->n || sizes.k != s->k
+        || sizes.m != s->m + (*view->gain_mode == GAIN_OPEN ? 2 * s->p : 0)
         || flow_size(&sizes) != (size_t)s->flow_size
-        || flow_scratch_size(&sizes) > (size_t)s->scratch) {
+        || flow_step_size(&sizes) > (size_t)s->scratch) {
         return "expected a model's record with a flow of its sizes";
     }
     view->design_flow = flow_view(view->flow);

@@ -260,10 +260,12 @@ LAYOUT_DECLARE(estimate, ESTIMATE_FIELDS, estimator_sizes)
 /* Scratch of a prediction or a readout. */
 #define WORK_FIELDS(F, s)                            \
     F(VECTOR, flow, s->scratch, 1)                   \
+    F(MATRIX, map, s->width, s->width)               \
+    F(MATRIX, added, s->width, s->width)             \
     F(MATRIX, square, s->width, s->width)            \
-    F(MATRIX, tangents, s->width - s->n + 1, s->n)   \
-    F(VECTOR, drives, s->width - s->n + 1, 1)        \
-    F(VECTOR, inputs, s->m, 1)                       \
+    F(MATRIX, squares, 3 * s->width, s->width)       \
+    F(VECTOR, moved, s->width, 1)                    \
+    F(VECTOR, inputs, s->m + 2 * s->p, 1)            \
     F(MATRIX, small, s->k, s->k)                     \
     F(VECTOR, share, s->k, 1)                        \
     F(VECTOR, functional, s->width, 1)               \
@@ -388,15 +390,13 @@ typedef struct {
     double link_friction, motor_friction, gate;
 } filter_options;
 
-/* Number of the scratch's numbers. */
-size_t innovations_scratch_size(const model *m);
-
-/* Filter a log from the model's initial state on. Write y - C x of each output given those before it,
- * and its variance, NaN of an output that is missing, (n, p) each; and the states before each sample,
- * (n, n), unless NULL. Without a `corrected_until` below n the filter runs free from that sample on:
+/* Filter a log from the model's initial state on, in the memory of a state. Write y - C x of each output
+ * given those before it, and its variance, NaN of an output that is missing, (n, p) each; and the
+ * states before each sample, (n, n). Without a `corrected_until` below n the filter runs free from that sample on:
  * innovations are those of a simulation. */
 void write_innovations(
-    const model *m, const sample_log *log, const filter_options *options, int64_t corrected_until,
-    double *innovations, double *variances, double *states, double *scratch);
+    const model *m, state *at, const sample_log *log, const filter_options *options,
+    int64_t corrected_until, double *innovations, double *variances, double *states,
+    correction *effect, work *scratch);
 
 #endif

@@ -97,8 +97,7 @@ static void regress(const model *m, const hypothesis *h, long output, double *om
     }
 }
 
-/* Return the innovation of an output; write the variance of what the filter knows of it. */
-static double expect(
+double expect(
     const model *m, const state *at, const hypothesis *h, long output, correction *effect,
     double *known)
 {
@@ -265,8 +264,7 @@ static void correct_regressors(
     }
 }
 
-/* Correct with a Riccati gain: x <- x + P c e / s,  P <- P - P c c' P / s. */
-static void correct_covariance(
+void correct_covariance(
     const model *m, hypothesis *h, const double *crossed, double innovation, double known,
     long used)
 {
@@ -391,47 +389,21 @@ double correct_hypothesis(
 
 /* --- prediction --- */
 
-/* The auxiliary states' own motion over a step. */
-typedef struct {
-    long count;           /* of them in use */
-    double torque, sensor; /* factors of the torque and of the sensor's parts */
-    double cos, sin;      /* of a tone's turn */
-    double torque_noise, sensor_noise; /* variances added, that of outputs' parts by R */
-    int turns;
-} own_motion;
-
-/* Move a vector of auxiliary states, of which two neighbours are `stride` numbers apart. */
-static void move_own(const own_motion *own, double *a, long stride)
-{
-    if (own->count > 0) {
-        a[0] *= own->torque;
-    }
-    if (own->turns) {
-        const double first = a[stride], second = a[2 * stride];
-        a[stride] = own->sensor * (own->cos * first + own->sin * second);
-        a[2 * stride] = own->sensor * (own->cos * second - own->sin * first);
-        return;
-    }
-    for (long j = 1; j < own->count; j++) {
-        a[j * stride] *= own->sensor;
-    }
-}
-
-static own_motion own_motion_of(
-    const model *m, const hypothesis *h, double duration, double forgotten)
+/* Write the auxiliary states' own motion over a step, a = D a + noise, into D and the noise's
+ * covariance, matrices with rows of `stride`. */
+static void write_own_motion(
+    const model *m, const hypothesis *h, double duration, double forgotten, long stride, double *D,
+    double *added)
 {
     const double *constants = m->constants;
-    own_motion own = {states_in_use(m, h) - (long)m->s.n, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0};
-    double time = 0.0, size = 0.0;
-    if (own.count == 0) {
-        return own;
-    }
-    own.torque = exponential(-duration / constants[FORCE_TIME]);
+    const double torque = exponential(-duration / constants[FORCE_TIME]);
+    double time, size, decay, noise, sin = 0.0, cos = 1.0;
+    D[0] = torque;
     if (*h->kind == FORCE) {
-        own.torque_noise = *m->force * *m->force * (1.0 - own.torque * own.torque);
+        added[0] = *m->force * *m->force * (1.0 - torque * torque);
     }
     if (forgotten > 0.0) {
-        own.torque_noise += forgotten * duration;
+        added[0] += forgotten * duration;
     }
     switch (*h->kind) {
     case COLOURED_NOISE:
@@ -445,76 +417,100 @@ static own_motion own_motion_of(
     case TONE:
         time = constants[TONE_TIME];
         size = *h->size;
-        own.turns = 1;
-        sine_and_cosine(*h->frequency * duration, &own.sin, &own.cos);
+        sine_and_cosine(*h->frequency * duration, &sin, &cos);
         break;
     default:
-        return own;
+        return;
     }
-    own.sensor = exponential(-duration / time);
-    own.sensor_noise = size * size * (1.0 - own.sensor * own.sensor);
-    return own;
+    decay = exponential(-duration / time);
+    noise = size * size * (1.0 - decay * decay);
+    for (long j = 0; j < (*h->kind == TONE ? 2 : m->s.p); j++) {
+        const long place = (j + 1) * (stride + 1);
+        D[place] = decay * cos;
+        added[place] = *h->kind == TONE ? noise : noise * m->R[j * (m->s.p + 1)];
+    }
+    if (*h->kind == TONE) {
+        D[stride + 2] = decay * sin;
+        D[2 * stride + 1] = -(decay * sin);
+    }
 }
 
-/* Take one step of at most the period with the auxiliary states. */
-static void step_with_auxiliary(
-    const model *m, const state *at, hypothesis *h, const double *u, double duration,
-    double forgotten, work *scratch)
+/* Take a step with signals u: move x, the regressors and, unless it is `simple`, the covariance,
+ * by the map of the design's states and the auxiliary ones
+ *
+ *     F = [J g e'; 0 D],   g what the unknown torque, the first of these, pushes. */
+static void step_hypothesis(
+    const model *m, hypothesis *h, const linear_step *over, double *u, int simple,
+    double forgotten, const flow_step *step, work *scratch)
 {
-    const long n = (long)m->s.n, width = (long)m->s.width, used = states_in_use(m, h);
-    const long count = used - n;
-    const own_motion own = own_motion_of(m, h, duration, forgotten);
-    double *P = h->covariance, *rows = scratch->tangents, *push = rows + count * n;
-    tangents along = {rows, scratch->drives, count + 1};
-    memcpy(scratch->inputs, u, (size_t)m->s.m * sizeof *u);
-    if (m->s.m > 0) {
-        scratch->inputs[0] += h->x[n];
+    const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
+    const long used = simple ? n : states_in_use(m, h), count = used - n;
+    const double *F = step->J, *added = step->Q;
+    double *moved = scratch->moved;
+    if (count > 0 && m->s.m > 0) {
+        u[0] += h->x[n];
     }
-    for (long j = 0; j < count; j++) {
-        scratch->drives[j] = P[n * width + n + j];
+    take_step(
+        &m->design_flow, over, h->x, h->theta, u,
+        simple ? (k > 0 ? DERIVATIVES : NOTHING) : COVARIANCE, step);
+    if (count > 0) {
+        const long corner = n * (used + 1);
+        double *map = scratch->map, *noise = scratch->added;
+        memset(map, 0, (size_t)(used * used) * sizeof *map);
+        memset(noise, 0, (size_t)(used * used) * sizeof *noise);
+        copy_matrix(F, n, map, used, n, n);
+        copy_matrix(added, n, noise, used, n, n);
         for (long i = 0; i < n; i++) {
-            rows[j * n + i] = P[i * width + n + j];
+            map[i * used + n] = step->effects[k * n + i];
         }
-    }
-    scratch->drives[count] = 1.0;
-    memset(push, 0, (size_t)n * sizeof *push);
-    flow_advance(
-        &m->design_flow, h->x, h->upsilon, P, width, &along, h->theta, at->sample,
-        scratch->inputs, duration, scratch->flow);
-    /* x <- J x + g d: rows have J Cov(x, d) + g Var(d) now. */
-    for (long i = 0; i < n; i++) {
-        for (long j = 0; j < n; j++) {
-            P[i * width + j] += push[i] * rows[j] + rows[i] * push[j]
-                                - push[i] * push[j] * P[n * width + n];
+        write_own_motion(m, h, over->duration, forgotten, used, map + corner, noise + corner);
+        for (long i = 0; i < count; i++) {
+            moved[i] = dot(map + corner + i * used, h->x + n, count);
         }
+        memcpy(h->x + n, moved, (size_t)count * sizeof *moved);
+        F = map;
+        added = noise;
     }
-    for (long a = 0; a < m->s.k; a++) {
+    for (long a = 0; a < k; a++) {
         double *row = h->upsilon + a * width;
-        for (long i = 0; i < n; i++) {
-            row[i] += push[i] * row[n];
+        transform(F, row, moved, used);
+        add_scaled(moved, 1.0, step->effects + a * n, n);
+        memcpy(row, moved, (size_t)used * sizeof *row);
+    }
+    if (!simple) {
+        copy_matrix(h->covariance, width, scratch->square, used, used, used);
+        congruence(F, scratch->square, added, scratch->squares, used);
+        copy_matrix(scratch->square, used, h->covariance, width, used, used);
+    }
+}
+
+/* Move over a time in nominal steps and a last one, each with the torque that reaches the motor in
+ * it. An observer that is not corrected has the newest samples as signals, too. */
+static void move(
+    const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
+    work *scratch)
+{
+    const flow *f = &m->design_flow;
+    const flow_sizes sizes = flow_sizes_of(m->flow);
+    const int is_late = m->s.past > 0 && isfinite(at->past[1]);
+    double *u = scratch->inputs, rest;
+    const int64_t whole = cut_into_steps(duration, *m->period, &rest);
+    linear_step over = {*m->period, f->phi, f->gamma, f->noise};
+    flow_step step;
+    flow_step_bind(&step, &sizes, scratch->flow);
+    for (int64_t taken = 0; taken < whole + (rest > 0.0); taken++) {
+        if (taken == whole) {
+            over = other_step(f, rest, &step);
         }
-        move_own(&own, row + n, 1);
-    }
-    move_own(&own, h->x + n, 1);
-    for (long j = n; j < used; j++) { /* columns, then rows */
-        move_own(&own, P + j * width + n, 1);
-    }
-    for (long j = n; j < used; j++) {
-        move_own(&own, P + n * width + j, width);
-    }
-    P[n * width + n] += own.torque_noise;
-    for (long j = 1; j < (own.turns ? 3 : count); j++) {
-        const double white = own.turns ? 1.0 : m->R[(j - 1) * (m->s.p + 1)];
-        P[(n + j) * width + n + j] += own.sensor_noise * white;
-    }
-    for (long i = 0; i < n; i++) {
-        for (long j = 0; j < count; j++) {
-            P[i * width + n + j] = rows[j * n + i];
+        memcpy(u, at->held, (size_t)m->s.m * sizeof *u);
+        if (is_late) {
+            u[0] = mean_torque(m, at, (double)taken * *m->period, over.duration);
         }
-        move_own(&own, P + i * width + n, 1);
-        for (long j = 0; j < count; j++) {
-            P[(n + j) * width + i] = P[i * width + n + j];
+        if (*m->gain_mode == GAIN_OPEN) {
+            memcpy(u + m->s.m, at->sample, (size_t)m->s.p * sizeof *u);
+            memcpy(u + m->s.m + m->s.p, at->sample, (size_t)m->s.p * sizeof *u);
         }
+        step_hypothesis(m, h, &over, u, simple, forgotten, &step, scratch);
     }
 }
 
@@ -535,54 +531,13 @@ static void forget_slowly(const model *m, hypothesis *h, double duration)
     }
 }
 
-/* Move estimate and covariance over a time with an input. */
-static void move_estimate(
-    const model *m, const state *at, hypothesis *h, const double *u, double duration, int simple,
-    double forgotten, work *scratch)
-{
-    const long width = (long)m->s.width;
-    const flow *f = &m->design_flow;
-    if (simple || states_in_use(m, h) == (long)m->s.n) {
-        flow_advance(
-            f, h->x, h->upsilon, simple ? NULL : h->covariance, width, NULL, h->theta, at->sample, u,
-            duration, scratch->flow);
-    } else {
-        double rest;
-        const int64_t whole = cut_into_steps(duration, *m->period, &rest);
-        for (int64_t step = 0; step < whole; step++) {
-            step_with_auxiliary(m, at, h, u, *m->period, forgotten, scratch);
-        }
-        if (rest > 0.0) {
-            step_with_auxiliary(m, at, h, u, rest, forgotten, scratch);
-        }
-    }
-}
-
-/* Do so period by period, each with the torque that reaches the motor in it. */
-static void move_by_torques(
-    const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
-    work *scratch)
-{
-    double rest;
-    const int64_t whole = cut_into_steps(duration, *m->period, &rest);
-    for (int64_t step = 0; step < whole + (rest > 0.0); step++) {
-        const double time = step < whole ? *m->period : rest;
-        const double torque = mean_torque(m, at, (double)step * *m->period, time);
-        move_estimate(m, at, h, &torque, time, simple, forgotten, scratch);
-    }
-}
-
 void predict_hypothesis(
     const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
     work *scratch)
 {
     const long n = (long)m->s.n, plant = (long)m->s.plant, width = (long)m->s.width;
     const flow *f = &m->design_flow;
-    if (m->s.past > 0 && isfinite(at->past[1])) {
-        move_by_torques(m, at, h, duration, simple, forgotten, scratch);
-    } else {
-        move_estimate(m, at, h, at->held, duration, simple, forgotten, scratch);
-    }
+    move(m, at, h, duration, simple, forgotten, scratch);
     if (*h->kind == IMPERFECT && !simple) {
         const double more
             = (m->constants[IMPERFECTION] - 1.0) * (duration / *m->period);

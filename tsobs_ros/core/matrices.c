@@ -33,10 +33,14 @@ void multiply(
     }
 }
 
-void congruence(
-    const double *a, const double *turned, double *s, const double *added, double *scratch, long n)
+void congruence(const double *a, double *s, const double *added, double *scratch, long n)
 {
-    double *half = scratch, *whole = half + n * n;
+    double *half = scratch, *whole = half + n * n, *turned = whole + n * n;
+    for (long i = 0; i < n; i++) {
+        for (long j = 0; j < n; j++) {
+            turned[j * n + i] = a[i * n + j];
+        }
+    }
     multiply(a, s, half, n, n, n);
     multiply(half, turned, whole, n, n, n);
     for (long i = 0; i < n; i++) {

@@ -41,20 +41,18 @@ static inline double larger(double value, double least)
 }
 
 /* Add c x to y. */
-static inline void add_scaled(double *y, double c, const double *x, long n)
+static inline void add_scaled(double *restrict y, double c, const double *restrict x, long n)
 {
     for (long i = 0; i < n; i++) {
         y[i] += c * x[i];
     }
 }
 
-/* Write a' for a (n, n). */
-static inline void transpose(const double *a, double *result, long n)
+/* Write a x for a (n, n). */
+static inline void transform(const double *a, const double *x, double *result, long n)
 {
     for (long i = 0; i < n; i++) {
-        for (long j = 0; j < n; j++) {
-            result[j * n + i] = a[i * n + j];
-        }
+        result[i] = dot(a + i * n, x, n);
     }
 }
 
@@ -65,10 +63,9 @@ double quadratic(const double *s, long s_width, const double *a, long n);
 void multiply(
     const double *a, const double *b, double *result, long rows, long inner, long columns);
 
-/* Replace s by a s a' + added, symmetric, for a and turned = a' (n, n), s and added (n, n) symmetric.
- * `scratch` has 2 n^2 numbers; added may be s. */
-void congruence(
-    const double *a, const double *turned, double *s, const double *added, double *scratch, long n);
+/* Replace s by a s a' + added, symmetric, for a (n, n), and s and added (n, n) symmetric. `scratch` has
+ * 3 n^2 numbers; added may be s. */
+void congruence(const double *a, double *s, const double *added, double *scratch, long n);
 
 /* Return whether s <= bound as symmetric matrices (n, n), by the pivots of their difference, which
  * `scratch` (n, n) takes up. */

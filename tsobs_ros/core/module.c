@@ -187,7 +187,7 @@ static PyObject *fields_as_list(const layout_field *fields, size_t count)
 BIND(layout, "sd")
 {
     const int64_t *numbers = t[1].counts;
-    long n[8] = {0};
+    long n[7] = {0};
     if (t[1].length == ESTIMATOR_SIZES && sizes_are_sound(numbers)) {
         const estimator_sizes s = sizes_of(numbers);
         RECORD("sensor", SENSOR_FIELDS, ESTIMATOR_SIZES, &s)
@@ -197,17 +197,17 @@ BIND(layout, "sd")
         RECORD("estimate", ESTIMATE_FIELDS, ESTIMATOR_SIZES, &s)
         RECORD("work", WORK_FIELDS, ESTIMATOR_SIZES, &s)
         RECORD("model", MODEL_FIELDS, ESTIMATOR_SIZES, &s)
-    } else if (t[1].length <= 8 && are_sizes(of, numbers, t[1].length, 0)) {
+    } else if (t[1].length <= 7 && are_sizes(of, numbers, t[1].length, 0)) {
         for (int64_t i = 0; i < t[1].length; i++) {
             n[i] = (long)numbers[i];
         }
-        const flow_sizes model = {n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7]};
+        const flow_sizes model = {n[0], n[1], n[2], n[3], n[4], n[5], n[6]};
         const system_sizes plant = {n[0], n[1], n[2], n[3], n[4], n[5]};
         RECORD("history", HISTORY_FIELDS, 0, NULL)
         RECORD("simulated_arm", SIMULATED_ARM_FIELDS, 0, NULL)
         RECORD("simulated_system", SIMULATED_SYSTEM_FIELDS, 6, &plant)
-        RECORD("flow", FLOW_FIELDS, 8, &model)
-        RECORD("flow_scratch", FLOW_SCRATCH_FIELDS, 8, &model)
+        RECORD("flow", FLOW_FIELDS, 7, &model)
+        RECORD("flow_step", STEP_FIELDS, 7, &model)
     }
     return PyErr_Occurred() ? NULL : refuse(of, "expected a record and its sizes");
 }
@@ -462,33 +462,34 @@ BIND(estimator_observe, "dDddfiDDD")
     Py_RETURN_NONE;
 }
 
-BIND(estimator_innovations, "ddddfffiDDDD")
+BIND(estimator_innovations, "dDdddfffiDDDDD")
 {
     model m;
-    const char *wrong = model_view(t[0].numbers, (size_t)t[0].length, &m);
-    if (wrong != NULL || m.s.k != 0) {
-        return refuse(of, wrong != NULL ? wrong : "expected a model without parameters");
+    correction effect;
+    work scratch;
+    const int64_t count = t[2].length;
+    if (begin_batch(of, t, &m) != 1 || m.s.k != 0) {
+        return PyErr_Occurred() ? NULL : refuse(of, "expected a state of a model without parameters");
     }
-    const int64_t count = t[1].length, outputs = count * m.s.p;
-    const sample_log log = {count, t[1].numbers, t[2].numbers, t[3].numbers};
-    const filter_options options = {t[4].number, t[5].number, t[6].number};
-    if ((options.link_friction > 0.0 || options.motor_friction > 0.0) &&
-        *m.design_flow.kind != KIND_ARM) {
-        return refuse(of, "friction: expected 0 of a model that is no arm");
-    }
+    const sample_log log = {count, t[2].numbers, t[3].numbers, t[4].numbers};
+    const filter_options options = {t[5].number, t[6].number, t[7].number};
     for (int64_t i = 0; i < count; i++) {
         if (!(log.durations[i] <= MAX_DURATION)) {
             return refuse(of, "durations: expected finite numbers");
         }
     }
-    if (!HAVE(2, outputs, count * m.s.m) ||
-        !HAVE(8, outputs, outputs, count * m.s.n, (int64_t)innovations_scratch_size(&m))) {
+    if (!HAVE(3, count * m.s.p, count * m.s.m) ||
+        !HAVE(9, count * m.s.p, count * m.s.p, count * m.s.n, (int64_t)correction_size(&m.s),
+              (int64_t)work_size(&m.s))) {
         return NULL;
     }
+    state at = state_at(&m, t, 0);
+    correction_bind(&effect, &m.s, t[12].numbers);
+    work_bind(&scratch, &m.s, t[13].numbers);
     Py_BEGIN_ALLOW_THREADS
     write_innovations(
-        &m, &log, &options, t[7].integer, t[8].numbers, t[9].numbers, t[10].numbers,
-        t[11].numbers);
+        &m, &at, &log, &options, t[8].integer, t[9].numbers, t[10].numbers, t[11].numbers,
+        &effect, &scratch);
     Py_END_ALLOW_THREADS
     Py_RETURN_NONE;
 }
@@ -686,7 +687,7 @@ static int add_constants(PyObject *module)
     const int failed = PyModule_AddStringConstant(module, "SOURCES", SOURCES) < 0 ||
                        PyModule_AddIntMacro(module, KIND_ARM) < 0 ||
                        PyModule_AddIntMacro(module, KIND_SYSTEM) < 0 ||
-                       PyModule_AddIntMacro(module, KIND_INTEGRATED) < 0 ||
+                       PyModule_AddIntMacro(module, GAIN_OPEN) < 0 ||
                        PyModule_AddIntMacro(module, GAIN_RICCATI) < 0 ||
                        PyModule_AddIntMacro(module, GAIN_CERTIFIED) < 0 ||
                        PyModule_AddIntConstant(module, "HYPOTHESES", STANDING + FORKS) < 0;

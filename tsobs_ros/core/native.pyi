@@ -9,7 +9,7 @@ from typing import Any
 
 KIND_ARM: int
 KIND_SYSTEM: int
-KIND_INTEGRATED: int
+GAIN_OPEN: int
 GAIN_RICCATI: int
 GAIN_CERTIFIED: int
 HYPOTHESES: int

@@ -38,35 +38,6 @@ static double spread_of(const model *m, const state *at, const hypothesis *h, in
     return spread * sqrt(larger(*h->nis, 1.0)) * (slow ? larger(slowness_of(m, h), 1.0) : 1.0);
 }
 
-/* Return the 1-sigma bound of a linear function of a hypothesis' error.
- *
- * least: of the certificate. functional: of the states in use. slow: whether slow innovations widen
- * it, which those of an unknown torque do not: it is what explains them. */
-static double bound_of(
-    const model *m, const state *at, const hypothesis *h, double least, const double *functional,
-    int slow, double *share)
-{
-    const long k = (long)m->s.k, width = (long)m->s.width, used = states_in_use(m, h);
-    double own = least, added = 0.0, shift = 0.0, curved = 0.0;
-    if (*m->gain_mode == GAIN_OPEN) {
-        return least;
-    }
-    if (*h->certified == 0) {
-        own = root(quadratic(h->covariance, width, functional, used));
-    }
-    own *= spread_of(m, at, h, slow);
-    for (long a = 0; a < k; a++) {
-        const double moved = h->theta[a] + h->pending[a] - h->anchor[a];
-        share[a] = dot(functional, h->upsilon + a * width, used);
-        shift += share[a] * h->pending[a];
-        curved += share[a] * (m->constants[CURVED] * moved);
-    }
-    if (k > 0) {
-        added = larger(quadratic(h->gamma, k, share, k), 0.0) + shift * shift + curved * curved;
-    }
-    return root(own * own + added);
-}
-
 /* What the hypotheses together say of a number. */
 typedef struct {
     double mean, square, own; /* of values, of their squares, and of the bounds' squares */
@@ -132,40 +103,63 @@ static int is_excited(const model *m, const hypothesis *h, double *gram)
 /* What is read: plant states, disturbances of outputs, and torques, one after the other. */
 enum { STATE, DISTURBANCE, TORQUE };
 
-/* Write the functional of a hypothesis' states that a quantity is. */
-static void functional_of(
-    const model *m, const hypothesis *h, int what, long place, double *functional)
+/* Return what a hypothesis says of a quantity, a linear function of the states in use; write the
+ * variance of that by its covariance, and the function's derivatives by the parameters. */
+static double value_of(
+    const model *m, const state *at, const hypothesis *h, int what, long place, double *variance,
+    work *scratch)
 {
-    const long width = (long)m->s.width, part = part_of(m, h, place);
+    const long width = (long)m->s.width, used = states_in_use(m, h), part = part_of(m, h, place);
     const double *row = what == TORQUE ? m->torque_map : m->disturbance_map;
+    double *functional = scratch->functional, value;
     if (what == STATE) {
-        memset(functional, 0, (size_t)width * sizeof(double));
-        functional[place] = 1.0;
-        return;
+        *variance = h->covariance[place * (width + 1)];
+        for (long a = 0; a < m->s.k; a++) {
+            scratch->share[a] = h->upsilon[a * width + place];
+        }
+        return h->x[place];
     }
-    memcpy(functional, row + place * width, (size_t)width * sizeof(double));
+    memcpy(functional, row + place * width, (size_t)width * sizeof *functional);
     if (what == DISTURBANCE && part >= 0 && *h->kind != COLOURED_NOISE) {
         functional[part] = 1.0;
     }
+    *variance = *h->certified != 0 ? 0.0 : quadratic(h->covariance, width, functional, used);
+    for (long a = 0; a < m->s.k; a++) {
+        scratch->share[a] = dot(functional, h->upsilon + a * width, used);
+    }
+    value = dot(functional, h->x, used);
+    if (what == DISTURBANCE && *m->gain_mode == GAIN_OPEN) {
+        value += dot(m->disturbance_direct + place * m->s.p, at->sample, (long)m->s.p);
+    }
+    return value;
 }
 
-/* Mix a quantity; `least`: its 1-sigma by the certificate. */
+/* Mix a quantity; `least`: its 1-sigma by the certificate. Slow innovations do not widen the bound of
+ * an unknown torque: it is what explains them. */
 static mixture read_one(
     const model *m, const state *at, int what, long place, double least, work *scratch)
 {
+    const long k = (long)m->s.k;
     mixture all = {0.0, 0.0, 0.0};
     for (long j = 0; j < m->s.hypotheses; j++) {
-        if (scratch->weights[j] > 0.0) {
-            const hypothesis h = hypothesis_of(m, at, j);
-            double value;
-            functional_of(m, &h, what, place, scratch->functional);
-            value = dot(scratch->functional, h.x, states_in_use(m, &h));
-            if (what == DISTURBANCE && *m->gain_mode == GAIN_OPEN) {
-                value += dot(m->disturbance_direct + place * m->s.p, at->sample, (long)m->s.p);
-            }
-            mix(&all, scratch->weights[j], value,
-                bound_of(m, at, &h, least, scratch->functional, what != TORQUE, scratch->share));
+        hypothesis h;
+        double variance, value, own, added, shift = 0.0, curved = 0.0;
+        if (!(scratch->weights[j] > 0.0)) {
+            continue;
         }
+        h = hypothesis_of(m, at, j);
+        value = value_of(m, at, &h, what, place, &variance, scratch);
+        own = *m->gain_mode == GAIN_OPEN
+                  ? least
+                  : (*h.certified != 0 ? least : root(variance)) * spread_of(m, at, &h, what != TORQUE);
+        for (long a = 0; a < k; a++) {
+            const double moved = h.theta[a] + h.pending[a] - h.anchor[a];
+            shift += scratch->share[a] * h.pending[a];
+            curved += scratch->share[a] * (m->constants[CURVED] * moved);
+        }
+        added = k > 0 ? larger(quadratic(h.gamma, k, scratch->share, k), 0.0) : 0.0;
+        mix(&all, scratch->weights[j], value,
+            root(own * own + (added + shift * shift + curved * curved)));
     }
     return all;
 }

@@ -14,7 +14,7 @@ International Journal of Control 74 (2001), measures the integral x₀' = y in p
 
 with the poles of the error at −θ (1, 1.1, 1.2, 1.3, 1.4). Its state is x̂ and then the error
 e₀ = ∫y − x̂₀ [rad s], as x₀ itself grows without bound if y has a mean. Both take a disturbance of y
-for motion. Between two samples the last one is held, and the observer is integrated.
+for motion. Between two samples the last one is held, an input of the prediction model.
 
 The extended Kalman filter (EKF) has the states [x; w] of a design, its noise and its start, or
 [x; w; θ] with its uncertain parameters. It is what a careful engineer writes: an output that is
@@ -27,7 +27,9 @@ is learnt from the first sample on, without limits; with Υ = ∂x/∂θ and the
 are those of θ as states, but for what it wanders. No observer here has a certificate.
 """
 
+from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -37,18 +39,16 @@ from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, riccati_estimat
 from tsobs_ros.estimation.options import TorqueLimits
 from tsobs_ros.estimation.state import Shape, new_model
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.disturbance import clean
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.matrices import product
-from tsobs_ros.model.prediction import Flow, FlowSizes, fill_matrix, flow_type
+from tsobs_ros.model.prediction import Flow, fill_matrix
 from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.model.uncertainty import Uncertainty
 
 _POLE_RATIOS = (1.0, 1.1, 1.2, 1.3, 1.4)
 """Poles as multiples of −θ; distinct, so that a small change of a gain moves them little."""
-
-_STEP_LIMIT = 0.1
-"""Largest step times |pole|: Runge–Kutta's own error is then about 1e-6 of the estimate a step."""
 
 GATE = 5.0
 """Sigmas of the innovation beyond which an EKF leaves a sample out."""
@@ -85,13 +85,12 @@ def high_gain(
         F = np.block([[arm.spring_matrix, K[1:]], [-C, -K[:1]]])
         Y, U = np.eye(5)[:, 4:], np.vstack([U, [[0.0]]])
     std = positive("measurement_std", measurement_std)
-    return integrated_estimator(
+    return open_estimator(
         F[np.newaxis],
         Y[np.newaxis],
         U[np.newaxis],
         np.eye(1, len(F)),
         period=period,
-        max_step=_STEP_LIMIT / (theta * _POLE_RATIOS[len(F) - 1]),
         scale=arm.to_physical(np.ones(4)),
         measurement_covariance=np.array([[std * std]]),
         gravity_gain=arm.gravity_gain,
@@ -147,14 +146,46 @@ def extended_kalman(
     return estimator
 
 
-def integrated_estimator(
+class ArmOfSamples(Flow):
+    """The flow x̂' = Σ hᵢ(y)(Fᵢ x̂ + Uᵢ u + Yᵢ y) − g sin x̂₁ in the row of x̂₂, with one rule.
+
+    The sample y, held until the next one, is an input, and a scheduled signal, of which the
+    premises are the first; see `open_estimator`.
+    """
+
+    kind = native.KIND_ARM
+
+    def __init__(
+        self, F: Array, Y: Array, U: Array, C: Array, period: float, rules: RuleBase, g: float
+    ) -> None:
+        _, n, p = Y.shape
+        self._rules, self.gravity_gain, self.scheduled_count = rules, g, p
+        self.rule_counts = rules.coded[0].shape
+        rates = np.concatenate([F, U, Y], axis=2)
+        mean = sum(rates[1:], start=rates[0]) / len(rates)
+        self._deviations = rates - mean
+        super().__init__((mean[:, :n], mean[:, n:], C), np.zeros(n), clean(p), period)
+
+    def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
+        shapes, parameters = self._rules.coded
+        schedule = np.eye(shapes.shape[1], self.scheduled_count)
+        own = {"deviations": self._deviations, "gravity_gain": self.gravity_gain}
+        return own | {"schedule": schedule, "shapes": shapes, "parameters": parameters}
+
+
+class SystemOfSamples(ArmOfSamples):
+    """The same without gravity, with any number of rules."""
+
+    kind, linear_share = native.KIND_SYSTEM, 0.5
+
+
+def open_estimator(
     F: Array,
     Y: Array,
     U: Array,
     C: Array,
     *,
     period: float,
-    max_step: float,
     scale: Array,
     measurement_covariance: Array,
     rule_base: RuleBase | None = None,
@@ -171,7 +202,6 @@ def integrated_estimator(
         U: Of the inputs, shape (r, n, m).
         C: State to expected measurement, shape (p, n).
         period: Nominal sampling period [s].
-        max_step: Upper limit of a Runge–Kutta step [s].
         scale: Physical units of the plant's states, the first of x̂, shape (plant,).
         rule_base: Memberships of the first measurements; one rule that always fires if None.
         gravity_gain: g [1/s²].
@@ -182,19 +212,13 @@ def integrated_estimator(
     """
     _, n, p = Y.shape
     shape = Shape(n, len(scale), p, U.shape[2])
-    base = rule_base or RuleBase(((membership("always"),),))
-    shapes, parameters = base.coded
-    sizes = FlowSizes(n, shape.m, shape.m, p, 0, shape.plant, *shapes.shape)
-    flow = np.zeros(1, flow_type(sizes))
-    for name, number in sizes._asdict().items():
-        flow[name] = number
-    flow["kind"], flow["period"] = native.KIND_INTEGRATED, positive("period", period)
-    flow["max_step"], flow["gravity_gain"] = max_step, gravity_gain
-    for name, values in {
-        "F": F, "Y": Y, "U": U, "shapes": shapes, "parameters": parameters,
-    }.items():  # fmt: skip
-        fill_matrix(flow[0][name], values)
+    if rule_base is None:
+        rules = RuleBase(((membership("always"),),))
+        flow = ArmOfSamples(F, Y, U, C, period, rules, gravity_gain).record()
+    else:
+        flow = SystemOfSamples(F, Y, U, C, period, rule_base, 0.0).record()
     model = new_model(shape, period, flow, torque=torque)
+    model["gain_mode"] = native.GAIN_OPEN
     direct = np.zeros((p, p)) if D is None else D
     matrices = {"C": C, "D": direct, "R": measurement_covariance, "scale": scale}
     lacking: tuple[str, ...] = ("state_bound", "disturbance_bound", "disturbance_rate")

@@ -24,6 +24,7 @@ import numpy as np
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.core import native
 from tsobs_ros.estimation.estimator import riccati_estimator
+from tsobs_ros.estimation.state import numbers_of
 from tsobs_ros.identification.joint import (
     DELAY,
     OFFSET,
@@ -129,6 +130,7 @@ def innovations(
     states, arm, (motor, link) = np.empty((count, n)), request.arm, joint.friction
     native.estimator_innovations(
         model.view(np.float64),
+        numbers_of(estimator.new_states(1)),
         recording.durations,
         recording.y - np.array(joint.of_outputs("offset")),
         u,
@@ -139,7 +141,8 @@ def innovations(
         errors,
         variances,
         states,
-        np.empty(n * n + 2 * n + int(model["sizes"][0, -1])),
+        numbers_of(estimator.new_corrections()),
+        numbers_of(estimator.new_work()),
     )
     return Innovations(errors, variances, states)
 

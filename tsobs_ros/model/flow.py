@@ -154,7 +154,6 @@ class ArmFlow(Flow):
             "gravity_gain": self.gravity_gain,
             "motor_torque": self.motor_torque,
             "link_torque": self.link_torque,
-            "has_unknown": int(self.motor_torque.any() or self.link_torque.any()),
         }
         if uncertainty is not None and uncertainty.count:
             rows = uncertainty.directions[:, 0, [LINK_VELOCITY, MOTOR_VELOCITY]]

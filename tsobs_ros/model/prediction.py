@@ -39,13 +39,12 @@ _LARGEST_TURN = 2.0**16
 
 
 class FlowSizes(NamedTuple):
-    """Sizes of a model's numbers: augmented states, signals and the inputs among them, outputs,
-    parameters, the plant's own states, rules and premise variables."""
+    """Sizes of a model's numbers: augmented states, signals and the inputs among them, parameters,
+    the plant's own states, rules and premise variables."""
 
     n: int
     m: int
     inputs: int
-    p: int
     k: int
     plant: int
     rules: int = 0
@@ -227,9 +226,9 @@ class Flow(ABC):
 
     def record(self, uncertainty: Uncertainty | None = None) -> Record:
         """Return the model for the compiled core, whose step takes in θ if given, shape (1,)."""
-        n, m, p = self.state_count, self.input_count, len(self.output_matrix)
+        n, m = self.state_count, self.input_count
         k, inputs = 0 if uncertainty is None else uncertainty.count, m - self.scheduled_count
-        sizes = FlowSizes(n, m, inputs, p, k, self.plant_count, *self.rule_counts)
+        sizes = FlowSizes(n, m, inputs, k, self.plant_count, *self.rule_counts)
         record, (_, phi, gamma, noise, _) = np.zeros(1, flow_type(sizes)), self.nominal
         for name, values in {
             **sizes._asdict(),
@@ -239,7 +238,6 @@ class Flow(ABC):
             "reach": self._reach,
             "series": self._series,
             "phi": phi,
-            "turned": phi.T,
             "gamma": gamma,
             "noise": noise,
             **self.numbers(uncertainty),

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array, positive
 from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.baselines import integrated_estimator
+from tsobs_ros.estimation.baselines import open_estimator
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.matrices import product
@@ -52,6 +52,9 @@ INNOVATION_RATE = 20.0
 integrates what is left of the observer's own start, and the further Ξ̂ wanders from the truth."""
 
 _MAX_STEP = 1e-2  # s
+_MIDPOINT = 1.0421906109874948
+"""2 sinh(1/2): the inverse of what a step at that rate takes in of a difference between rules."""
+
 _EDGE = 1e-9
 
 Rates = Callable[[int, Array], Array]
@@ -343,15 +346,16 @@ def _estimator(
         rate = 1.0 / positive("period", period)
         F, Y, U = (np.pad(each, ((0, 0), (0, p), (0, 0))) for each in (F, Y, U))
         F = np.pad(F, ((0, 0), (0, 0), (0, p)))
-        F[:, size:, :n], F[:, size:, size:] = rate * mismatch, -rate * np.eye(p)
+        mean = sum(mismatch[1:], start=mismatch[0]) / len(mismatch)
+        F[:, size:, :n] = rate * (mean + _MIDPOINT * (mismatch - mean))
+        F[:, size:, size:] = -rate * np.eye(p)
         C_bar, omega = np.pad(C_bar, ((0, 0), (0, p))), np.hstack([omega, -np.eye(p)])
-    return integrated_estimator(
+    return open_estimator(
         F,
         Y,
         U,
         C_bar,
         period=positive("period", period),
-        max_step=_MAX_STEP,
         scale=scale,
         measurement_covariance=measurement_covariance,
         rule_base=aug.system.rule_base,
