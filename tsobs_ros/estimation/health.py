@@ -13,7 +13,6 @@ from tsobs_ros.settings import check, live_setting
 
 T = TypeVar("T")
 
-_MINUTE = 60_000_000_000
 # Distances of measurements in periods of the design that are worth a word. Beyond the one the
 # estimate may never settle below the certified bound; below the other much is wasted.
 _MAX_PERIODS, _MIN_PERIODS = 1.02, 0.7
@@ -145,7 +144,7 @@ def duration_text(nanoseconds: int) -> str:
 
 
 class LastMinute:
-    """The growth of counts over a sliding minute.
+    """The growth of counts over the last sixty updates, which are a second apart.
 
     What was counted before the first update belongs to it. A count that falls, as after a restart,
     goes on from there.
@@ -154,17 +153,16 @@ class LastMinute:
     def __init__(self) -> None:
         self.growth: Counter[str] = Counter()
         self._totals: Counter[str] = Counter()
-        self._past: deque[tuple[int, Counter[str]]] = deque()
+        self._past = deque([Counter[str]()] * 60)
 
-    def update(self, now: int, totals: Mapping[str, int]) -> Counter[str]:
-        """Take in counts since the start at a steady time [ns]; return their growth since."""
+    def update(self, totals: Mapping[str, int]) -> Counter[str]:
+        """Take in counts since the start; return their growth since the last update."""
         latest = Counter(totals)
         grown = latest - self._totals
         self._totals = latest
-        self._past.append((now, grown))
+        self._past.append(grown)
         self.growth += grown
-        while self._past[0][0] <= now - _MINUTE:
-            self.growth -= self._past.popleft()[1]
+        self.growth -= self._past.popleft()
         return grown
 
 

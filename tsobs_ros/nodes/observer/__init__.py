@@ -274,12 +274,12 @@ class Observer(ManagedNode[ObserverParameters]):
     def _statuses(self) -> list[Status]:
         if not self.active:
             return [Status("state", Level.WARN, "INACTIVE", {})]
-        now, steady = int(self.get_clock().now().nanoseconds), time.monotonic_ns()
+        now = int(self.get_clock().now().nanoseconds)
         for joint in self._joints:
-            for level, text in joint.count(steady):
+            for level, text in joint.count():
                 self.log(level, f"{joint.name}: {text}")
             self._report_missing(joint)
-        timing = self._meter.status(steady)
+        timing = self._meter.status()
         return statuses_of(self._joints, timing, now, resets=self._resets, enabled=self._enabled)
 
     def _report_missing(self, joint: ObservedJoint) -> None:

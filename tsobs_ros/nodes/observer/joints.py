@@ -129,7 +129,7 @@ class ObservedJoint:
         self.newly = Counter[str]()
         self.measured_rate = math.nan
         self._stamps: list[int] = []
-        self._pace = Debounce(0)
+        self._pace, self._seconds = Debounce(0), 0
         self.latest: Estimate | None = None
         request, limits = self.request, self._parameters.fault
         stds = np.sqrt(np.diag(request.measurement_covariance)).tolist()
@@ -190,10 +190,10 @@ class ObservedJoint:
         innovations[output_codes != USED] = math.nan
         return codes, innovations
 
-    def count(self, steady: int) -> Iterator[tuple[Level, str]]:
-        """Count what has come since the last call, at a steady time [ns]; yield what to log."""
+    def count(self) -> Iterator[tuple[Level, str]]:
+        """Count what has come in the last second; yield what to log of it."""
         own = {"received": self.received, FAILURES: self.tracker.failures}
-        self.newly = self.recent.update(steady, {**own, **self.rejected, **self.tracker.events})
+        self.newly = self.recent.update({**own, **self.rejected, **self.tracker.events})
         if self.newly[FAILURES]:
             yield Level.ERROR, "numerical failure: an estimate was not finite; restarted"
         stamps, self._stamps = np.sort(self._stamps), []
@@ -202,7 +202,8 @@ class ObservedJoint:
         self.measured_rate = NANOSECONDS / max(1.0, float(np.median(np.diff(stamps))))
         before = self._pace.value
         off, text = health.judge_rate(self.measured_rate, self.request.rate)
-        if self._pace.update(steady, off, _LASTING) != before:
+        self._seconds += 1
+        if self._pace.update(self._seconds * NANOSECONDS, off, _LASTING) != before:
             yield Level.WARN if off else Level.OK, text
 
     @property

@@ -221,14 +221,14 @@ class TickMeter:
         """Forget the last tick: the clock jumped, or there was a pause."""
         self._latest = None
 
-    def status(self, steady: int) -> Status:
-        """Return rate, tick time and latency since the last call, at a steady time [ns]."""
+    def status(self) -> Status:
+        """Return rate, tick time and latency since the last call, a second ago."""
         periods, self._periods = self._periods, []
         apart, self._between_ticks = self._between_ticks, []
         times, self._times = self._times, {name: [] for name in self._times}
         self._ticks += len(times["tick time"])
         self._missed += max(0, round(sum(apart) * 1e-9 * self._rate) - len(apart))
-        self._recent.update(steady, {"missed": self._missed, "ticks": self._ticks})
+        self._recent.update({"missed": self._missed, "ticks": self._ticks})
         missed, made = self._recent.growth["missed"], self._recent.growth["ticks"]
         values = {"wanted rate [Hz]": f"{self._rate:g}", "missed ticks": str(self._missed)}
         if not times["tick time"]:
