@@ -26,7 +26,6 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import DisturbanceTerm
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation import baselines
-from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import PLAIN, SCENARIOS, simulate
 
@@ -53,7 +52,7 @@ _EVERYWHERE: dict[str, Contender] = {
     "ekf_augmented": lambda design, _, runs: kalman(design, runs, learns=True),
 }
 _PLAIN: dict[str, Contender] = {
-    "riccati": lambda design, _, runs: ours(design, runs, GainMode.RICCATI),
+    "riccati": lambda design, _, runs: ours(design, runs, "riccati"),
     "fixed": lambda design, _, runs: ours(design, runs, adapt=False),
 }
 _WITHOUT_RESET = ("ekf_without_reset", "ekf_without_reset_augmented")

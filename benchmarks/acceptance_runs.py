@@ -19,7 +19,6 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.baselines import GATE, extended_kalman
 from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, Rows
-from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.model.arm import ElasticJointArm
@@ -106,9 +105,7 @@ def true_theta(scenario: Scenario) -> Array:
     return np.array([scenario.mismatch.stiffness, scenario.mismatch.gravity_torque])
 
 
-def ours(
-    design: Design, runs: Trajectories, mode: GainMode = GainMode.CERTIFIED, adapt: bool = True
-) -> Found:
+def ours(design: Design, runs: Trajectories, mode: str = "certified", adapt: bool = True) -> Found:
     """Return what the node would estimate."""
     settings = ObserverSettings(gain_mode=mode, adapt=adapt)
     found = observe(design, runs, settings)

@@ -7,7 +7,6 @@ limits; here limits leave room for two seeds.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
 from types import ModuleType
 from typing import Any
@@ -19,7 +18,6 @@ from tsobs_ros.estimation import baselines
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
-from tsobs_ros.simulation.signals import BiasStep
 
 DESIGN = load_design(config_path("elastic_joint.design.yaml"))
 SEEDS = [71, 72]
@@ -76,18 +74,3 @@ def test_it_is_as_good_as_a_fair_rival_where_the_world_is_not_as_designed(
     assert error(mine) < 1.4 * error(rival)
     assert mine.inside.mean(axis=0).min() > 0.95
     assert mine.broken.max() < 0.05
-
-
-def test_a_step_of_the_sensor_is_forgotten_in_seconds(
-    bench: ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    step = replace(SCENARIOS["noise"], disturbance=(BiasStep(0.1, 11.0),))
-    monkeypatch.setitem(SCENARIOS, "early_step", step)
-    monkeypatch.setattr(bench, "STEP", 11.0)
-    monkeypatch.setattr(bench, "CALM", (7.0, 11.0))
-    monkeypatch.setattr(bench, "HOLD", 3.0)
-    outcome = judged(bench, "early_step", "ours")
-
-    assert [events["sensor jumps"] for events in outcome.events] == [1, 1]
-    assert (outcome.settled_after > 0.0).all()
-    assert (outcome.settled_after < 4.0).all()

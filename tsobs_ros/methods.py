@@ -14,7 +14,7 @@ from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.estimation import baselines
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import STALE_AFTER
-from tsobs_ros.estimation.options import TORQUE_RATE, GainMode, SupervisionOptions
+from tsobs_ros.estimation.options import GAIN_MODES, TORQUE_RATE, SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.paper.observer import (
     PAPER_WARNING,
@@ -77,7 +77,7 @@ class ObserverSettings:
     gain_mode: str = setting(
         "certified",
         "Gain once settled: the constant certified one, or the Riccati gain throughout",
-        choices=tuple(each.value for each in GainMode),
+        choices=GAIN_MODES,
     )
     settle_time: float = setting(
         5.0, "Least time with Riccati gains after a start", unit="s", minimum=0.0, maximum=600.0
@@ -220,7 +220,7 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
     if method == "certified":
         estimator = design.supervised(
             settings.settle_time,
-            GainMode(settings.gain_mode),
+            settings.gain_mode,
             settings.adapt,
             settings.torque_rate if is_arm else None,
             settings.supervision,

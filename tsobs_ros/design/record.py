@@ -15,7 +15,7 @@ from tsobs_ros.design.names import labelled
 from tsobs_ros.design.request import AnyRequest, ArmRequest
 from tsobs_ros.errors import ModelError, printable
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
-from tsobs_ros.estimation.options import GainMode, SupervisionOptions
+from tsobs_ros.estimation.options import SupervisionOptions
 from tsobs_ros.model.matrices import inverse
 
 
@@ -124,7 +124,7 @@ class Design:
     def observer(
         self,
         settle_time: float = 5.0,
-        gain_mode: GainMode = GainMode.CERTIFIED,
+        gain_mode: str = "certified",
         torque_rate: float | None = None,
         *,
         adapt: bool = False,
@@ -167,7 +167,7 @@ class Design:
     def supervised(
         self,
         settle_time: float = 5.0,
-        gain_mode: GainMode = GainMode.CERTIFIED,
+        gain_mode: str = "certified",
         adapt: bool = True,
         torque_rate: float | None = None,
         options: SupervisionOptions | None = None,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array, as_matrix, non_negative
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.options import GainMode, SupervisionOptions, TorqueLimits
+from tsobs_ros.estimation.options import SupervisionOptions, TorqueLimits
 from tsobs_ros.estimation.state import Shape, State, new_model, numbers_of, types_of
 from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
 from tsobs_ros.model.flow import ArmFlow
@@ -313,7 +313,7 @@ def certified_estimator(
     *,
     late_factor: float = math.nan,
     settle_time: float = 5.0,
-    gain_mode: GainMode = GainMode.CERTIFIED,
+    gain_mode: str = "certified",
     torque_rate: float = 0.0,
     uncertainty: Uncertainty | None = None,
     domain: Array | None = None,
@@ -349,7 +349,7 @@ def certified_estimator(
     one["domain"] = np.sqrt(np.diag(initial_covariance)[:plant])
     if domain is not None:
         one["domain"] = np.maximum(one["domain"], domain / np.abs(one["scale"]))
-    if gain_mode is GainMode.CERTIFIED:
+    if gain_mode == "certified":
         one["gain_mode"] = native.GAIN_CERTIFIED
     K, X, R = as_matrix("K", K, (n, p)), as_matrix("X", X, (n, n)), one["R"]
     C, H, T = (one[name][:, :n] for name in ("C", "disturbance_map", "torque_map"))

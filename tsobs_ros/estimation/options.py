@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Options of an estimator: its gain, plausible torques, how it is supervised."""
 
-import enum
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -13,11 +12,8 @@ TORQUE_RATE = 1.0
 """Default 1σ of an arm's torque rate in a gap [N m/s]."""
 
 
-class GainMode(enum.Enum):
-    """Which gain corrects the estimate once it has settled."""
-
-    CERTIFIED = "certified"
-    RICCATI = "riccati"
+GAIN_MODES = ("certified", "riccati")
+"""Which gain corrects the estimate once it has settled."""
 
 
 class TorqueLimits(NamedTuple):
