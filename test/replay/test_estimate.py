@@ -58,36 +58,6 @@ def test_a_tick_includes_only_what_has_arrived(arms, design, write_bag, estimate
     assert run.used == 300
 
 
-@pytest.mark.parametrize(("rate", "joints"), [(None, 1), (130.0, 2)])
-def test_a_recorded_run_is_reproduced(arms, write_bag, estimate, tmp_path, joints, rate) -> None:
-    """Blocks in reverse order, and among them late, doubled, unreadable and outlying messages."""
-    messages = arms.messages(310, joints=joints)
-    for place in (50, 51, 120):
-        messages[place] = outlier(messages[place])
-    late = messages.pop(100)
-    messages.insert(103, (*late[:2], messages[102][2] + 1))
-    messages.insert(260, (*messages[250][:2], messages[259][2] + 1))
-    messages.insert(270, (messages[0][0], b"nothing", messages[269][2] + 1))
-    block = messages[200:250]
-    messages[200:250] = [(*one[:2], block[-1][2]) for one in block[::-1]]
-    live = estimate(write_bag(messages), output="live", rate=rate)
-
-    again = estimate(tmp_path / "live", output="again")
-
-    agreement = again.agreement()
-    assert agreement.reproduced == agreement.recorded == live.estimates > 200, agreement.text()
-    assert agreement.not_received == agreement.not_recorded == 0
-    data = [sorted(one[:2] for one in observed(tmp_path / name)) for name in ("live", "again")]
-    assert data[0] == data[1]
-    for run in (live, again):
-        assert run.rejected == {
-            RejectReason.GATED: 3 * joints,
-            RejectReason.DUPLICATE: joints,
-            RejectReason.WRONG_JOINT: joints,
-        }
-    assert again.rewinds == live.rewinds > 0
-
-
 @pytest.mark.parametrize(
     ("lost", "settings", "reason", "counts"),
     [
