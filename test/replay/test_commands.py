@@ -194,8 +194,6 @@ def test_compare_leaves_out_what_does_not_fit_the_arm_and_says_why(bag, tmp_path
         ["--method", "magic"],
         ["--rate", "0"],
         ["--columns", "time"],
-        ["--param", "adapt"],
-        ["--at", "noon"],
     ],
 )
 def test_wrong_usage_is_told_apart_from_failure(bag: Path, arguments) -> None:
