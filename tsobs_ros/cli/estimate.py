@@ -172,26 +172,13 @@ def estimate(
 
 
 def given_parameters(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the parameters that are given, those of the command line before those of the file.
-
-    Joints and designs of the file are entered into the options that are empty.
-    """
+    """Return the parameters that are given, those of the command line before those of the file."""
     from tsobs_ros.methods import SETTING_NAMES, read_parameters
 
-    given: dict[str, Any] = {**joined(options.param)}
-    if options.params_file is None:
-        return given
-    found = read_parameters(options.params_file)
-    options.joints = options.joints or list(found.get("joints") or [])
-    own = zip(options.joints, found.get("joint_designs") or [], strict=False)
-    shared = found.get("design")
-    options.design = options.design or [
-        *([shared] if shared else []),
-        *(f"{joint}={path}" for joint, path in own if path),
-    ]
-    # The other parameters decide when and where estimates are published.
+    found = {} if options.params_file is None else read_parameters(options.params_file)
+    # The others decide when and where estimates are published.
     in_file = {name: value for name, value in found.items() if name in SETTING_NAMES}
-    return {**in_file, **given}
+    return {**in_file, **joined(options.param)}
 
 
 def _about(source: "BagSource", observers: "Sequence[Observer]") -> list[str]:

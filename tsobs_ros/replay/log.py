@@ -16,7 +16,8 @@ from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.writer import BagWriter
-from tsobs_ros.design.request import ArmRequest, Output
+from tsobs_ros.checks import Array
+from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.signals import Place
 from tsobs_ros.errors import LogError
 from tsobs_ros.replay.csv_file import NO_TIME, Column, CsvFile, naming_file, plain_unit
@@ -115,7 +116,9 @@ class LogSource(BagSource):
             for key in given:
                 if not any(key in names for names in known.values()):
                     raise LogError(f"{option}: expected some of {', '.join(known)}, got {key!r}")
-        found = {one: column for one in (time, *signals) if (column := self._column(one))}
+        found = {
+            one: column for one in (time, *signals) if (column := self._column(one, self._given))
+        }
         driven = {one.joint for one in found if one.quantity == "torque"}
         for one in (time, *signals):
             is_silent = one.joint in driven or self._assume_zero_torque
@@ -132,11 +135,8 @@ class LogSource(BagSource):
             outputs = zip(request.output_names, own.outputs, strict=True)
             for label, place in (*outputs, *torques):
                 quantity = _KINDS[place.field]
-                titles = [f"{each}.{place.name}" for each in _NAMES[quantity]]
-                titles.insert(0, f"{label}.{name}")
-                if self._is_only:
-                    titles += [label, *(_NAMES[quantity] if place.name == name else ())]
-                yield _Signal(label, tuple(titles), quantity, "", name, place)
+                titles = self._titles(label, quantity, name, place.name)
+                yield _Signal(label, titles, quantity, "", name, place)
             return
         labels = request.output_names + request.input_names
         units = request.output_units + request.input_units
@@ -145,20 +145,27 @@ class LogSource(BagSource):
             titles = [title for one in names for title in (one, f"position.{one}")]
             yield _Signal(label, tuple(titles), "", unit, name, place)
 
-    def _missing(self, one: _Signal) -> LogError:
+    def _titles(self, label: str, quantity: str, joint: str, entry: str) -> tuple[str, ...]:
+        """Return the titles that a joint's signal may have."""
+        titles = [f"{label}.{joint}", *(f"{each}.{entry}" for each in _NAMES[quantity])]
+        if self._is_only:
+            titles += [label, *(_NAMES[quantity] if entry == joint else ())]
+        return tuple(titles)
+
+    def _missing(self, one: _Signal, option: str = "--columns") -> LogError:
         of = f" of {one.joint}" if one.joint not in ("", _ONLY) else ""
         zero = ", or take it for 0: --param assume_zero_torque=true"
         return LogError(
-            f"no column is called {one.label}{of}; name it: --columns {one.label}=…"
+            f"no column is called {one.label}{of}; name it: {option} {one.label}=…"
             f"{zero if one.quantity == 'torque' else ''}; {self._file.described}"
         )
 
-    def _column(self, one: _Signal) -> Column | None:
-        """Return a signal's column with its unit: one that an option names, else by its title."""
-        for title in sorted(one.titles, key=lambda title: title not in self._given):
-            name = self._given.get(title, title)
+    def _column(self, one: _Signal, given: Mapping[str, str]) -> Column | None:
+        """Return a signal's column with its unit: one that is given, else by its title."""
+        for title in sorted(one.titles, key=lambda title: title not in given):
+            name = given.get(title, title)
             column = self._file.find(name)
-            if column is None and title in self._given:
+            if column is None and title in given:
                 raise LogError(f"no column is called {name!r}; {self._file.described}")
             if column is None:
                 continue
@@ -211,8 +218,8 @@ class LogSource(BagSource):
             moved = f"{self.moved_by / NANOSECONDS:g} s"
             self.remarks += (f"note: {moved} was added to all times: 0 means no time",)
 
-    def sensor(self, quantity: str, column: str = "") -> tuple["LogSource", list[str]]:
-        """Return the log as of a sensor that no design measures, and its column for each joint.
+    def sensor(self, quantity: str, column: str = "") -> tuple[list[str], Array]:
+        """Return a sensor's column for each joint and its readings line by line, shape (n, joints).
 
         Args:
             quantity: Name of a quantity of an arm.
@@ -221,25 +228,20 @@ class LogSource(BagSource):
         Raises:
             LogError: There is no such column, or the observer uses it.
         """
-        kind, common = quantity.partition("_")[2], ("time", "torque")
-        columns = {key: name for key, name in self._given.items() if key.split(".")[0] in common}
-        found = LogSource(
-            self.path,
-            columns=columns | ({quantity: column} if column else {}),
-            units={key: unit for key, unit in self._units.items() if key in (*common, kind)},
-            joints=self.joints,
-            assume_zero_torque=True,
-        )
-        request = ArmRequest(outputs=[Output(quantity, ArmRequest.measurement_std)])
-        try:
-            found.observe([request] * len(self.joints))
-        except LogError as error:
-            raise LogError(str(error).replace("--columns", "--held-out")) from error
-        own = [column for one, column in found._measured.items() if one.quantity != "torque"]
-        used = {self._time.place, *(each.place for each in self._measured.values())}
-        if taken := [each.title for each in own if each.place in used]:
-            raise LogError(
-                f"{self.path}: column {taken[0]!r} is used by the observer; name that of the "
-                f"held-out sensor: --held-out {quantity}=COLUMN"
-            )
-        return found, [each.title for each in own]
+        kind, found = quantity.partition("_")[2], list[Column]()
+        used = {self._time.place, *(one.place for one in self._measured.values())}
+        with naming_file(self.path):
+            for joint in self.joints:
+                titles = self._titles(quantity, kind, joint, joint)
+                one = _Signal(quantity, titles, kind, "", joint, Place(joint, "position"))
+                own = self._column(one, {quantity: column} if column else {})
+                if own is None:
+                    raise self._missing(one, "--held-out")
+                if own.place in used:
+                    raise LogError(
+                        f"column {own.title!r} is used by the observer; name that of the held-out "
+                        f"sensor: --held-out {quantity}=COLUMN"
+                    )
+                found.append(own)
+            values = [part for _, _, part in self._file.read(self._time, found)]
+        return [one.title for one in found], np.concatenate(values)

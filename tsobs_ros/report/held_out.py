@@ -72,9 +72,9 @@ class HeldOut(NamedTuple):
         if len(arms) > 1 and self.place and not is_topic:
             raise ModelError(f"held out: {self.place} is of one joint; choose it: --joints NAME")
         if isinstance(source, LogSource):
-            sensor, titles = source.sensor(self.quantity, self.place)
-            each = zip(titles, sensor.samples.y.swapaxes(0, 1), strict=True)
-            read = {f"column {title!r}": rows_of(sensor.samples, y) for title, y in each}
+            titles, values = source.sensor(self.quantity, self.place)
+            each = zip(titles, values.T[:, :, np.newaxis], strict=True)
+            read = {f"column {title!r}": rows_of(source.samples, y) for title, y in each}
         else:
             read = self._read_bag(source, arms)
         return [self._sensor(quantity, where, rows) for where, rows in read.items()]
