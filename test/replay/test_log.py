@@ -141,8 +141,9 @@ def test_several_joints_have_columns_of_their_own(tmp_path) -> None:
     assert opened(path).joints == ("a", "b")
     one = opened(path, joints=["b"])
     assert (one.samples.y.tolist(), one.samples.u.tolist()) == ([[[3.0]]], [[[5.0]]])
-    named = {"angle.x": "q.b", "torque.x": "tau.a"}
-    assert opened(path, columns=named).joints == ("x",)
+    named = {"angle.x": "q.b", "torque.x": "tau.a", "angle.y": "q.a", "torque.y": "tau.b"}
+    both = opened(path, columns=named)
+    assert (both.joints, both.samples.y.tolist()) == (("x", "y"), [[[3.0], [2.0]]])
     with pytest.raises(LogError, match=r"no column is called link_angle of c.*'q.a', 'q.b'"):
         opened(path, joints=["c"])
 

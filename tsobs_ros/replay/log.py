@@ -106,21 +106,23 @@ class LogSource(BagSource):
     def _choose(self) -> None:
         """Find the columns of what the designs measure."""
         time = _Signal("time", _NAMES["time"], "time", "", "", Place("", "position"))
-        signals = [one for joint in range(len(self.joints)) for one in self._signals(joint)]
-        labels = {one.label: one.titles for one in (time, *signals)}
-        quantities = {one.quantity: [one.quantity] for one in (time, *signals) if one.quantity}
-        for option, given, known in (
-            ("--columns", self._given, labels),
-            ("--units", self._units, quantities),
+        signals = [time]
+        for joint in range(len(self.joints)):
+            signals += self._signals(joint)
+        labels = dict.fromkeys(one.label for one in signals)
+        quantities = dict.fromkeys(one.quantity for one in signals if one.quantity)
+        titles = {title for one in signals for title in one.titles}
+        for option, given, shown, known in (
+            ("--columns", self._given, labels, titles),
+            ("--units", self._units, quantities, quantities),
         ):
             for key in given:
-                if not any(key in names for names in known.values()):
-                    raise LogError(f"{option}: expected some of {', '.join(known)}, got {key!r}")
-        found = {
-            one: column for one in (time, *signals) if (column := self._column(one, self._given))
-        }
+                if key not in known:
+                    raise LogError(f"{option}: expected some of {', '.join(shown)}, got {key!r}")
+        columns = {one: self._column(one, self._given) for one in signals}
+        found = {one: column for one, column in columns.items() if column is not None}
         driven = {one.joint for one in found if one.quantity == "torque"}
-        for one in (time, *signals):
+        for one in signals:
             is_silent = one.joint in driven or self._assume_zero_torque
             if one not in found and not (one.quantity == "torque" and is_silent):
                 raise self._missing(one)
@@ -142,8 +144,8 @@ class LogSource(BagSource):
         units = request.output_units + request.input_units
         for place, label, unit in zip(own.outputs + own.inputs, labels, units, strict=True):
             names = dict.fromkeys([place.name, f"{name}/{label}"])
-            titles = [title for one in names for title in (one, f"position.{one}")]
-            yield _Signal(label, tuple(titles), "", unit, name, place)
+            either = tuple(title for one in names for title in (one, f"position.{one}"))
+            yield _Signal(label, either, "", unit, name, place)
 
     def _titles(self, label: str, quantity: str, joint: str, entry: str) -> tuple[str, ...]:
         """Return the titles that a joint's signal may have."""
