@@ -40,7 +40,7 @@ class RecordedTopic:
         node: The node that owns the subscriptions.
         name: The full topic name.
         given: The name before remappings, which subscribing applies.
-        publishers: Its publishers, all of one type.
+        publishers: Its publishers, all of one type, which are not subscribed to yet.
         depth: Messages that may wait in the queue of a subscription.
 
     Attributes:
@@ -48,7 +48,7 @@ class RecordedTopic:
 
     Raises:
         BagWriteError: The type has no definition.
-        NodeError: The type is not installed, or rclpy refuses to subscribe.
+        NodeError: The type is not installed.
     """
 
     def __init__(
@@ -66,7 +66,6 @@ class RecordedTopic:
         self._recent: set[tuple[int, int | None, int]] = set()
         self._older = self._recent
         self.offers = tuple(to_bag_qos(info.qos_profile) for info in publishers)
-        self.subscribe(publishers)
 
     @property
     def matched(self) -> bool:
@@ -143,8 +142,6 @@ class TopicFinder:
         # Full names and those before remappings, which subscribing applies.
         names = [name for name in node.parameters.topics if name != ALL]
         self._given = {node.resolve_topic_name(name): name for name in names}
-        # The types a topic was tried with, and the warnings given: neither is repeated.
-        self._tried: dict[str, Sequence[str]] = {}
         self._warnings: set[str] = set()
         self._publisher_counts: dict[str, int] = {}
         self._polls = 0
@@ -158,63 +155,54 @@ class TopicFinder:
     def poll(self) -> list[RecordedTopic]:
         """Look at the graph and return the topics that have been subscribed to by this call."""
         self._polls += 1
-        full_look = self._polls % _POLLS_PER_FULL_LOOK == 0
-        for topic in self.recorded.values():
-            count = self._node.count_publishers(topic.name)
-            if full_look or count != self._publisher_counts.get(topic.name):
-                self._publisher_counts[topic.name] = count
-                self._look_at(topic)
         graph = (name for name, _ in self._node.get_topic_names_and_types())
-        wanted = dict.fromkeys([*self._listed, *filter(self._selection.wants, graph)])
         found = []
-        for name in [each for each in wanted if each not in self.recorded]:
+        for name in dict.fromkeys([*self._listed, *filter(self._selection.wants, graph)]):
+            count = self._node.count_publishers(name)
+            if (
+                count == self._publisher_counts.get(name)
+                and self._polls % _POLLS_PER_FULL_LOOK != 0
+            ):
+                continue
+            self._publisher_counts[name] = count
             try:
-                if (new := self._found(name)) is not None:
-                    found.append(new)
+                if self._look_at(name, self._node.get_publishers_info_by_topic(name)):
+                    found.append(self.recorded[name])
             except (BagWriteError, NodeError) as error:
-                self._node.log(Level.WARN, f"not recording {name}: {error}")
-        self.recorded.update({topic.name: topic for topic in found})
+                self._warn(f"not recording {name}: {error}")
         return found
 
-    def _found(self, name: str) -> RecordedTopic | None:
-        """Subscribe to a topic, unless it must wait for a publisher."""
-        publishers = self._node.get_publishers_info_by_topic(name)
-        types = sorted({info.topic_type for info in publishers})
-        if not types or self._tried.get(name) == types:
-            return None
-        self._tried[name] = types
-        if len(types) > 1:
-            raise BagWriteError(f"its publishers disagree about its type: {', '.join(types)}")
-        given, depth = self._given.get(name, name), self._selection.queue_depth
-        topic = RecordedTopic(self._node, name, given, publishers, depth)
-        own = topic.definition.type_hash
-        hashes = {str(info.topic_type_hash) for info in publishers} - {own}
-        if own and any(text.startswith("RIHS01_") for text in hashes):
-            self._node.log(
-                Level.WARN,
-                f"{name}: a publisher's definition of {types[0]} is not the installed one",
-            )
-        return topic
-
-    def _look_at(self, topic: RecordedTopic) -> None:
-        """Subscribe to publishers that came later."""
-        fitting, warnings = [], []
-        for info in self._node.get_publishers_info_by_topic(topic.name):
-            if info.topic_type == topic.definition.type:
-                fitting.append(info)
-            else:
-                warnings.append(
-                    f"not recording the {topic.name} of node {info.node_name}: it is a "
-                    f"{info.topic_type}, not a {topic.definition.type}"
+    def _look_at(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> bool:
+        """Subscribe to publishers that are new; return whether the topic is."""
+        topic = self.recorded.get(name)
+        is_new = topic is None and bool(publishers)
+        if is_new:
+            types = sorted({info.topic_type for info in publishers})
+            if len(types) > 1:
+                raise BagWriteError(f"its publishers disagree about its type: {', '.join(types)}")
+            given, depth = self._given.get(name, name), self._selection.queue_depth
+            topic = RecordedTopic(self._node, name, given, publishers, depth)
+        if topic is None:
+            return False
+        own = topic.definition
+        for info in publishers:
+            if info.topic_type != own.type:
+                self._warn(
+                    f"not recording the {name} of node {info.node_name}: it is a "
+                    f"{info.topic_type}, not a {own.type}"
                 )
-        try:
-            topic.subscribe(fitting)
-        except NodeError as error:
-            warnings.append(f"not recording all of {topic.name}: {error}")
-        for warning in warnings:
-            if warning not in self._warnings:
-                self._warnings.add(warning)
-                self._node.log(Level.WARN, warning)
+            elif own.type_hash and str(info.topic_type_hash) not in (own.type_hash, "INVALID"):
+                self._warn(
+                    f"{name}: a publisher's definition of {own.type} is not the installed one"
+                )
+        topic.subscribe([info for info in publishers if info.topic_type == own.type])
+        self.recorded[name] = topic
+        return is_new
+
+    def _warn(self, text: str) -> None:
+        if text not in self._warnings:
+            self._warnings.add(text)
+            self._node.log(Level.WARN, text)
 
 
 def to_bag_qos(profile: QoSProfile) -> QosProfile:
