@@ -211,39 +211,21 @@ def _tick_front(count: int) -> bytes:
 
 
 def encode_tick(stamp: int, number: int, estimated: bool, messages: Iterable[bytes]) -> bytes:
-    """Return the message of a tick.
-
-    Args:
-        stamp: Time on the observer's clock [ns].
-        number: Of the tick since the restart, from 1.
-        estimated: Whether there are estimates.
-        messages: Measurement messages that it took.
-    """
+    """Return the message of a tick, with the measurement messages that it took."""
     values = [stamp, number, estimated, *map(crc32, messages)]
     return _tick_front(len(values)) + struct.pack(f"<{len(values)}q", *values)
 
 
 def encode_ticks(values: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Return messages of ticks with as many measurements each.
-
-    Args:
-        values: Stamp, number, whether estimated and checksums, a row each, shape (n, 3 + count).
-
-    Returns:
-        Their bytes, shape (n, size).
-    """
+    """Return the bytes of messages, shape (n, size), whose values are as of `decode_ticks`."""
     front = np.frombuffer(_tick_front(values.shape[1]), np.uint8)
     return np.hstack([np.tile(front, (len(values), 1)), values.astype("<i8").view(np.uint8)])
 
 
 def decode_ticks(messages: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return the values of messages of one size.
+    """Return the values of messages of one size, whose bytes have the shape (n, size).
 
-    Args:
-        messages: Their bytes, shape (n, size).
-
-    Returns:
-        A row each: stamp, number, whether estimated, checksums; shape (n, 3 + count).
+    They are stamp, number, whether estimated, and checksums, a row each, shape (n, 3 + count).
 
     Raises:
         MessageError: They are none of a tick log.

@@ -99,10 +99,7 @@ class Records(NamedTuple):
 
 
 def split_records(data: bytes) -> Records:
-    """Return the messages in a run of records, in their order.
-
-    Args:
-        data: Whole records, one after the other, as in a decompressed chunk.
+    """Return the messages in whole records, such as those of a decompressed chunk.
 
     Raises:
         RecordError: A record is cut off or malformed, or there are too many.
@@ -228,11 +225,7 @@ class Summary(NamedTuple):
 
 
 def read_summary(path: Path, rank: int = 0) -> Summary:
-    """Return the summary of a finished MCAP file.
-
-    Args:
-        path: The file.
-        rank: Its place in the bag.
+    """Return the summary of a finished MCAP file, which has a place in a bag.
 
     Raises:
         BagReadError: It cannot be read, is not an MCAP file, has no end or no summary, or they are
@@ -383,8 +376,7 @@ def read_span(stream: IO[bytes], span: Span) -> tuple[Records, Chunk]:
 def chunk_head(head: bytes) -> tuple[Chunk, int, int]:
     """Return a chunk without its data, where in the record that starts, and the record's size.
 
-    Args:
-        head: The first bytes of the record, at least `CHUNK_HEAD_SIZE` if there are as many.
+    `head` are the first `CHUNK_HEAD_SIZE` bytes of the record.
 
     Raises:
         RecordError: There is no chunk, or one of more than `MAX_SIZE` bytes.

@@ -109,12 +109,7 @@ class FileWriter:
         return max(self._end, log_time_ns) - min(self._start, log_time_ns)
 
     def add_topic(self, topic: TopicInfo, ids: tuple[int, int] = (0, 0)) -> None:
-        """Describe a topic and its type.
-
-        Args:
-            topic: The topic, with a definition.
-            ids: Channel and schema that it has, if they are free.
-        """
+        """Describe a topic and its type, with these ids of channel and schema if they are free."""
         definition = topic.definition
         assert definition is not None
         data, encoding = definition.text.encode(), definition.encoding
@@ -155,12 +150,7 @@ class FileWriter:
         self._finish_full_chunk()
 
     def add_chunk(self, content: Records, chunk: Chunk | None = None) -> None:
-        """Append messages as a chunk of their own.
-
-        Args:
-            content: What is in it; schemas and channels, if any, are as they were added here.
-            chunk: The chunk as it is to be in the file; by default it is compressed here.
-        """
+        """Append messages as a chunk: as it is, if one is given; else it is compressed here."""
         self._finish_chunk()
         if self._pieces:  # what describes topics comes first
             self._stream.write(b"".join(self._pieces))
@@ -178,10 +168,7 @@ class FileWriter:
     def can_have(self, chunk: Chunk, content: Records, ids: Mapping[int, int]) -> bool:
         """Return whether a chunk of another file may be in this one as it is.
 
-        Args:
-            chunk: The chunk.
-            content: All in it.
-            ids: This file's channel of each channel that is wanted.
+        `ids` has the channel here of each channel there that is wanted.
         """
         times = content.rows["log_time"]
         if not chunk.uncompressed_crc or not len(times):
@@ -306,12 +293,7 @@ class FileWriter:
 
 
 def pick(content: Records, ids: Mapping[int, int]) -> Records:
-    """Return the messages of the channels that are wanted, with the channels of another file.
-
-    Args:
-        content: Messages and descriptions.
-        ids: The channel there of each channel that is wanted.
-    """
+    """Return the messages of the channels that are wanted, with the new channels in `ids`."""
     new = np.full(2**16, -1)
     new[list(ids)] = list(ids.values())
     rows = content.rows[new[content.rows["channel"]] >= 0]

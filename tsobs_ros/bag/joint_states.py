@@ -246,14 +246,13 @@ class JointStateDecoder:
         return message
 
     def decode_rows(self, places: Places, rows: NDArray[np.uint8]) -> list[JointStates]:
-        """Decode messages of one size; those that are none are left out.
+        """Decode messages of one size, those of the same names and lengths together.
+
+        Those that are none are left out.
 
         Args:
             places: Numbers of the messages, ascending, shape (m,).
             rows: Their bytes, shape (m, size).
-
-        Returns:
-            The messages, those of the same names and lengths together.
         """
         found: list[JointStates] = []
         while len(places):

@@ -182,11 +182,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self.write(topic, data, log_time_ns, publish_time_ns)
 
     def write_series(self, series: Sequence[MessageSeries]) -> None:
-        """Append messages in order of log time, equal ones in order of the series.
-
-        Args:
-            series: Messages of registered topics.
-        """
+        """Append messages in order of log time, equal ones in order of the series."""
         self._check_open()
         series = [one for one in series if len(one.data)]
         for one in series:
@@ -211,12 +207,12 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """Copy what a chunk of another bag has of some topics, as a chunk.
 
         It is copied as it is if everything in it is wanted, with the channels and schemas of this
-        bag, and a checksum covers it.
+        bag, and a checksum covers it. Limits of files do not hold.
 
         Args:
             content: What is in the chunk.
             chunk: The chunk.
-            topics: Those to copy, all registered, by their channels.
+            topics: Those to copy, all registered, by their channels there.
         """
         self._check_open()
         ids = {id_: self._file.ids[topic] for id_, topic in topics.items()}
@@ -378,15 +374,7 @@ def _add_metadata(file: FileWriter, metadata: BagMetadata) -> None:
 
 @contextmanager
 def whole_bag(path: str | Path, **options: Any) -> Iterator[BagWriter]:
-    """Yield the writer of a bag that appears once it is complete, and not at all otherwise.
-
-    Args:
-        path: The bag's folder, which must not exist.
-        options: Those of `BagWriter`.
-
-    Raises:
-        BagWriteError: As for `BagWriter`, or the bag cannot be closed.
-    """
+    """Yield the writer of a bag, as `BagWriter`, that appears once it is complete or not at all."""
     path = Path(path).absolute()
     if os.path.lexists(path):
         raise BagWriteError(f"{path}: exists already, bags are not overwritten")
@@ -398,11 +386,7 @@ def whole_bag(path: str | Path, **options: Any) -> Iterator[BagWriter]:
 
 
 def packed(series: Sequence[tuple[int, MessageSeries]]) -> Records:
-    """Return the records of messages in order of log time, equal ones in order of the series.
-
-    Args:
-        series: Messages, with their channels.
-    """
+    """Return the records of messages, with their channels, in the order of `write_series`."""
     rows = np.zeros(sum(len(one.data) for _, one in series), ROW)
     ends = np.cumsum([len(one.data) for _, one in series])[:-1]
     for (channel, one), own in zip(series, np.split(rows, ends), strict=True):
