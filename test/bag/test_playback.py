@@ -17,9 +17,9 @@ from tsobs_ros.bag import BagReader, BagWriter
 from tsobs_ros.bag.playback import (
     MAX_LAG,
     NEVER,
-    BagSource,
     Event,
     Playback,
+    read_passes,
 )
 from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.errors import BagReadError
@@ -44,24 +44,17 @@ class Bag:
     def __init__(self, messages: Sequence[BagMessage], start: int = START) -> None:
         self.messages = sorted(messages, key=lambda m: m.log_time)
         self.start = start
-        self.reads: list[bool] = []
 
-    def read(self, again: bool) -> Iterator[BagMessage | None]:
-        self.reads.append(again)
-        return self._read(again)
-
-    def _read(self, again: bool) -> Iterator[BagMessage | None]:
+    def read(self) -> Iterator[BagMessage | None]:
         while True:
             before = [m for m in self.messages if m.log_time < self.start]
             yield from [m for m in before if m.topic == "/latched"][-1:]
             yield from (m for m in self.messages if m.log_time >= self.start)
             yield None
-            if not again:
-                return
 
     def playback(self, end: int | None = None, **options: Any) -> Playback:
         last = max((m.log_time for m in self.messages), default=START)
-        return Playback(self.read, self.start, last if end is None else end, NOW, **options)
+        return Playback(self.read(), self.start, last if end is None else end, NOW, **options)
 
 
 def play(playback: Playback, until: int, step: Callable[[int], int] = lambda _: 0) -> list[Event]:
@@ -174,7 +167,6 @@ def test_a_loop_reads_ahead_without_drift_and_the_clock_jumps_back() -> None:
     events = play(bag.playback(clock_rate=100.0, loop=True), NOW + 40 * MS)
     assert played(events) == [0, 25 * MS, 0]
     assert ticks(events) == [0, 10 * MS, 20 * MS, 0, 10 * MS]
-    assert bag.reads == [True]
 
     late = play(bag.playback(loop=True, rate=0.3), NOW + 50 * S, lambda _: 70 * MS)
     firsts = [event.due - NOW for event in late if event.time == START]
@@ -198,24 +190,23 @@ def reader(tmp_path: Path) -> BagReader:
     return BagReader(tmp_path / "bag")
 
 
-def read(source: BagSource, again: bool, count: int) -> list[tuple[str, int] | None]:
-    found = list(islice(source.read(again), count))
-    source.close()
-    return [None if m is None else (m.topic, m.log_time) for m in found]
+def test_passes_are_read_with_what_is_latched_before_them(reader: BagReader) -> None:
+    def read(start: int, end: int, count: int, **latched: int) -> list[tuple[str, int] | None]:
+        topics, depths = ["/a", "/latched"][: 1 + len(latched)], {"/latched": 2} if latched else {}
+        passes = read_passes(reader, topics, depths, start, end, 10_000)
+        found = list(islice(passes, count))
+        passes.close()
+        return [None if m is None else (m.topic, m.log_time) for m in found]
 
-
-def test_a_pass_is_read_with_what_is_latched_before_it(reader: BagReader) -> None:
-    def source(start: int) -> BagSource:
-        return BagSource(reader, ["/a", "/latched"], {"/latched": 2}, start, 60, 10_000)
-
-    assert read(source(45), False, 99) == [
-        ("/latched", 5), ("/latched", 25), ("/latched", 45), ("/latched", 45),
-        ("/a", 50), ("/a", 60), None,
+    assert read(46, 60, 6, latched=2) == [
+        ("/latched", 45), ("/latched", 45), ("/a", 50), ("/a", 60), None, ("/latched", 45),
     ]  # fmt: skip
-    assert read(source(46), False, 3) == [("/latched", 45), ("/latched", 45), ("/a", 50)]
-    assert read(source(100), False, 99) == [("/latched", 45), ("/latched", 45), None]
+    assert read(26, 45, 5, latched=2) == [
+        ("/latched", 5), ("/latched", 25), ("/a", 30), ("/a", 40), ("/latched", 45),
+    ]  # fmt: skip
+    assert read(100, 200, 3, latched=2) == [("/latched", 45), ("/latched", 45), None]
     again = [("/a", 70), ("/a", 80), None]
-    assert read(BagSource(reader, ["/a"], {}, 70, 80, 10_000), True, 5) == [*again, *again[:2]]
+    assert read(70, 80, 5) == [*again, *again[:2]]
 
 
 @pytest.mark.parametrize("error", [BagReadError("damaged"), RuntimeError("a bug")])
@@ -230,12 +221,10 @@ def test_no_more_is_read_ahead_than_allowed_and_an_error_comes_last(error: Excep
             raise error
 
     reader: Any = Reader()
-    source = BagSource(reader, ["/a"], {}, 0, 10**9, 300 * 100)
-    ahead = source.read(False)
+    ahead = read_passes(reader, ["/a"], {}, 0, 10**9, 300 * 100)
     assert [m and m.log_time - START for m in islice(ahead, 500)] == list(range(1, 501))
     assert 500 <= reader.read <= 600
     assert len(list(islice(ahead, 200))) == 200
     with pytest.raises(type(error), match=str(error)):
         next(ahead)
-    source.close()
     assert not any(thread.name.startswith("read ahead") for thread in threading.enumerate())

@@ -7,8 +7,9 @@ Every deadline is computed from the last change of pace, so that no error adds u
 due is returned in the order of its deadlines, however late the caller comes.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Generator, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -21,11 +22,10 @@ MAX_LAG = 1_000_000_000
 MIN_PASS = 10_000_000
 # The memory of a message beyond its data [bytes].
 _OVERHEAD = 300
-_NOT_READ_AHEAD = BagMessage("", "", b"", 0, 0)
 
-Read = Callable[[bool], Iterator[BagMessage | None]]
-"""Reads a bag from where a pass starts: messages in order, None after the last one, and, if the
-argument is true, the same again and again. Messages from before the start are latched ones."""
+Messages = Generator[BagMessage | None]
+"""Messages of a bag in order, those that are latched where a pass starts first, and None after the
+last one of each pass; pass after pass, without end."""
 
 
 class Event(NamedTuple):
@@ -49,8 +49,8 @@ class Playback:
     latched at the start are due at once.
 
     Args:
-        read: Reads the bag; may block, and may raise what reading a bag raises, which `take` and
-            `position` pass on.
+        messages: May block, and may raise what reading a bag raises, as `take` and `position` then
+            do.
         start: Bag time at which each pass starts [ns].
         end: Bag time at which a pass ends [ns].
         now: The steady time [ns].
@@ -66,7 +66,7 @@ class Playback:
 
     def __init__(
         self,
-        read: Read,
+        messages: Iterator[BagMessage | None],
         start: int,
         end: int,
         now: int,
@@ -77,11 +77,10 @@ class Playback:
     ) -> None:
         self.loop = loop
         self.ended, self.held_back = False, 0
-        self._read = read
         self._start, self._end = start, end
         self._timeline = Timeline(start, rate)
         self._ticks = Ticks(clock_rate)
-        self._messages = read(loop)
+        self._messages = messages
         self._next: BagMessage | None = None
         self._is_read, self._began = False, now
         self._start_pass(now)
@@ -130,7 +129,8 @@ class Playback:
             self._timeline.anchor(self._end, due)
             self._timeline.paused = self.ended = True
             return None
-        self._start_next_pass(due)
+        self._is_read = False
+        self._start_pass(due)
         return self.take(now)
 
     def wait(self, now: int) -> int:
@@ -166,14 +166,6 @@ class Playback:
         self._timeline.anchor(self._start, now)
         self._ticks.start(now)
 
-    def _start_next_pass(self, now: int) -> None:
-        """Start the next pass; it has been read ahead if there was a loop when reading began."""
-        self._next = next(self._messages, _NOT_READ_AHEAD)
-        self._is_read = self._next is not _NOT_READ_AHEAD
-        if not self._is_read:
-            self._messages = self._read(True)
-        self._start_pass(now)
-
     def _hold_back(self, lag: int) -> None:
         if not self.paused:
             self.held_back += lag
@@ -182,10 +174,15 @@ class Playback:
         self._ticks.shift(lag)
 
 
-class BagSource:
-    """Part of a bag, with what is latched where reading starts, for `Playback`.
-
-    A thread reads ahead, a batch at a time.
+def read_passes(
+    reader: BagReader,
+    topics: Collection[str],
+    latched: Mapping[str, int],
+    start: int,
+    end: int,
+    read_ahead: int,
+) -> Messages:
+    """Read passes through a part of a bag; a thread reads ahead, a batch at a time.
 
     Args:
         reader: The bag.
@@ -194,67 +191,26 @@ class BagSource:
         start: Log time at which a pass starts [ns].
         end: Log time at which a pass ends; messages of that time are still read [ns].
         read_ahead: How much to read ahead [bytes]; a single message may be larger.
+
+    Raises:
+        BagReadError: The bag is damaged there.
     """
 
-    def __init__(
-        self,
-        reader: BagReader,
-        topics: Collection[str],
-        latched: Mapping[str, int],
-        start: int,
-        end: int,
-        read_ahead: int,
-    ) -> None:
-        self._reader, self._topics, self._latched = reader, topics, latched
-        self._start, self._end = start, end
-        self._max_batch = read_ahead // 2
-        self._stop: Callable[[], None] = lambda: None
-
-    def read(self, again: bool) -> Iterator[BagMessage | None]:
-        """Read from the start to the end, and give up what was being read.
-
-        Args:
-            again: Whether to go on with pass after pass, without end.
-
-        Returns:
-            The messages in order of log time, those latched at the start first, and None at the end
-            of each pass. The iterator raises a BagReadError where the bag is damaged.
-        """
-        self.close()
-        batches = _batches(self._passes(again), self._max_batch)
-        thread = ThreadPoolExecutor(1, thread_name_prefix="read ahead")
-        self._stop = thread.shutdown
-        return _ahead(batches, thread)
-
-    def close(self) -> None:
-        """Stop reading; safe to call twice."""
-        self._stop()
-
-    def _passes(self, again: bool) -> Iterator[BagMessage | None]:
+    def passes() -> Iterator[BagMessage | None]:
+        each = (reader.last_before(start, [name], n) for name, n in latched.items())
+        front = sorted(chain.from_iterable(each), key=attrgetter("log_time"))
         while True:
-            latched = [
-                message
-                for topic, depth in self._latched.items()
-                for message in self._reader.last_before(self._start, [topic], depth)
-            ]
-            yield from sorted(latched, key=attrgetter("log_time"))
-            yield from self._reader.messages(self._topics, self._start, self._end + 1)
+            yield from front
+            yield from reader.messages(topics, start, end + 1)
             yield None
-            if not again:
-                return
 
-
-def _ahead(
-    batches: Iterator[list[BagMessage | None]], thread: ThreadPoolExecutor
-) -> Iterator[BagMessage | None]:
-    """Yield what is in some batches, of which a thread reads the next one already."""
-    following = thread.submit(next, batches, None)
-    while (batch := following.result()) is not None:
-        try:
-            following = thread.submit(next, batches, None)
-        except RuntimeError:  # it was closed
-            return
-        yield from batch
+    batches = _batches(passes(), read_ahead // 2)
+    with ThreadPoolExecutor(1, thread_name_prefix="read ahead") as thread:
+        following = thread.submit(next, batches)
+        while True:
+            batch = following.result()
+            following = thread.submit(next, batches)
+            yield from batch
 
 
 def _batches(
@@ -273,4 +229,3 @@ def _batches(
     except Exception:
         yield batch  # what is before the error is played
         raise
-    yield batch

@@ -22,7 +22,7 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from tsobs_ros.bag.playback import BagSource, Playback
+from tsobs_ros.bag.playback import Playback, read_passes
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
 from tsobs_ros.errors import BagReadError, ParameterError
 from tsobs_ros.estimation.health import Level, Status
@@ -89,12 +89,12 @@ class Player(ManagedNode[PlayerParameters]):
             for name, each in self._played.items()
             if each.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
         }
-        source = BagSource(reader, list(self._counts), latched, start, end, _READ_AHEAD)
-        self.at_cleanup(source.close)
+        messages = read_passes(reader, list(self._counts), latched, start, end, _READ_AHEAD)
+        self.at_cleanup(messages.close)
         self.at_cleanup(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_INTERVAL)
         self._playback = Playback(
-            lambda again: self._until_damage(source.read(again)),
+            self._until_damage(messages),
             start,
             end,
             time.monotonic_ns(),
