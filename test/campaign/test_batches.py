@@ -2,17 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Campaigns: what is observed and scored in bulk is what single runs give."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from tsobs_ros.campaign.batches import CLAIMS, claimed, observe, recorded
-from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.records import Basis, Measurement
-from tsobs_ros.methods import ObserverSettings, make_tracker
+from tsobs_ros.campaign.batches import CLAIMS, claimed, recorded
+from tsobs_ros.estimation.records import Basis
 from tsobs_ros.report.metrics import measure
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Scenario
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.sensor import Sensor
@@ -54,35 +49,3 @@ def test_errors_are_a_reports_and_by_claim() -> None:
         expected = (ratio <= 3.0).mean(), np.sqrt((ratio**2).mean()), ratio.max()
         numbers = [found[f"link_angle_{name}_{what}"] for what in ("inside", "ratio", "worst")]
         assert numbers == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("method", ["certified", "high_gain"])
-def test_what_is_observed_is_what_a_tracker_estimates(method: str) -> None:
-    learning = load_design(config_path(SHIPPED_DESIGN))
-    # A dropout is longer than what is bridged, and the first samples are lost.
-    sensor = Sensor(outlier_probability=0.01, dropout_interval=8.0, dropout_duration=5.6)
-    runs = simulate(replace(SCENARIO, sensor=sensor), [5, 6])
-    runs.measurements[0, :10] = np.nan
-    settings = ObserverSettings(method=method)
-    observed = observe(learning, runs, settings)
-    stamps = 1_000_000_000 + np.round(runs.times * 1e9).astype(np.int64)
-    for run in range(2):
-        tracker = make_tracker(learning, settings)
-        for sample, stamp in enumerate(stamps.tolist()):
-            y, u = runs.measurements[run, sample], runs.torques[run, sample]
-            tracker.offer(Measurement(stamp, y, u), stamp)
-            one = tracker.estimate(stamp)
-            for found, expected in (
-                (observed.rows["state"], one and one.state),
-                (observed.rows["state_bound"], one and one.state_bound),
-                (observed.rows["disturbance"], one and one.disturbance),
-                (observed.rows["disturbance_bound"], one and one.disturbance_bound),
-                (observed.rows["parameters"], one and one.parameters),
-                (observed.rows["parameter_bound"], one and one.parameter_bound),
-            ):
-                if expected is None or not len(expected):
-                    assert np.isnan(found[run, sample]).all()
-                else:
-                    assert found[run, sample].tolist() == expected.tolist()
-        assert observed.events[run] == tracker.events
-    assert np.isnan(observed.rows["state"]).any()

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from tsobs_ros.campaign.batches import compute
@@ -37,19 +36,10 @@ def done(short_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-class StopError(Exception):
-    """What ends a campaign in a test."""
-
-
-def stop_after(count: int) -> Callable[[int], None]:
-    left = [count]
-
-    def progress(runs: int) -> None:
-        left[0] -= runs
-        if left[0] <= 0:
-            raise StopError
-
-    return progress
+def stop(runs: int) -> None:
+    """End a campaign once a part is done."""
+    if runs >= PART:
+        raise InterruptedError
 
 
 def test_rows_depend_on_their_numbers_alone(short: Campaign, done: Path) -> None:
@@ -68,8 +58,8 @@ def test_neither_threads_nor_interruptions_change_a_bit(
     assert list(expected) == [f"{begin:08d}.parquet" for begin in (0, PART, 2 * PART)]
     # Fewer runs first, whose last part is not whole; then stopped in the middle.
     run_campaign(short.with_runs(30), folder, threads=1)
-    with pytest.raises(StopError):
-        run_campaign(short, folder, threads=2, progress=stop_after(PART))
+    with pytest.raises(InterruptedError):
+        run_campaign(short, folder, threads=2, progress=stop)
     assert files_of(folder).keys() < expected.keys()
     damaged = folder / "runs" / "00000000.parquet"
     damaged.write_bytes(damaged.read_bytes()[:-100])
@@ -192,11 +182,7 @@ def test_a_run_is_made_again_as_a_bag_with_the_same_errors(
 
 
 def test_the_command_shows_refuses_and_replaces(
-    short_file: Path,
-    done: Path,
-    write: Callable[..., Path],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    short_file: Path, done: Path, write: Callable[..., Path], tmp_path: Path, capsys: Any
 ) -> None:
     assert main(["campaign", "--show", str(done)]) == 0
     text = capsys.readouterr().out
@@ -205,25 +191,22 @@ def test_the_command_shows_refuses_and_replaces(
     assert main(["campaign", "--show", str(done), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["scenarios"]["as_designed"]["runs"] == 99
-    worst = found["worst"]["normalised RMSE"]
-    assert [one["value"] for one in worst] == sorted((one["value"] for one in worst), reverse=True)
-    columns = CampaignFolder.open(done).read()
-    assert worst[0]["run"] == int(np.argmax(columns["normalised_rmse"]))
+    worst = [one["value"] for one in found["worst"]["normalised RMSE"]]
+    assert worst == sorted(worst, reverse=True)
+    assert worst[0] == CampaignFolder.open(done).read()["normalised_rmse"].max()
 
-    other = write(seed=4, runs=2)
-    folder = tmp_path / "folder"
-    output = ["--output", str(folder)]
-    assert main(["campaign", str(other), *output]) == 0
-    assert main(["campaign", str(short_file), "--runs", "3", *output]) == 1
-    assert (
-        "has another campaign, of another design, version or entry; --force"
-        in capsys.readouterr().err
-    )
-    assert main(["campaign", str(short_file), "--runs", "3", "--force", *output]) == 0
+    other, folder = str(write(seed=4, runs=2)), tmp_path / "folder"
+    for words, code, said in (
+        ([other, "--output", str(folder)], 0, ""),
+        ([str(short_file), "--runs", "3", "--output", str(folder)], 1, "has another campaign, of "),
+        ([str(short_file), "--runs", "3", "--force", "--output", str(folder)], 0, ""),
+    ):
+        assert main(["campaign", *words]) == code
+        assert said in capsys.readouterr().err
     assert CampaignFolder.open(folder).read()["run"].tolist() == [0, 1, 2]
     (tmp_path / "summary.txt").write_text("mine")
-    assert main(["campaign", str(other), "--output", str(tmp_path)]) == 1
+    assert main(["campaign", other, "--output", str(tmp_path)]) == 1
     assert "summary.txt: exists already; choose another folder" in capsys.readouterr().err
-    for wrong in ([], [str(other), "--show", str(done)], [str(other)]):
+    for wrong in ([], [other, "--show", str(done)], [other]):
         with pytest.raises(SystemExit, match="2"):
             main(["campaign", *wrong])

@@ -69,16 +69,10 @@ def test_a_figure_has_gaps_where_its_series_have_them(troubled, tmp_path, gap: s
 
 def test_a_figure_survives_what_a_bag_of_a_robot_may_lack(simulated, tmp_path) -> None:
     nothing = np.full(simulated.state.shape, np.nan)
-    run = replace(
-        simulated,
-        true_state=None,
-        true_disturbance=None,
-        innovation=None,
-        measurements=Series(simulated.stamps[:0], nothing[:0, :2]),
-        state_bound=nothing,
-        disturbance=nothing[:, :1],
-        disturbance_bound=nothing[:, :1],
-    )
+    lacks = dict.fromkeys(("true_state", "true_disturbance", "innovation"))
+    lost = {"disturbance": nothing[:, :1], "disturbance_bound": nothing[:, :1]}
+    lost |= {"measurements": Series(simulated.stamps[:0], nothing[:0, :2]), "state_bound": nothing}
+    run = replace(simulated, **lacks, **lost)
 
     shown = picture(run, measure(run))
     draw_run(shown, tmp_path / "run.png")
@@ -145,8 +139,7 @@ def test_wild_guesses_and_stamps_do_not_flatten_the_rest(simulated) -> None:
 
 
 def test_gaps_are_drawn_as_gaps_and_counted(simulated) -> None:
-    seconds = simulated.times
-    there = (seconds < 10.0) | (seconds >= 12.0)
+    there = (simulated.times < 10.0) | (simulated.times >= 12.0)
     own = ("stamps", "state", "state_bound", "disturbance", "disturbance_bound")
     cut = {name: getattr(simulated, name)[there] for name in own}
     measurements = simulated.measurements.take(np.append(there, True))
@@ -154,12 +147,9 @@ def test_gaps_are_drawn_as_gaps_and_counted(simulated) -> None:
 
     shown = picture(run, measure(run))
 
-    plot = shown.plots[0]
-    estimated = curve(plot, "estimated")
-    drawn = ((estimated.times, estimated.values), (plot.bands[0].times, plot.bands[0].lower))
-    for times, values in drawn:
-        broken = np.isnan(values)
-        assert broken.sum() == 1
-        assert 10.0 < times[broken][0] < 12.0
+    estimated, band = curve(shown.plots[0], "estimated"), shown.plots[0].bands[0]
+    for times, values in ((estimated.times, estimated.values), (band.times, band.lower)):
+        (middle,) = times[np.isnan(values)]
+        assert 10.0 < middle < 12.0
     assert (shown.timing.lost, shown.timing.gaps) == (400, 1)
     assert shown.timing.max_interval == pytest.approx(2.005)
