@@ -42,9 +42,6 @@ DEFAULT_SCENARIOS = (
 """What `tsobs compare` simulates: as designed, each kind of fault of the sensor, wrong parameters,
 and a force that the model lacks."""
 
-_TUNED_ON = 1
-"""Runs of a scenario on which the best θ is looked for."""
-
 _OFFSET_STD = 0.3
 """1σ of the sensor's offset beforehand [rad], as of the default disturbance model."""
 
@@ -68,20 +65,13 @@ def compare_scenarios(
 ) -> ScenarioComparison:
     """Run observers on simulated scenarios, on all cores.
 
-    The scenarios' arm is the design's; rate and noise are in proportion to its own.
-
-    Args:
-        design: Of an arm with the link angle as its only output.
-        scenarios: Names of `simulation.scenarios.SCENARIOS`.
-        seeds: Number of runs of each; their seeds are 0, 1, …
-        methods: Names of `methods.CONTENDERS`. Those that cannot observe the arm are left out.
-        settings: Gates and timeouts; the node's defaults if None.
-        duration: Length of a run [s]; the scenario's if None.
-        advance: Called with the number of runs that have been observed since.
+    The scenarios' arm is the design's; rate and noise are in proportion to its own. Seeds are 0, 1,
+    …; methods that cannot observe the arm are left out, with a remark; runs are as long as the
+    scenario's, unless a duration is given [s].
 
     Raises:
-        ModelError: A name is unknown, there are no seeds, the design is not of such an arm, or no
-            observer can observe it.
+        ModelError: A name is unknown, there are no seeds, no observer can observe the arm, or it
+            has not the link angle as its only output.
     """
     if seeds < 1:
         raise ModelError(f"seeds: expected at least 1, got {seeds!r}")
@@ -89,14 +79,11 @@ def compare_scenarios(
         if name not in SCENARIOS:
             raise ModelError(f"scenario: expected one of {', '.join(SCENARIOS)}, got {name!r}")
     request = design.arm_request
-    if request.output_names != ("link_angle",) or request.torque_sides:
+    unfit = request.torque_sides or request.sensors[0].delay
+    if request.output_names != ("link_angle",) or unfit:
         raise ModelError(
-            "scenarios: expected a design with the link angle as its only output and without "
-            f"torque disturbance, got {', '.join(request.output_names)}"
-        )
-    if delay := request.sensors[0].delay:
-        raise ModelError(
-            f"scenarios: expected a design without a delay, got outputs[0].delay {delay}"
+            "scenarios: expected a design with the link angle as its only output, without delay "
+            f"and torque disturbance, got {', '.join(request.output_names)}"
         )
     contenders, remarks = dict[str, ObserverSettings](), list[str]()
     for name in methods:
@@ -149,8 +136,8 @@ def _measured(design: Design, settings: ObserverSettings, runs: Trajectories) ->
 
 
 def _tuned(design: Design, settings: ObserverSettings, runs: Trajectories) -> ObserverSettings:
-    """Return settings with the best θ."""
-    some = Trajectories(runs.times, *(each[:_TUNED_ON] for each in runs[1:]))
+    """Return settings with the best θ of the first run."""
+    some = Trajectories(runs.times, *(each[:1] for each in runs[1:]))
     choices = [replace(settings, theta=theta) for theta in THETAS]
 
     def error(choice: ObserverSettings) -> float:

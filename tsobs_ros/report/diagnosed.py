@@ -17,12 +17,7 @@ from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.series import NANOSECONDS
 
 _FAULT, _REJECTED, _MISSED = "sensor fault", "rejected: ", "missed ticks"
-_TIMING = (
-    "latency p50 [ms]",
-    "latency p99 [ms]",
-    "tick time p50 [ms]",
-    "tick time p99 [ms]",
-)
+_TIMING = tuple(f"{what} p{p} [ms]" for what in ("latency", "tick time") for p in (50, 99))
 # A fault that the next status does not repeat has ended by then; they are a second apart.
 _APART = 2.5
 _MAX_KIND = 40

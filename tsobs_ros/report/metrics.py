@@ -9,7 +9,7 @@ start and after each jump of the true disturbance, which no estimator can know a
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,8 +39,7 @@ a sample at 200 Hz."""
 _SAME_JUMP = 0.1
 
 
-@dataclass(frozen=True)
-class QuantityMetrics:
+class QuantityMetrics(NamedTuple):
     """One estimated quantity over the settled parts; None if the data for it are missing.
 
     Attributes:
@@ -61,9 +60,9 @@ class QuantityMetrics:
         """The quantity's, for programs."""
         return self.quantity.key
 
-    def as_mapping(self) -> dict[str, Any]:
+    def as_mapping(self) -> dict[str, float | None]:
         """Return the numbers as plain data that JSON can hold."""
-        return {name: getattr(self, name) for name in ("rmse", "bound", "ratio", "inside")}
+        return dict(zip(self._fields[1:], self[1:], strict=True))
 
 
 Windows = tuple[tuple[float, float], ...]
@@ -93,8 +92,6 @@ class RunMetrics:
         settled_time: Their total length [s].
         first: Time of the first estimate since the run's origin [s].
         duration: From there to the last estimate [s].
-        estimates: Number of estimates.
-        measurements: Number of measurements.
     """
 
     quantities: tuple[QuantityMetrics, ...]
@@ -126,10 +123,9 @@ class RunMetrics:
     def as_mapping(self) -> dict[str, Any]:
         """Return everything as plain data that JSON can hold."""
         data = {
-            **asdict(self),
+            **vars(self),
             "quantities": {one.key: one.as_mapping() for one in self.quantities},
             "jumps": [one._asdict() for one in self.jumps],
-            "windows": [list(window) for window in self.windows],
         }
         if len(self.output_nis) <= 1:
             del data["output_nis"]

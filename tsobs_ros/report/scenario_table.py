@@ -43,10 +43,8 @@ _BIASED = {
 class Cell(NamedTuple):
     """Errors over the settled parts of a scenario's runs; NaN if there are none.
 
-    Attributes:
-        rmse: Of `QUANTITIES`, shape (runs, 5).
-        inside: Shares of the errors inside `SIGMAS` times the bound, shape (runs, 5).
-        normalised: Root mean square over the states of RMSE / scale, shape (runs,).
+    RMSE of `QUANTITIES` and shares of errors inside `SIGMAS` times the bound, shape (runs, 5), and
+    the root mean square over the states of RMSE / scale, shape (runs,).
     """
 
     rmse: Array

@@ -21,14 +21,9 @@ _CLAIMED = 0.4
 
 
 class Table(NamedTuple):
-    """A table of a page.
+    """A table of a page, which is not shown without rows.
 
-    Attributes:
-        title: Its heading.
-        head: Names of the columns.
-        rows: Their texts; without any the table is not shown.
-        numbers: Place of the first column of numbers, which are aligned to the right.
-        note: What to know of it.
+    `numbers` is the place of the first column of numbers, which are aligned to the right.
     """
 
     title: str
