@@ -194,16 +194,12 @@ def test_what_was_certified_cannot_be_changed_afterwards(shipped: Design) -> Non
 
 
 def test_a_failure_names_source_inequality_vertex_and_margin(shipped: Design) -> None:
-    request = replace(shipped.request, x_max=0.8)
-    report = check_certificate(request, shipped.P, shipped.K)
-    failing = [inequality for inequality in report.inequalities if not inequality.holds]
-    assert {inequality.where for inequality in failing} <= {
-        "slopes (0.6967, 0.6967)", "slopes (0.6967, 1)", "slopes (1, 0.6967)"
-    }  # fmt: skip
+    report = check_certificate(replace(shipped.request, x_max=0.8), shipped.P, shipped.K)
     pattern = (
         r"my\.yaml: the certificate does not hold: covariance decrease at slopes "
         r"\(0\.6967, 0\.6967\): DOES NOT HOLD, margin -\d\.\d{3}e-\d\d \(> 7e-10\)"
     )
     with pytest.raises(CertificateError, match=pattern) as caught:
         report.require("my.yaml")
-    assert str(caught.value).count("DOES NOT HOLD") == len(failing) > 0
+    failing = sum(not inequality.holds for inequality in report.inequalities)
+    assert str(caught.value).count("DOES NOT HOLD") == failing > 0
