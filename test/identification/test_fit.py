@@ -45,7 +45,7 @@ def test_what_was_found_is_named_and_what_is_not_shown_is_not_claimed(rubbing: t
 
     _, added = text.split("found, and in the fitted request:\n")
     assert "\n  Coulomb friction of the motor, 0.0" in f"\n{added}"
-    assert "\n  a delay of the torque, 0.00" in added
+    assert "\n  delay of the torque, 0.00" in added
     assert not rubbing.number("link_damping").seen
     assert not rubbing.number("link_friction").significant
     assert any("link_damping" in each for each in rubbing.unseen)

@@ -71,11 +71,7 @@ def is_detectable(request: AnyRequest) -> bool:
 def require_detectable(
     request: AnyRequest, has_design: Callable[[AnyRequest], bool] = is_detectable
 ) -> None:
-    """Refuse a request that no observer can answer.
-
-    Args:
-        request: The request.
-        has_design: What a changed request must pass to be suggested.
+    """Refuse a request that no observer can answer; changes are suggested if they have a design.
 
     Raises:
         DetectabilityError: A mode that does not decay is hidden, or a disturbance is arbitrary;

@@ -172,14 +172,8 @@ class Design:
         torque_rate: float | None = None,
         options: SupervisionOptions | None = None,
     ) -> Estimator:
-        """Return the observer for a real system: supervised output by output, and learning.
-
-        Args:
-            settle_time: As for `observer`.
-            gain_mode: As for `observer`.
-            adapt: Whether to learn the parameters that the request calls uncertain, if any.
-            torque_rate: As for `observer`.
-            options: When to react, and how strongly.
+        """Return the observer for a real system: supervised output by output by the options, and
+        learning the parameters that the request calls uncertain, if any; else as `observer`.
         """
         learns = adapt and self.request.uncertainty_model.count > 0
         estimator = self.observer(settle_time, gain_mode, torque_rate, adapt=learns)

@@ -21,12 +21,7 @@ _SHARES = (0.75, 0.5, 0.25)
 
 
 class Remedy(NamedTuple):
-    """A changed request.
-
-    Attributes:
-        text: The change in words.
-        request: The request after it.
-    """
+    """A change of a request in words, and the request after it."""
 
     text: str
     request: AnyRequest
@@ -38,12 +33,7 @@ Family = Iterable[Remedy]
 def helpful(
     families: Iterable[Family], has_design: Callable[[AnyRequest], bool]
 ) -> tuple[Remedy, ...]:
-    """Return the first of each family of changes that leads to a design.
-
-    Args:
-        families: Changes of one kind each, the smallest change first.
-        has_design: Whether a request has a design.
-    """
+    """Return the first of each family of changes that leads to a design."""
     tried = ((each for each in family if has_design(each.request)) for family in families)
     return tuple(found for family in tried for found in islice(family, 1))
 
@@ -51,11 +41,8 @@ def helpful(
 def remedies_of_hidden_modes(
     request: AnyRequest, slopes: Sequence[float | None] = ()
 ) -> Iterator[Family]:
-    """Yield changes of a request whose disturbances hide a mode.
-
-    Args:
-        request: The request.
-        slopes: Gravity slopes at which modes of an arm are hidden, None for any.
+    """Yield changes of a request whose disturbances hide modes, of an arm at some gravity slopes or
+    at any, which is None.
     """
     if request.disturbance_model.arbitrary:
         yield from _without_arbitrary(request)

@@ -57,11 +57,8 @@ class Signals(NamedTuple):
 def signals(request: AnyRequest, joint: str, alone: bool, both_sides: bool = False) -> Signals:
     """Return the places of a joint's signals in measurements and estimates.
 
-    Args:
-        request: Of the joint's design.
-        joint: Its name, which is before the names of a T–S system's entries if it is not `alone`.
-        alone: Whether it is the only one of its node.
-        both_sides: Whether an arm has encoders on both sides, although the design may measure one.
+    The joint's name is before those of a T–S system's entries if it is not alone in its node. An
+    arm may have encoders on both sides although its design measures one.
 
     >>> signals(ArmRequest(), "elbow", alone=True).outputs
     (Place(name='elbow', field='position'),)

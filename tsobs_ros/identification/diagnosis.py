@@ -40,10 +40,7 @@ def output_fits(
 ) -> tuple[tuple[OutputFit, ...], Traces]:
     """Return how well each output is predicted from a sample on, and the traces.
 
-    Args:
-        joint: The joint.
-        recording: A recording whole, so that the filter has settled at `begin`.
-        begin: First sample of the part that is judged.
+    The recording is whole, so that the filter has settled at `begin`.
     """
     request = joint.request
     found = innovations(joint, recording)
@@ -105,11 +102,8 @@ def _fit(measured: Array, made: Array) -> float:
 
 
 def unseen(unknowns: Unknowns, information: Array) -> tuple[str, ...]:
-    """Return the directions in which recordings know less than the prior, in words.
-
-    Args:
-        unknowns: What was estimated.
-        information: Of the recordings, shape (k, k).
+    """Return the directions in which recordings, by their information (k, k), know less than the
+    prior, in words.
     """
     values, vectors = np.linalg.eigh(information)
     found = []
@@ -136,33 +130,36 @@ _MOTIONS = {
 """What would show a number, by a part of its name."""
 
 
+_HAS_IT = "the fitted request has it"
+
+
 def found_lacks(numbers: Sequence[Found]) -> list[Lack]:
     """Return what was found that the request did not have."""
     made = []
     for each in numbers:
         if not each.significant or each.before:
             continue
-        value = f"{each.value:.3g} {each.unit}"
+        value, (name, _, last), entry = (
+            f"{each.value:.3g} {each.unit}",
+            each.name.rpartition("."),
+            "",
+        )
         if each.name in FRICTION:
-            side = each.name.removesuffix("_friction")
+            side = last.removesuffix("_friction")
+            what = f"Coulomb friction of the {side}, {value}"
             entry = f"the fitted request has a torque disturbance of the {side} for it"
-            made.append(Lack(f"Coulomb friction of the {side}, {value}", entry, True))
-        elif each.name == OFFSET:
-            made.append(Lack(f"an offset of the torque, {value}", _HAS_IT, True))
-        elif each.name.endswith(".offset"):
-            name = each.name.removesuffix(".offset")
-            entry = "subtract it from what the driver publishes"
-            made.append(Lack(f"an offset of {name}, {value}", entry))
-        elif each.name == DELAY and each.value > 0.0:
-            made.append(Lack(f"a delay of the torque, {value}", _HAS_IT, True))
-        elif each.name == DELAY:
-            made.append(Lack(f"a torque that acts {-each.value:.3g} s before its stamp", ""))
-        elif each.name.endswith("damping"):
-            made.append(Lack(f"{each.name.removeprefix('arm.')} of {value}", _HAS_IT, True))
+        elif each.name == DELAY and each.value < 0.0:
+            what = f"a torque that acts {-each.value:.3g} s before its stamp"
+        elif each.name in (OFFSET, DELAY):
+            what, entry = f"{last} of the torque, {value}", _HAS_IT
+        elif last == "offset":
+            what, entry = f"offset of {name}, {value}", "subtract it from what the driver publishes"
+        elif last.endswith("damping"):
+            what, entry = f"{last} of {value}", _HAS_IT
+        else:
+            continue
+        made.append(Lack(what, entry, entry.startswith("the fitted request")))
     return made
-
-
-_HAS_IT = "the fitted request has it"
 
 
 def tones(joint: Joint, recording: Recording) -> list[Lack]:

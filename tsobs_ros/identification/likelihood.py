@@ -103,14 +103,9 @@ class Innovations(NamedTuple):
 def innovations(
     joint: Joint, recording: Recording, *, gate: float = GATE, corrected_until: int | None = None
 ) -> Innovations:
-    """Filter a recording by a joint's model.
+    """Filter a recording by a joint's model; an output beyond so many sigmas is not used.
 
-    Args:
-        joint: The joint.
-        recording: The samples.
-        gate: Sigmas beyond which an output is not used.
-        corrected_until: Sample from which on none is used: the innovations are then those of a
-            simulation; None: all are used.
+    From a sample on none may be used: the innovations are then those of a simulation.
     """
     request = joint.request
     covariances = (request.measurement_covariance, request.initial_covariance)
@@ -168,11 +163,8 @@ class Evaluation(NamedTuple):
 class Likelihood:
     """−log L of some recordings over the coordinates of the unknown numbers, with their prior.
 
-    Args:
-        unknowns: The numbers.
-        recordings: The samples.
-        gate: Sigmas beyond which an innovation is an outlier.
-        advance: Called with the number of filtered samples, for progress.
+    Innovations beyond the gate [sigmas] are outliers; `advance` is called with the number of
+    filtered samples.
     """
 
     def __init__(

@@ -144,12 +144,7 @@ Units are SI and radians. Noises below are those of a filter without Coulomb fri
 
 
 def request_text(fit: Fit, names: str) -> str:
-    """Return the fitted request as a file, with the fit in its comments.
-
-    Args:
-        fit: The fit.
-        names: Of the recordings.
-    """
+    """Return the fitted request as a file; its comments have the recordings' names and the fit."""
     comments = [*_HEADER.format(names=names).splitlines(), *str(fit).splitlines()]
     lines = [*(f"# {each}" for each in comments), "design:"]
     for name, value in arm_entries(fit.request).items():
