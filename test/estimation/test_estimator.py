@@ -83,16 +83,11 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "c810825652cb24a3",
-    "supervised arm, bad": "150d5a7179eb94d6",
-    "gyroscope": "ffd2ce2eb51ebe14",
-    "gyroscope, bad": "e1192165971112bb",
-    "proportional": "4960574a2ee5bb68",
-    "proportional, bad": "5d92ca5a2da941d4",
-    "proportional-integral": "1f2d223467c6c0d2",
-    "proportional-integral, bad": "d0d18c70dad17112",
-    "paper": "c8c77910c7fac887",
-    "paper, bad": "64ee8fae985ae8d5",
+    "supervised arm": "0d3b62e2f9c38f9a",
+    "gyroscope": "81f001f96fe6434b",
+    "proportional": "3bed2344d081223c",
+    "proportional-integral": "6e7e29fca59d261d",
+    "paper": "c76a1c01f51f83e5",
 }
 """Of all runs; this file as a program prints them."""
 
@@ -116,7 +111,8 @@ def series(estimator: Estimator) -> tuple[Array, Array]:
 
 
 def stepped(estimator: Estimator) -> list[State]:
-    """Return the states of a run, with a gap, a short step and a look between two samples."""
+    """Return the states of a run, with a gap, a short step and looks between two samples, and at
+    the end numbers that are not finite, or too large, in sample and input."""
     states, state = [], estimator.initial()
     if estimator.supervised:  # as it would be some seconds later
         bound = estimator.shape.trim("covariance", estimator.model["X"])[0]
@@ -129,22 +125,11 @@ def stepped(estimator: Estimator) -> list[State]:
         if k % 10 == 3:
             state = estimator.predict(state, u, T)  # a sample is missing
             states.append(state)
-    return states
-
-
-def bad_numbers(estimator: Estimator) -> list[State]:
-    """Return states after numbers that are not finite, or too large, in sample and input."""
-    ys, us = series(estimator)
-    start = stepped(estimator)[-1]
-    states = []
     for bad in (np.nan, np.inf, -np.inf, 1e200):
-        for y, u in ((bad, us[0]), (ys[0], np.full_like(us[0], bad))):
-            state = start
-            for _ in range(3):
-                state, _ = estimator.correct(state, np.broadcast_to(y, ys[0].shape))
-                state = estimator.predict(state, u, T)
-                state = estimator.predict(state, us[1], 3.3 * T)
-            states.append(state)
+        for sample, held in ((np.full_like(y, bad), u), (y, np.full_like(u, bad))):
+            worse, _ = estimator.correct(state, sample)
+            worse = estimator.predict(worse, held, T)
+            states += [worse, estimator.predict(estimator.correct(worse, y)[0], u, 3.3 * T)]
     return states
 
 
@@ -167,12 +152,9 @@ def digest(states: list[State], estimator: Estimator) -> str:
 
 def digests() -> dict[str, str]:
     """Return the digests of all runs, by estimator."""
-    made = {}
-    for name in ESTIMATORS:
-        estimator = estimator_of(name)
-        made[name] = digest(stepped(estimator), estimator)
-        made[f"{name}, bad"] = digest(bad_numbers(estimator), estimator)
-    return made
+    return {
+        name: digest(stepped(made), made) for name in ESTIMATORS for made in [estimator_of(name)]
+    }
 
 
 @pytest.fixture(params=ESTIMATORS)
@@ -188,7 +170,7 @@ def test_what_the_runs_go_through() -> None:
     """Else the digests said little."""
     estimator = estimator_of("supervised arm")
     states = stepped(estimator)
-    last = states[-1]
+    last = states[-17]  # before the numbers that are not finite
     bases = {Basis(estimator.readout(state).basis) for state in states}
     assert bases >= {Basis.LEARNT, Basis.GAP}
     assert any(state.in_gap for state in states)
@@ -198,7 +180,7 @@ def test_what_the_runs_go_through() -> None:
     assert any(state.pending.any() for state in states)
     assert max(state.repeats[0] for state in states) >= 10
     assert any(state.records["hypotheses"]["live"].sum() > 7 for state in states)
-    pendulum = stepped(estimator_of("gyroscope"))
+    pendulum = stepped(estimator_of("gyroscope"))[:-16]
     assert {int(state.certified) for state in pendulum} == {0, 1}
     assert pendulum[-1].theta.any()
 
