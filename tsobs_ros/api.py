@@ -277,14 +277,14 @@ def estimate(
     count = len(stamps)
     ticks = stamps, np.maximum.accumulate(stamps), np.arange(1, count + 1)
     made = tracker.run(stamps, y, u, ticks)
-    rejected = Counter(reason for code in made.codes.tolist() if (reason := REASONS[code]))
+    rejected = Counter(reason for code in made.outcomes.codes.tolist() if (reason := REASONS[code]))
     several = np.ndim(angle) == 2
     return _estimates(
         tracker,
         times,
         tracker.estimator.as_rows(made.rows),
         times,
-        made.innovations,
+        made.outcomes.innovations,
         rejected,
         several,
     )

@@ -65,6 +65,11 @@ class Outcomes(NamedTuple):
     expected_std: Array
 
 
+def _outcomes(count: int, p: int) -> Outcomes:
+    codes = np.zeros(count, np.int64), np.zeros((count, p), np.int64)
+    return Outcomes(*codes, *np.full((2, count, p), np.nan))
+
+
 class TrackerRun(NamedTuple):
     """The results of N measurements and M ticks.
 
@@ -72,17 +77,13 @@ class TrackerRun(NamedTuple):
         rows: Estimates as of `Estimator.new_rows`, NaN where there is none, shape (M, width).
         there: Whether there is an estimate, shape (M,).
         newest: Stamp of the newest measurement in use [ns], shape (M,).
-        codes: As of `Outcomes`, shape (N,).
-        output_codes: The same of each output, shape (N, p).
-        innovations: y − ŷ, NaN of outputs that were not used, shape (N, p).
+        outcomes: Of the measurements; innovations are NaN of outputs that were not used.
     """
 
     rows: Array
     there: Flags
     newest: Stamps
-    codes: Integers
-    output_codes: Integers
-    innovations: Array
+    outcomes: Outcomes
 
 
 class Tracker:
@@ -264,12 +265,10 @@ class Tracker:
             ModelError: The arrays have other shapes.
         """
         times, samples, inputs = self._checked(stamps, y, u)
-        (count, p), order = samples.shape, None
-        if count > 1 and (times[1:] < times[:-1]).any():
+        outcomes, order = _outcomes(*samples.shape), None
+        if len(times) > 1 and (times[1:] < times[:-1]).any():
             order = np.argsort(times, kind="stable")
             times, samples, inputs = times[order], samples[order], inputs[order]
-        codes, output_codes = np.zeros(count, np.int64), np.zeros((count, p), np.int64)
-        outcomes = Outcomes(codes, output_codes, np.empty((count, p)), np.empty((count, p)))
         native.history_offer(*self._records, times, samples, inputs, now, *outcomes)
         if order is not None:
             for each in outcomes:
@@ -307,31 +306,29 @@ class Tracker:
         ticks: Sequence[Integers],
         stale_after: float = math.inf,
     ) -> TrackerRun:
-        """Offer measurements and estimate at ticks; other threads of Python can run meanwhile.
+        """Offer measurements, as of `offer_many`, and estimate at M ticks, as `follow`.
 
         Args:
-            stamps: Of N measurements in the order of use [ns], shape (N,).
-            y: Outputs, shape (N, p).
-            u: Inputs from each measurement until the next one, shape (N, m).
+            stamps: In the order of use.
+            y: Measured outputs.
+            u: Inputs.
             ticks: Stamps of the estimates and times on the clock [ns], and numbers of measurements
                 taken by the end of each tick.
             stale_after: Age of the newest measurement after which nothing is estimated [s].
         """
-        rows, shape = self.estimator.new_rows(len(ticks[0])), y.shape
-        codes, output_codes = np.zeros(len(stamps), np.int64), np.zeros(shape, np.int64)
-        innovations, expected_std = np.full((2, *shape), np.nan)
+        rows, outcomes = self.estimator.new_rows(len(ticks[0])), _outcomes(*y.shape)
         newest, there = np.zeros((2, len(rows)), np.int64)
         limit = 2 * _LONGEST if math.isinf(stale_after) else int(stale_after * NANOSECONDS)
         native.history_advance(
             *self._records,
             *map(np.ascontiguousarray, (stamps, y, u)),
-            *(codes, output_codes, innovations, expected_std),
+            *outcomes,
             *map(np.ascontiguousarray, ticks),
             *(newest, there, rows, limit),
         )
-        innovations[output_codes != USED] = np.nan
+        outcomes.innovations[outcomes.output_codes != USED] = np.nan
         rows[there == 0] = np.nan
-        return TrackerRun(rows, there != 0, newest, codes, output_codes, innovations)
+        return TrackerRun(rows, there != 0, newest, outcomes)
 
     def _checked(
         self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike

@@ -247,15 +247,15 @@ class Run:
         for joint, one in enumerate(results):
             one.rows[~(self.done & one.there)] = np.nan
             self.rows.append(self.trackers[joint].estimator.as_rows(one.rows))
-            innovations = np.full((len(samples), one.innovations.shape[1]), np.nan)
-            innovations[samples.complete[:, joint]] = one.innovations
+            innovations = np.full((len(samples), one.outcomes.innovations.shape[1]), np.nan)
+            innovations[samples.complete[:, joint]] = one.outcomes.innovations
             self.innovations.append(innovations)
-            self.used += int(np.isfinite(one.innovations).any(axis=1).sum())
-            for code, number in enumerate(np.bincount(one.codes).tolist()):
+            self.used += int(np.isfinite(one.outcomes.innovations).any(axis=1).sum())
+            for code, number in enumerate(np.bincount(one.outcomes.codes).tolist()):
                 if number and (reason := REASONS[code]):
                     self.rejected[reason] += number
             for place, code in enumerate((GATED, NON_FINITE)):
-                self._outputs[joint][:, place] += (one.output_codes == code).sum(axis=0)
+                self._outputs[joint][:, place] += (one.outcomes.output_codes == code).sum(axis=0)
 
     def _run_joint(self, joint: int) -> TrackerRun:
         (samples, ticks, _), tracker = self.window, self.trackers[joint]
