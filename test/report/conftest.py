@@ -55,7 +55,7 @@ def simulated(design: Design) -> RecordedRun:
         measurements=Series(stamps, np.hstack([y[0], u[0]])),
         stamps=ticks,
         **{name: np.array(rows[name]) for name in names},
-        innovation=Series(stamps[:-1], found.innovations[:-1]),
+        innovation=Series(stamps[:-1], found.outcomes.innovations[:-1]),
         true_state=Series(stamps, scenario.arm.to_physical(states[0])),
         true_disturbance=Series(stamps, biases[0]),
     )

@@ -79,14 +79,13 @@ class EventLog:
         """Forget the states, but not how much has been reported, as the estimate has no past."""
         self._waits_since: int | None = None
         self._newest: int | None = None
-        self._gap_since: int | None = None
-        self._noisy, self._basis = False, Basis.STARTING
+        self._noisy = False
         for changes in self._changes.values():
             changes.restart()
 
     def since(self, kind: EventKind) -> int | None:
         """Return the stamp at which something became what it is [ns], None if it never changed."""
-        return self._changes[kind].lasting.since
+        return self._changes[kind].since
 
     def update(self, estimate: Estimate) -> list[Event]:
         """Return what an estimate gives occasion to report, in the order of its beginning.
@@ -106,39 +105,27 @@ class EventLog:
             if before is not None:
                 gap = f"after {(stamp - before) / NANOSECONDS:.2g} s without"
                 text = f"TRACKING again: measurements arrive on {self._source}, {gap}"
-            events += state.update(stamp, Phase.TRACKING, (Level.OK, text))
+            events += state.report(stamp, Phase.TRACKING, (Level.OK, text))
         else:
             missing = f"nothing usable on {self._source} for {estimate.age:.2g} s"
             text = f"COASTING: {missing}; estimates are predictions"
             since = newest + round(self.coast_after * NANOSECONDS)
-            events += state.update(since, Phase.COASTING, (Level.WARN, text))
-        events += self._update_bound(stamp, estimate.basis)
+            events += state.report(since, Phase.COASTING, (Level.WARN, text))
         self._noisy = scale >= (NOT_NOISY if self._noisy else NOISY)
         judged = Level.OK, f"the sensor's noise is below {NOT_NOISY} times the design's"
         if self._noisy:
             judged = Level.WARN, f"the sensor's noise is {scale:.2g} times the design's"
-        events += self._changes[EventKind.NOISE].update(stamp, self._noisy, judged, _LASTING)
+        events += self._changes[EventKind.NOISE].report(stamp, self._noisy, judged, _LASTING)
         for kind, code in (
+            (EventKind.BOUND, estimate.basis),
             (EventKind.LEARNING, estimate.learning),
             (EventKind.HYPOTHESIS, estimate.hypothesis),
         ):
+            void = kind is EventKind.BOUND and code.level is Level.WARN
             if code is not Learning.NONE:
-                events += self._changes[kind].update(stamp, code, code.judged, _LASTING)
+                lasting = 0.0 if void else _LASTING
+                events += self._changes[kind].report(stamp, code, code.judged, lasting)
         return sorted(events, key=lambda event: event.stamp)
-
-    def _update_bound(self, stamp: int, basis: Basis) -> list[Event]:
-        lasting = 0.0 if basis.level is Level.WARN else _LASTING
-        if basis is not Basis.GAP:
-            self._basis, self._gap_since = basis, None
-        else:
-            # A late measurement is a gap, but a short one is no news, however often it comes.
-            if self._gap_since is None:
-                self._gap_since = stamp
-            if stamp - self._gap_since < _LASTING * NANOSECONDS:
-                basis = self._basis
-            else:
-                stamp, lasting = self._gap_since, 0.0
-        return self._changes[EventKind.BOUND].update(stamp, basis, basis.judged, lasting)
 
     def silence(self, now: int) -> list[Event]:
         """Return what a time [ns] without an estimate gives occasion to report."""
@@ -158,10 +145,10 @@ class EventLog:
         missing = f"nothing usable on {self._source} for {self._stale_after:g} s"
         text = f"STALE: {missing}; the next one restarts the estimate"
         since = newest + round(self._stale_after * NANOSECONDS)
-        return self._changes[EventKind.STATE].update(since, Phase.STALE, (Level.ERROR, text))
+        return self._changes[EventKind.STATE].report(since, Phase.STALE, (Level.ERROR, text))
 
 
-class _Changes:
+class _Changes(Debounce[Any]):
     """The changes of one kind, reported at most five times at once and then every ten seconds."""
 
     def __init__(self, kind: EventKind, usual: Any) -> None:
@@ -171,19 +158,18 @@ class _Changes:
 
     def restart(self) -> None:
         """Return to the value that needs no report."""
-        self.value, self.lasting = self._usual, Debounce(self._usual)
+        super().__init__(self._usual)
         self._changed = self._count = 0
         self._reported: int | None = None
 
-    def update(
+    def report(
         self, stamp: int, value: Any, judged: tuple[Level, str], lasting: float = 0.0
     ) -> list[Event]:
         """Take in a value, which must last so long [s], and return the reports that are due."""
-        events = self.due(stamp)
-        value = self.lasting.update(stamp, value, lasting)
-        if value != self.value:
-            self.value, self._changed = value, stamp
-            self._event = Event(self.lasting.since or stamp, self._kind, *judged)
+        events, before = self.due(stamp), self.value
+        if self.update(stamp, value, lasting) != before:
+            self._changed = stamp
+            self._event = Event(self.since or stamp, self._kind, *judged)
             self._count += 1
         return events + self.due(stamp)
 
