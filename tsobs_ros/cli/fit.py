@@ -4,7 +4,6 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tsobs_ros.cli.common import (
     Commands,
@@ -20,9 +19,6 @@ from tsobs_ros.cli.common import (
 )
 from tsobs_ros.errors import printable
 from tsobs_ros.files import require_nameable, require_new, written_whole
-
-if TYPE_CHECKING:
-    from tsobs_ros.design.request import ArmRequest
 
 
 def add_parser(commands: Commands) -> None:
@@ -117,8 +113,7 @@ def _fit(options: argparse.Namespace) -> int:
         found = fit(request, *options.logs, advance=advance, **keywords(options, fit))
     names = ", ".join(each.name for each in options.logs)
     write_yaml(options.output, request_text(found, names))
-    path = printable(str(options.output))
-    text = f"{found}\nwritten to {path}; {_next_step(found.request, path)}"
+    text = f"{found}\nwritten to {printable(str(options.output))}, for tsobs design"
     if report:
         with written_whole(report.parent, force=options.force) as folder:
             write_page(folder / report.name, found, names)
@@ -128,15 +123,3 @@ def _fit(options: argparse.Namespace) -> int:
     if not all(each.seen for each in found.numbers if each.name.startswith("arm.")):
         note("the recording does not show all numbers of the arm: see above")
     return 0
-
-
-def _next_step(request: "ArmRequest", path: str) -> str:
-    """Return what to do with a fitted request."""
-    design = f"tsobs design {path} --output my_arm.design.yaml"
-    if len(request.sensors) < 2:
-        return f"next: {design}"
-    outputs = ", ".join(each.measures for each in request.sensors)
-    return (
-        f"next: of its outputs ({outputs}) leave out those that the observer will not get, such as "
-        f"an encoder for calibration only; then {design}"
-    )

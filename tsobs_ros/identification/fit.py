@@ -86,7 +86,6 @@ def maximise(
     recordings: Sequence[Recording],
     advance: Advance,
     *,
-    seed: int = 0,
     starts: int = _STARTS,
     begin: Array | None = None,
     steps: int = _MAX_STEPS,
@@ -96,7 +95,7 @@ def maximise(
     First on a short part from several points, without a gate; then on everything from the best of
     them, or from `begin`. The Hessian is Fisher's information with the prior's, in a trust region.
     """
-    k, rng, best = unknowns.count, np.random.default_rng(seed), begin
+    k, rng, best = unknowns.count, np.random.default_rng(0), begin
     if best is None:
         short, longer = (
             Likelihood(unknowns, [_longest(recordings).middle(count)], advance=advance)
@@ -275,7 +274,6 @@ def fit(
     units: Mapping[str, str] | None = None,
     joint: str | None = None,
     topic: str | None = None,
-    seed: int = 0,
     advance: Advance = lambda _: None,
 ) -> Fit:
     """Fit the numbers of a joint to recordings.
@@ -291,7 +289,6 @@ def fit(
         units: Of CSV logs: units by quantity.
         joint: Name of the joint in the recordings; needed if there are several.
         topic: Topic of the measurements in bags; None if there is only one.
-        seed: Of the points that the search starts from.
         advance: Called with the number of filtered samples, for progress.
 
     Raises:
@@ -317,7 +314,7 @@ def fit(
     begins = [round((1.0 - held_out) * each.count) for each in recordings]
     fitted = [each.part(0, end) for each, end in zip(recordings, begins, strict=True)]
     require_torque(unknowns, fitted[0].middle(_START_SAMPLES))
-    optimum = maximise(unknowns, fitted, advance, seed=seed)
+    optimum = maximise(unknowns, fitted, advance)
     start, optimum, added = _with_disturbed_sensor(start, free, optimum, fitted, advance)
     optimum = _with_zero(optimum, fitted, advance)
     likeliest, numbers = optimum.joint, optimum.numbers
