@@ -38,7 +38,7 @@ _SWITCH_INTERVAL = 0.0005
 # Longest time of catching up, in which services wait [ns].
 _MAX_BURST = 5_000_000
 _WAIT_POLL = 10_000_000
-_ACKNOWLEDGE_TIMEOUT = 5_000_000_000
+_ACKNOWLEDGE_TIMEOUT = 5.0
 # Longest wait, after which a change of the rate is noticed [s].
 _MAX_WAIT = 0.02
 # A best-effort subscriber receives nothing before it has matched the publisher too, and others may
@@ -103,7 +103,6 @@ class Player(ManagedNode[PlayerParameters]):
             loop=parameters.loop,
         )
         self._paused, self._finished = parameters.start_paused, False
-        self._ended: int | None = None
         self.offer_diagnostics(str(reader.path), self._statuses)
         self.offer_triggers({"pause": self._pause, "resume": self._resume})
         self._ticker = Ticker(self, _MAX_WAIT, self._play, executor_clock=self.steady)
@@ -119,7 +118,7 @@ class Player(ManagedNode[PlayerParameters]):
         try:
             yield from messages
         except BagReadError:
-            self._is_acknowledged(_ACKNOWLEDGE_TIMEOUT)
+            self._wait_for_acknowledgement()
             raise
 
     def activate(self) -> None:
@@ -197,7 +196,8 @@ class Player(ManagedNode[PlayerParameters]):
                 "with nothing left out",
             )
         if playback.ended and not self._finished:
-            self._finished = self._has_arrived(now)
+            self._wait_for_acknowledgement()
+            self._finished = True
         return playback.wait(now)
 
     def _may_start(self, now: int) -> bool:
@@ -215,16 +215,11 @@ class Player(ManagedNode[PlayerParameters]):
             self._is_awaited = wanted > 0 and not is_over and not has_settled
         return not self._is_awaited
 
-    def _has_arrived(self, now: int) -> bool:
-        """Return whether subscribers have all that was played, or too much time has passed."""
-        if self._ended is None:
-            self._ended = now
-        return self._is_acknowledged() or now - self._ended > _ACKNOWLEDGE_TIMEOUT
-
-    def _is_acknowledged(self, timeout: int = 0) -> bool:
-        """Return whether reliable subscribers have everything, after a timeout for each [ns]."""
-        limit = Duration(nanoseconds=timeout)
-        return all(each.wait_for_all_acked(limit) for each in self._played.values())
+    def _wait_for_acknowledgement(self) -> None:
+        """Wait until reliable subscribers have everything, or too much time has passed."""
+        end = time.monotonic() + _ACKNOWLEDGE_TIMEOUT
+        for each in self._played.values():
+            each.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
 
     def _pause(self) -> tuple[bool, str]:
         self._paused = True
