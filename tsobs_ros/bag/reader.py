@@ -143,6 +143,7 @@ class BagReader:
             end_ns: Only those before this log time, ns since the epoch.
         """
         names = list(self.topics if topics is None else topics)
+        self.require(names)
         parts = self.rows(names, start_ns, end_ns)
         return chain.from_iterable(self._messages(names, *part) for part in parts)
 
@@ -152,39 +153,24 @@ class BagReader:
         """Yield the messages of some topics as `messages` does, as rows.
 
         The channels of rows are the places of their topics in the names that are given. With them
-        come the records that they are in, by their keys.
+        come the records that they are in, by their keys. A chunk is read when the first of its
+        messages may be due.
         """
         self.require(topics)
         start, end = start_ns or 0, _LAST if end_ns is None else end_ns
         spans = [s for s in self._spans_with(topics) if s.end >= start and s.start < end]
+        spans.sort(key=attrgetter("start", "rank", "offset"))
         numbers = self._numbers(topics)
-        return self.in_log_order(spans, lambda span: self._load(span, numbers, start, end))
-
-    def in_log_order(
-        self,
-        spans: Iterable[Span],
-        load: Callable[[Span], tuple[Rows, bytes]],
-        row_size: int = _OBJECT_SIZE,
-    ) -> Iterator[tuple[Rows, dict[int, bytes]]]:
-        """Yield the messages of some spans in order of log time, with their records by key.
-
-        Args:
-            spans: Parts of the bag.
-            load: Returns the messages of one in order of log time, and the records they are in. It
-                is called when the first of them may be due.
-            row_size: The memory that a message takes beside its data [bytes].
-        """
-        spans = sorted(spans, key=attrgetter("start", "rank", "offset"))
         # Messages that are due after the start of the next span, in a heap by the first of them.
         waiting: list[tuple[int, int, Rows]] = []
         records: dict[int, bytes] = {}
         sizes: dict[int, int] = {}
         held = 0
         for key, span in enumerate(spans):
-            rows, data = load(span)
+            rows, data = self._load(span, numbers, start, end)
             if len(rows):
                 rows["chunk"] = key
-                records[key], sizes[key] = data, len(data) + row_size * len(rows)
+                records[key], sizes[key] = data, len(data) + _OBJECT_SIZE * len(rows)
                 held += sizes[key]
                 heappush(waiting, (int(rows["log_time"][0]), key, rows))
             horizon = min(spans[key + 1].start, _LAST) if key + 1 < len(spans) else _LAST
@@ -274,26 +260,20 @@ class BagReader:
         """
         names, depth = list(self.topics if topics is None else topics), min(depth, _MAX_LATCHED)
         self.require(names)
-        numbers = self._numbers(names)
-        last: dict[str, list[BagMessage]] = {name: [] for name in names}
-
-        def matters(span: Span, topic: str) -> bool:
-            known = last[topic]
-            return len(known) < depth or known[0].log_time < span.end
-
-        spans = [span for span in self._spans_with(names) if span.start < time_ns]
-        for span in sorted(spans, key=attrgetter("end", "rank", "offset"), reverse=True):
-            if not any(matters(span, topic) for topic in self._topics_of(span) & last.keys()):
-                continue
-            rows, data = self._load(span, numbers, 0, time_ns)
-            for number in np.unique(rows["channel"]).tolist():
-                own = rows[rows["channel"] == number][-depth:]
-                both = [*self._messages(names, own, {0: data}), *last[names[number]]]
-                last[names[number]] = sorted(both, key=itemgetter(3))[-depth:]
-            held = (_OBJECT_SIZE + len(m.data) for each in last.values() for m in each)
-            if sum(held) > _MAX_HELD:
+        found: list[BagMessage] = []
+        for name in names:
+            last: list[BagMessage] = []
+            spans = [span for span in self._spans_with([name]) if span.start < time_ns]
+            for span in sorted(spans, key=attrgetter("end", "rank", "offset"), reverse=True):
+                if len(last) == depth and last[0].log_time >= span.end:
+                    break
+                rows, data = self._load(span, self._numbers([name]), 0, time_ns)
+                both = [*self._messages([name], rows[-depth:], {0: data}), *last]
+                last = sorted(both, key=itemgetter(3))[-depth:]
+            found += last
+            if sum(_OBJECT_SIZE + len(message.data) for message in found) > _MAX_HELD:
                 raise self._error("the last messages of the topics are too large to be held")
-        return sorted(chain.from_iterable(last.values()), key=itemgetter(3))
+        return sorted(found, key=itemgetter(3))
 
     def decoded(
         self,

@@ -200,6 +200,7 @@ class _File:
         self._bag, self._account, self._stream = bag, account, stream
         self._has_header = False
         self._schemas: dict[int, Schema] = {}
+        self._texts: dict[int, str] = {}  # one of a type, however many channels have it
         self._channels: dict[int, Channel] = {}
         # The topic of each channel, or why its messages are dropped.
         self._topics: dict[int, str] = {}
@@ -261,6 +262,7 @@ class _File:
                 known = self._schemas.get(record.id)
                 if known is None and self._has_room(len(record.data)):
                     self._schemas[record.id] = record
+                    self._texts[record.id] = record.data.decode(errors="replace")
                 elif known is not None and known.name != record.name:
                     for id_, channel in self._channels.items():
                         if channel.schema_id == record.id:
@@ -287,7 +289,7 @@ class _File:
                 qos = self._offered[channel]
             hash_ = channel.metadata.get("topic_type_hash", "")
             hash_ = hash_ if TYPE_HASH.fullmatch(hash_) else ""
-            text = schema.data.decode(errors="replace")
+            text = self._texts[schema.id]
             definition = MessageDefinition(schema.name, text, hash_, schema.encoding)
             topic = self._bag.described(channel.topic, definition, qos)
         else:
