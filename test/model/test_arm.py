@@ -16,7 +16,6 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 
 Array = NDArray[np.float64]
-PROPERTY = settings(max_examples=20)
 
 INERTIAS = st.floats(0.1, 10.0)
 DAMPINGS = st.one_of(st.just(0.0), st.floats(0.01, 5.0))
@@ -25,12 +24,10 @@ ARMS = st.builds(
     DAMPINGS,
 )  # fmt: skip
 TORQUES = hnp.arrays(np.float64, 1, elements=st.floats(-10.0, 10.0))
-
-
 STATES = hnp.arrays(np.float64, 4, elements=st.floats(-5.0, 5.0, allow_subnormal=False))
 
 
-@PROPERTY
+@settings(max_examples=20)
 @given(ARMS, STATES, TORQUES)
 def test_the_derivative_is_newtons_law_in_physical_coordinates(
     arm: ElasticJointArm, q: Array, u: Array
