@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.options import GAIN_MODES
+from tsobs_ros.estimation.estimator import GAIN_MODES, Estimator
 from tsobs_ros.report.metrics import SCALE, SIGMAS
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate

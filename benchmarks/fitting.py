@@ -22,8 +22,8 @@ import tsobs_ros as ts
 from tsobs_ros.checks import Array
 from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import ArmRequest, Output, TorqueDisturbance
+from tsobs_ros.model.arm import TorquePath
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.model.torque_path import TorquePath
 
 _NUMBERS = ("link_inertia", "motor_inertia", "stiffness", "gravity_torque", "motor_damping")
 _LIGHT = ts.ElasticJointArm(0.0059, 0.0021, 1.61, 0.2372, 0.0, 0.1109)

@@ -16,7 +16,7 @@ import numpy as np
 
 import tsobs_ros as ts
 from tsobs_ros.design.request import Output
-from tsobs_ros.model.torque_path import TorquePath
+from tsobs_ros.model.arm import TorquePath
 from tsobs_ros.resources import config_path
 
 motion, recording = sys.argv[1:3]

@@ -12,9 +12,8 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.estimation import baselines
-from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.estimator import GAIN_MODES, TORQUE_RATE, Estimator, SupervisionOptions
 from tsobs_ros.estimation.events import STALE_AFTER
-from tsobs_ros.estimation.options import GAIN_MODES, TORQUE_RATE, SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.paper.observer import (
     PAPER_WARNING,

@@ -18,8 +18,7 @@ from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output
 from tsobs_ros.errors import TsobsError
-from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.torque_path import TorquePath
+from tsobs_ros.model.arm import ElasticJointArm, TorquePath
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 

@@ -33,7 +33,7 @@ import numpy as np
 import tsobs_ros as ts
 from tsobs_ros.estimation.estimator import certified_estimator
 from tsobs_ros.methods import METHODS, make_estimator
-from tsobs_ros.model.torque_path import TorquePath
+from tsobs_ros.model.arm import TorquePath
 
 from tsobs_ros.core import native
 

@@ -21,7 +21,7 @@ from tsobs_ros.core import native
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output
 from tsobs_ros.estimation.records import Measurement
-from tsobs_ros.model.torque_path import TorquePath
+from tsobs_ros.model.arm import TorquePath
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 pytestmark = pytest.mark.xdist_group("c program")  # its fixtures take seconds

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import high_gain, proportional_integral
-from tsobs_ros.estimation.estimator import Estimator, Rows, certified_estimator
-from tsobs_ros.estimation.options import SupervisionOptions
+from tsobs_ros.estimation.estimator import Estimator, Rows, SupervisionOptions, certified_estimator
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.state import State
 from tsobs_ros.model.arm import ElasticJointArm

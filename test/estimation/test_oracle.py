@@ -16,13 +16,12 @@ from scipy.linalg import block_diag, expm
 
 from tsobs_ros.core import native
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.estimator import Estimator, certified_estimator
-from tsobs_ros.estimation.options import SupervisionOptions
+from tsobs_ros.estimation.estimator import Estimator, SupervisionOptions, certified_estimator
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.estimation.state import State
+from tsobs_ros.model.arm import DIRECT, TorquePath
 from tsobs_ros.model.disturbance import DisturbanceModel, bias, clean, gauss_markov, per_channel
 from tsobs_ros.model.fuzzy import RuleBase, membership
-from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty

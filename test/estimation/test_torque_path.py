@@ -17,7 +17,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.records import Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import METHODS
-from tsobs_ros.model.torque_path import TorquePath
+from tsobs_ros.model.arm import TorquePath
 
 PROPERTY = settings(max_examples=12)
 DESIGN = ts.load_design()

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.options import TorqueLimits
+from tsobs_ros.estimation.estimator import Estimator, TorqueLimits
 from tsobs_ros.estimation.records import REASONS, Estimate, Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path

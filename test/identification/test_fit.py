@@ -10,8 +10,8 @@ from identified_joint import ARM, WRONG, recorded, request_of, run_of
 
 import tsobs_ros as ts
 from tsobs_ros.identification.result import request_text
+from tsobs_ros.model.arm import TorquePath
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.model.torque_path import TorquePath
 
 pytestmark = pytest.mark.xdist_group("fit")  # its fixture takes seconds
 

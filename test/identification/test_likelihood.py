@@ -17,7 +17,7 @@ from tsobs_ros.design.request import Output, TorqueDisturbance
 from tsobs_ros.estimation.baselines import extended_kalman
 from tsobs_ros.identification.joint import Joint, Unknowns, delayed, with_values
 from tsobs_ros.identification.likelihood import Likelihood, Recording, innovations
-from tsobs_ros.model.torque_path import TorquePath
+from tsobs_ros.model.arm import TorquePath
 
 DRIFT = DisturbanceTerm("gauss_markov", {"std": 0.02, "time_constant": 0.5})
 

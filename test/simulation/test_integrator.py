@@ -11,9 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import ElasticJointArm, TorquePath
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.model.torque_path import TorquePath
 from tsobs_ros.simulation.integrator import Friction
 from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor

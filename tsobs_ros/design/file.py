@@ -26,8 +26,8 @@ from tsobs_ros.design.request import (
     TSRequest,
 )
 from tsobs_ros.errors import DesignFileError
+from tsobs_ros.model.arm import DIRECT
 from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
-from tsobs_ros.model.torque_path import DIRECT
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Direction
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path

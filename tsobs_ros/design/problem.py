@@ -15,7 +15,7 @@ import numpy as np
 from tsobs_ros.checks import Array, Fixed, finite, fixed, non_negative, positive, shown
 from tsobs_ros.design.names import Labels
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.options import TorqueLimits
+from tsobs_ros.estimation.estimator import TorqueLimits
 from tsobs_ros.model import disturbance as disturbances
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.prediction import Flow, VertexSystem

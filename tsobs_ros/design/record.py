@@ -14,8 +14,7 @@ from tsobs_ros.design.certificate import CertificateReport, check_certificate
 from tsobs_ros.design.names import labelled
 from tsobs_ros.design.request import AnyRequest, ArmRequest
 from tsobs_ros.errors import ModelError, printable
-from tsobs_ros.estimation.estimator import Estimator, certified_estimator
-from tsobs_ros.estimation.options import SupervisionOptions
+from tsobs_ros.estimation.estimator import Estimator, SupervisionOptions, certified_estimator
 from tsobs_ros.model.matrices import inverse
 
 

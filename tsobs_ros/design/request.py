@@ -31,12 +31,20 @@ from tsobs_ros.design.problem import (
     require_terms,
 )
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.options import TORQUE_RATE, TorqueLimits
-from tsobs_ros.model.arm import ANGLES, LINK_ANGLE, QUANTITIES, SIDES, ElasticJointArm
+from tsobs_ros.estimation.estimator import TORQUE_RATE, TorqueLimits
+from tsobs_ros.model.arm import (
+    ANGLES,
+    DIRECT,
+    LINK_ANGLE,
+    QUANTITIES,
+    SIDES,
+    ElasticJointArm,
+    TorquePath,
+    require_delay,
+)
 from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise
 from tsobs_ros.model.prediction import VertexSystem
-from tsobs_ros.model.torque_path import DIRECT, TorquePath, require_delay
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import (

@@ -35,16 +35,14 @@ import numpy as np
 
 from tsobs_ros.checks import Array, positive
 from tsobs_ros.core import native
-from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, riccati_estimator
-from tsobs_ros.estimation.options import TorqueLimits
+from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, TorqueLimits, riccati_estimator
 from tsobs_ros.estimation.state import Shape, new_model
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import DIRECT, ElasticJointArm, TorquePath
 from tsobs_ros.model.disturbance import clean
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.matrices import product
 from tsobs_ros.model.prediction import Flow, fill_matrix
-from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.model.uncertainty import Uncertainty
 
 _POLE_RATIOS = (1.0, 1.1, 1.2, 1.3, 1.4)

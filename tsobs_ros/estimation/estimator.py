@@ -3,6 +3,7 @@
 """The step-by-step estimator: pure functions of states, over the steps of the compiled core."""
 
 import math
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,13 +12,13 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array, as_matrix, non_negative
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.options import SupervisionOptions, TorqueLimits
 from tsobs_ros.estimation.state import Shape, State, new_model, numbers_of, types_of
 from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.matrices import congruent, inverse, joseph
 from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix
 from tsobs_ros.model.uncertainty import Uncertainty
+from tsobs_ros.settings import check, live_setting
 
 CONSTANTS = {name: place for place, (name, *_) in enumerate(native.bank_constants())}
 """Places of the constants of the bank in a model record."""
@@ -28,8 +29,58 @@ PERIOD_TOLERANCE = 0.1
 For jitter, whose mean is the period. A sensor that is steadily 10 % slow makes the bound 2 % small.
 """
 
+TORQUE_RATE = 1.0
+"""Default 1σ of an arm's torque rate in a gap [N m/s]."""
+
+
+GAIN_MODES = ("certified", "riccati")
+"""Which gain corrects the estimate once it has settled."""
+
 Rows = Any
 """Rows of estimates, a record array of `Estimator.row_type`."""
+
+
+class TorqueLimits(NamedTuple):
+    """Which torques of an arm are plausible.
+
+    Attributes:
+        limit: Largest torque [N m], infinite if any is plausible.
+        rate_limit: Its largest rate [N m/s], likewise.
+        spread: 1σ of a torque of which nothing is known [N m].
+    """
+
+    limit: float
+    rate_limit: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class SupervisionOptions:
+    """When samples are not used.
+
+    σ is times the noise's scale; a disturbance beyond π and the arm and its sensor turned together
+    look the same; core/bank.c counts repetitions.
+    """
+
+    gate: float = live_setting(
+        5.0,
+        "Innovations as unlikely as beyond so many sigma are outliers, not used",
+        minimum=1.0,
+        maximum=1e3,
+    )
+    stuck_samples: int = live_setting(
+        20, "Signs of a stuck sensor from which samples are not used; 0: never", minimum=0
+    )
+    disturbance_limit: float = live_setting(
+        math.pi,
+        "Largest disturbance that a sensor is supposed to jump to",
+        unit="rad",
+        minimum=1e-3,
+        hidden=True,
+    )
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 class Correction(NamedTuple):

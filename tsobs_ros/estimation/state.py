@@ -19,8 +19,8 @@ from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.estimation.records import Basis
+from tsobs_ros.model.arm import DIRECT, TorquePath
 from tsobs_ros.model.prediction import FlowSizes, Record
-from tsobs_ros.model.torque_path import DIRECT, TorquePath
 
 
 class Shape(NamedTuple):

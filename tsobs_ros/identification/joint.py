@@ -19,8 +19,7 @@ from tsobs_ros.checks import Array, meant
 from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import SIDES
-from tsobs_ros.model.torque_path import TorquePath
+from tsobs_ros.model.arm import SIDES, TorquePath
 
 TORQUE_GAIN, OFFSET, DELAY = "torque.gain", "torque.offset", "torque.delay"
 FRICTION = tuple(f"{side}_friction" for side in SIDES)

@@ -13,11 +13,12 @@ Here they are called *design coordinates*; [q₁, q̇₁, q₂, q̇₂] are the 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, non_negative, positive, shown
+from tsobs_ros.checks import Array, as_matrix, finite, non_negative, positive, shown
 from tsobs_ros.errors import ModelError
 
 LINK_ANGLE, LINK_VELOCITY, MOTOR_ANGLE, MOTOR_VELOCITY = range(4)
@@ -31,6 +32,9 @@ ANGLES = (QUANTITIES[LINK_ANGLE], QUANTITIES[MOTOR_ANGLE])
 
 SIDES = ("motor", "link")
 """Where a torque may disturb an arm, in the order of the torques' states."""
+
+MAX_DELAY = 20
+"""Longest delay of a torque or an output, in periods."""
 
 _REFERENCE_ACCELERATION = 10.0
 """What the reference torque of an arm without gravity gives both inertias [rad/s²]."""
@@ -161,3 +165,45 @@ class ElasticJointArm:
         rate = state @ self.spring_matrix.T + np.asarray(u, dtype=np.float64) @ self.input_matrix.T
         rate[..., LINK_VELOCITY] -= self.gravity_gain * np.sin(state[..., LINK_ANGLE])
         return np.asarray(rate)
+
+
+@dataclass(frozen=True)
+class TorquePath:
+    """How the torque in messages and logs reaches the motor: gain · u(t − delay) + offset.
+
+    Each torque u is held from its sample to the next one, and so is its part at the motor. What
+    reaches the motor is known as well as u is, so it moves truth and estimate alike: errors, their
+    bounds and the certificate do not depend on it.
+
+    Attributes:
+        gain: Torque at the motor per torque in messages, above 0 [-].
+        offset: Torque at the motor at u = 0 [N m].
+        delay: Time from the sample of a torque until it acts [s].
+
+    Raises:
+        ModelError: A number is not finite, or of the wrong sign.
+    """
+
+    OMIT_EMPTY: ClassVar[bool] = True
+    """Zeros are left out of files."""
+
+    gain: float = 1.0
+    offset: float = 0.0
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, check in (("gain", positive), ("offset", finite), ("delay", non_negative)):
+            object.__setattr__(self, name, check(name, getattr(self, name)))
+
+
+DIRECT = TorquePath()
+"""The torque in messages is the one at the motor, at once."""
+
+
+def require_delay(name: str, delay: float, period: float) -> None:
+    """Raise `ModelError` for a delay of more than `MAX_DELAY` periods."""
+    longest = MAX_DELAY * period
+    if delay > longest * (1.0 + 1e-9):
+        raise ModelError(
+            f"{name}: expected at most {MAX_DELAY} periods, {longest:.4g} s, got {delay!r} s"
+        )

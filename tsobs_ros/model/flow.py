@@ -27,16 +27,17 @@ from tsobs_ros.checks import Array, non_negative
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import (
+    DIRECT,
     LINK_ANGLE,
     LINK_VELOCITY,
     MOTOR_VELOCITY,
     QUANTITIES,
     SIDES,
     ElasticJointArm,
+    TorquePath,
 )
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.prediction import NO_TORQUES, Flow, VertexSystem
-from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.model.uncertainty import EXTERNAL, SINE, TORQUE, Uncertainty
 
 

@@ -4,6 +4,12 @@
 
 It is [x; w; w_d]: the plant's states, those of the outputs' disturbances, those of torques. The
 compiled core takes the steps; a model gives it their numbers.
+
+The flow of the linear part is exact for a held input and white noise, over a step of any length:
+Φ' = AΦ, Γ' = AΓ + B, Q' = AQ + QAᵀ + W, by their Taylor series with precomputed coefficients. A
+step then costs one evaluation of polynomials, which matters because real stamps jitter. Where a
+step is long for the fastest mode, the series serves a fraction 2⁻ˢ of it and is doubled s times; a
+sum of positive semidefinite terms, so the noise stays a covariance.
 """
 
 import math
@@ -19,10 +25,9 @@ from tsobs_ros.checks import Array, as_matrix, positive
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
+from tsobs_ros.model.arm import DIRECT, TorquePath
 from tsobs_ros.model.disturbance import DisturbanceModel, clean
-from tsobs_ros.model.linear_flow import norm, taylor_series
-from tsobs_ros.model.matrices import block_diagonal
-from tsobs_ros.model.torque_path import DIRECT, TorquePath
+from tsobs_ros.model.matrices import block_diagonal, product
 from tsobs_ros.model.uncertainty import Uncertainty
 
 Record = np.ndarray[Any, np.dtype[Any]]
@@ -30,6 +35,9 @@ Record = np.ndarray[Any, np.dtype[Any]]
 
 NO_TORQUES = clean(2)
 """The torque disturbance of a plant without: no states."""
+
+MAX_TERMS = 60
+"""Rows of a series."""
 
 STRETCH = 1.25
 """A step may be longer than nominal by so much: real stamps jitter about the period."""
@@ -151,7 +159,7 @@ class Flow(ABC):
         inputs = np.zeros((self.state_count, m))
         inputs[:n] = B
         step = self.linear_share * self.period
-        turn = norm(self.drift) * step
+        turn = _norm(self.drift) * step
         if not turn <= _LARGEST_TURN:
             raise ModelError(
                 f"period: expected the fastest mode to turn or decay by at most "
@@ -160,7 +168,7 @@ class Flow(ABC):
             )
         # The series converges fast for |A|t up to 1; the common step needs no doubling.
         self._reach = STRETCH * step / max(1.0, STRETCH * turn)
-        self._series, self._terms = taylor_series(self.drift, inputs, self.density, self._reach)
+        self._series, self._terms = _taylor_series(self.drift, inputs, self.density, self._reach)
         if not all(np.isfinite(part).all() for part in self.nominal[1:4]):
             raise ModelError(
                 f"flow: every entry over a step of {step:.4g} s must be finite; "
@@ -244,6 +252,59 @@ class Flow(ABC):
         }.items():
             fill_matrix(record[name] if np.ndim(values) == 0 else record[name][0], values)
         return record
+
+
+@np.errstate(all="ignore")
+def _taylor_series(A: Array, B: Array, W: Array, reach: float) -> tuple[Array, int]:
+    """Return Taylor coefficients of Φ, Γ and Q, and how many rows are not negligible up to `reach`.
+
+    The coefficients are side by side, shape (MAX_TERMS, n (2n + m)); further rows are zero.
+    """
+    n, m = B.shape
+    series = np.zeros((MAX_TERMS, n * (2 * n + m)))
+    row = np.concatenate([np.eye(n), np.zeros((n, n + m))], axis=1)
+    largest, power = np.zeros_like(row), 1.0
+    for order in range(1, MAX_TERMS):
+        size = np.abs(row) * power
+        largest = np.where((size > largest) | np.isnan(size), size, largest)
+        series[order - 1] = np.concatenate(
+            [part.ravel() for part in np.split(row, (n, n + m), axis=1)]
+        )
+        # Judged entry by entry: entries differ by ten orders of magnitude.
+        if order > 2 * n and (size <= 1e-3 * np.finfo(float).eps * largest).all():
+            return series, order
+        power *= reach
+        row = product(A, row)
+        row[:, n + m :] += row[:, n + m :].T.copy()
+        if order == 1:
+            row[:, n:] += np.concatenate([B, W], axis=1)
+        row /= order
+    return series, MAX_TERMS - 1
+
+
+def _norm(A: Array) -> float:
+    """Return a norm of A [1/s] in coordinates where it is close to its fastest eigenvalue.
+
+    The states' units differ, so rows and columns are balanced by powers of two, which changes no
+    flow.
+    """
+    if not np.isfinite(A).all():
+        raise ModelError(f"state matrix: every entry must be finite, got {A.tolist()}")
+    balanced = np.abs(A)
+    for _ in range(100):
+        settled = True
+        for i in range(len(balanced)):
+            column, row = (sum(line.tolist()) - line[i] for line in (balanced[:, i], balanced[i]))
+            if not (0.0 < column < math.inf and 0.0 < row < math.inf):
+                continue
+            shift = round((math.log2(row) - math.log2(column)) / 2.0)
+            if shift:
+                balanced[:, i] = np.ldexp(balanced[:, i], shift)
+                balanced[i] = np.ldexp(balanced[i], -shift)
+                settled = False
+        if settled:
+            break
+    return float(max((sum(column.tolist()) for column in balanced.T), default=0.0))
 
 
 @cache

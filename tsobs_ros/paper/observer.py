@@ -27,9 +27,8 @@ from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import open_estimator
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import DIRECT, ElasticJointArm, TorquePath
 from tsobs_ros.model.matrices import product
-from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.paper.augmentation import Augmentation, blend
 from tsobs_ros.paper.examples import EXAMPLE_3_H, example_3
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.model.torque_path import TorquePath
+from tsobs_ros.model.arm import TorquePath
 
 
 class Past:

@@ -18,9 +18,8 @@ from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import SIDES, ElasticJointArm
+from tsobs_ros.model.arm import DIRECT, SIDES, ElasticJointArm, TorquePath
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.model.torque_path import DIRECT, TorquePath
 from tsobs_ros.settings import check_numbers, setting
 from tsobs_ros.simulation.delays import TorqueDelay
 from tsobs_ros.simulation.integrator import ArmMotion, Friction, Motion, Payload

@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from staging import start
 
 from tsobs_ros.errors import ParameterError
-from tsobs_ros.model.torque_path import TorquePath
+from tsobs_ros.model.arm import TorquePath
 from tsobs_ros.nodes import observer, plant_simulator
 from tsobs_ros.nodes.plant_simulator import plants_of
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
