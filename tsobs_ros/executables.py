@@ -8,22 +8,20 @@ exit code 0, and only then imports its node module ``tsobs_ros.nodes.<name>``, w
 makes the node. From there on a signal raises a flag.
 """
 
-import os
-import signal
 import sys
+
+from tsobs_ros.stop import StopFlag, end_at_once, end_with_parent, ignore_signals
 
 # Before anything else is imported, which takes a tenth of a second on a busy machine.
 _NAMES = ("observer", "plant_simulator", "recorder", "player", "visualizer", "tsobs")
 _PROCESS = sys.argv[0].rpartition("/")[2]
 if _PROCESS in _NAMES:
-    for _number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(_number, lambda _number, _frame: os._exit(_PROCESS == "tsobs"))
+    end_at_once(_PROCESS == "tsobs")
 
 from functools import partial
 from importlib import import_module
 
 from tsobs_ros.errors import missing_library
-from tsobs_ros.stop import StopFlag, end_at_once, end_with_parent, ignore_signals
 from tsobs_ros.streams import keep_standard_streams
 
 # Time for the interpreter's own shutdown, which may still destroy a participant.
