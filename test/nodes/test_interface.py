@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
 from staging import start
@@ -20,6 +19,7 @@ from tsobs_ros.bag import BagWriter
 from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, MARKERS, RECORDED_TOPICS
 from tsobs_ros.errors import ParameterError
+from tsobs_ros.methods import read_parameters
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.parameters import ManagedParameters
 from tsobs_ros.nodes.runtime import check_arguments
@@ -75,19 +75,9 @@ def make(ros: Any) -> Callable[..., Tuned]:
     return bind
 
 
-def flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return the values of a tree by their full names."""
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        one = f"{prefix}{name}"
-        found |= flat(value, f"{one}.") if isinstance(value, dict) else {one: value}
-    return found
-
-
 @pytest.mark.parametrize("name", ["observer", "plant_simulator", "player", "recorder"])
 def test_the_shipped_file_has_every_parameter_at_its_default(name: str) -> None:
-    content = yaml.safe_load(config_path(f"{name}.yaml").read_text(encoding="utf-8"))
-    shipped = flat(content["/**"]["ros__parameters"])
+    shipped = read_parameters(config_path(f"{name}.yaml"), name)
     schema = import_module(f"tsobs_ros.nodes.{name}").Parameters
     assert shipped.keys() == schema_of(schema).entries.keys()
     value = changed(schema(), shipped)
