@@ -19,7 +19,6 @@ from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
 from tsobs_ros.bag.copying import add_topics, copy_chunks
 from tsobs_ros.bag.metadata import profiles_to_yaml
 from tsobs_ros.bag.verification import verify
-from tsobs_ros.errors import BagReadError
 
 BYTES = "std_msgs/msg/UInt64"
 TEXT = "uint64 data\n"
@@ -168,30 +167,3 @@ def test_chunks_are_copied_as_they_are_or_the_messages_picked_out(
     new = copy(file, tmp_path / "new", topics)
     check(file, new, topics)
     assert stay(file, new) == expected
-
-
-def damaged(file: Path, place: int, new: int) -> None:
-    """Change a byte of a message of one chunk, or of the record in front of its data."""
-    data = bytearray(file.read_bytes())
-    data[data.index(message(30)) + place] = new
-    file.write_bytes(data)
-
-
-@pytest.mark.parametrize(
-    ("place", "options", "match"),
-    [
-        (4, {}, r"the file is damaged: at byte \d+: .*checksum"),
-        (-22, {"enable_crcs": False}, "channel 9, which is not described"),
-    ],
-)
-def test_a_damaged_chunk_is_not_copied(
-    tmp_path: Path, place: int, options: dict[str, Any], match: str
-) -> None:
-    file = foreign(tmp_path / "other.mcap", WRITTEN, compression="none", **options)
-    damaged(file, place, 9)
-    with pytest.raises(BagReadError, match=match):
-        copy(file, tmp_path / "new", TOPICS)
-    kept = copied(tmp_path / "new")
-    assert [one.log_time for one in kept] == list(range(len(kept)))
-    assert 20 < len(kept) <= 30
-    assert verify(tmp_path / "new").holds

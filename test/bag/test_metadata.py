@@ -146,8 +146,6 @@ def test_profiles_survive_yaml_and_policies_by_number_are_those_of_the_rmw() -> 
         (of(reliability="sometimes"), "reliability is 'sometimes', but must be one of"),
         (of(depth=-1), "`int` >= 0 - at .*depth"),
         (of(deadline={"sec": math.inf, "nsec": 0}), "got `float` - at .*deadline.sec"),
-        ("a: b", "not a"),
-        ("- 1", "not a"),
         ("[", "not a"),
     ],
 )
