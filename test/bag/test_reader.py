@@ -136,8 +136,6 @@ def test_what_is_not_there_is_named(bag: Path, tmp_path: Path) -> None:
         ({"profile": "ros1"}, "not a bag of ROS 2: its profile is 'ros1'"),
         ({"channels": [("/a", "json", 1, {})]}, "/a is encoded in 'json', not in cdr"),
         ({"channels": [("/a", "cdr", 7, {})]}, "/a has no type"),
-        ({"channels": [("/a", "cdr", 1, {"offered_qos_profiles": "["})]},
-         "/a: not a list of QoS profiles"),
         ({"repeat_channels": False}, "damaged: 1 channels, but 0 in the index"),
     ],
 )  # fmt: skip

@@ -273,10 +273,10 @@ def test_what_no_bag_can_hold_is_counted(tmp_path: Path) -> None:
     (file,) = result.files
     assert file.kept == {"/a": 1, "/idl": 1}
     assert sorted(file.dropped) == [
-        "of /a, as std_msgs/msg/Empty, which is two types",
+        "of /a, which is a std_msgs/msg/Empty here, but not elsewhere",
         "of /a, whose times do not fit 63 bits",
-        "of /json, which is encoded in 'json'",
-        "of /lost, whose type is lost",
+        "of /json, which is encoded in 'json', not in cdr",
+        "of /lost, which has no type",
     ]
     assert "its profile is 'x', expected 'ros2'" in result.text()
     assert "dropped 1: of /json" in result.text()

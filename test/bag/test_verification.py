@@ -250,7 +250,7 @@ def file_with(
         ({"channels": [("/a", "json", 1, CHANNEL)]}, "/a: is encoded in 'json', not in cdr"),
         (
             {"channels": [("/a", "cdr", 7, CHANNEL)]},
-            "/a: has the schema 7, which is not there before it",
+            "/a: has no type",
         ),
         ({"channels": [("/a", "cdr", 1, {"offered_qos_profiles": "["})]}, "/a: not a list of QoS"),
         ({"channel_id": 7}, "a message is of channel 7, which is not there before it"),

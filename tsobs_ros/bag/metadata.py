@@ -3,15 +3,15 @@
 """The topics, QoS and files of a bag, and its `metadata.yaml` of version 9, which Jazzy writes."""
 
 import os
-import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 import yaml
-from mcap.records import Channel
+from mcap.records import Channel, Schema
 
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.errors import BagReadError, BagWriteError
@@ -21,7 +21,6 @@ VERSION = 9
 FILE_NAME = "metadata.yaml"
 ROOT_KEY = "rosbag2_bagfile_information"
 EMPTY_START_NS = 2**63 - 1
-TYPE_HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 
 _OF_PUBLISHER = ("unknown", "best_available")
 # In the order of the RMW's enumerations: bags from before Jazzy name a policy by its number.
@@ -121,27 +120,6 @@ def profiles_from_yaml(text: str) -> tuple[QosProfile, ...]:
         raise ValueError(f"not a list of QoS profiles: {error}") from error
 
 
-class OfferedQos:
-    """The `offered_qos_profiles` of a file's channels, each text parsed once, few as they are.
-
-    Parsing costs some microseconds a byte: hostile texts are limited to `MAX_BYTES` in all.
-    """
-
-    def __init__(self) -> None:
-        self._known: dict[str, tuple[QosProfile, ...]] = {}
-        self._bytes_left = MAX_BYTES
-
-    def __getitem__(self, channel: Channel) -> tuple[QosProfile, ...]:
-        """Return the offers of a channel."""
-        text = channel.metadata.get("offered_qos_profiles", "")
-        if text not in self._known:
-            self._bytes_left -= len(text)
-            if self._bytes_left < 0:
-                raise ValueError(f"the file's QoS profiles are larger than {MAX_BYTES} bytes")
-            self._known[text] = profiles_from_yaml(text)
-        return self._known[text]
-
-
 @dataclass(frozen=True)
 class TopicInfo:
     """One topic of a bag.
@@ -161,6 +139,45 @@ class TopicInfo:
     qos_profiles: tuple[QosProfile, ...] = ()
     type_hash: str = ""
     definition: MessageDefinition | None = field(default=None, compare=False, repr=False)
+
+
+class TopicReader:
+    """The topics that channels and schemas of a file describe; each text is read once."""
+
+    def __init__(self) -> None:
+        self._definitions: dict[int, str] = {}
+        self._offers: dict[str, tuple[QosProfile, ...]] = {}
+        # Parsing costs some microseconds a byte.
+        self._bytes_left = MAX_BYTES
+
+    def __call__(self, channel: Channel, schema: Schema | None) -> TopicInfo:
+        """Return the topic that a channel is of, without QoS if that makes no sense.
+
+        Raises:
+            ValueError: Its messages are not in CDR, or there is no schema.
+        """
+        if channel.message_encoding != "cdr":
+            raise ValueError(f"is encoded in '{channel.message_encoding}', not in cdr")
+        if schema is None:
+            raise ValueError("has no type")
+        if schema.id not in self._definitions:
+            self._definitions[schema.id] = schema.data.decode(errors="replace")
+        hash_ = channel.metadata.get("topic_type_hash", "")
+        text, qos = self._definitions[schema.id], tuple[QosProfile, ...]()
+        with suppress(ValueError):
+            qos = self.offers(channel)
+        definition = MessageDefinition(schema.name, text, hash_, schema.encoding)
+        return TopicInfo(channel.topic, schema.name, 0, qos, hash_, definition)
+
+    def offers(self, channel: Channel) -> tuple[QosProfile, ...]:
+        """Return a channel's `offered_qos_profiles`; raise a `ValueError` if they make no sense."""
+        text = channel.metadata.get("offered_qos_profiles", "")
+        if text not in self._offers:
+            self._bytes_left -= len(text)
+            if self._bytes_left < 0:
+                raise ValueError(f"the file's QoS profiles are larger than {MAX_BYTES} bytes")
+            self._offers[text] = profiles_from_yaml(text)
+        return self._offers[text]
 
 
 class _Duration(msgspec.Struct, frozen=True):

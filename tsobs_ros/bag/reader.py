@@ -30,8 +30,7 @@ from tsobs_ros.bag.container import (
     read_span,
     read_summary,
 )
-from tsobs_ros.bag.definitions import MessageDefinition
-from tsobs_ros.bag.metadata import BagMetadata, OfferedQos, TopicInfo, read_metadata
+from tsobs_ros.bag.metadata import BagMetadata, TopicInfo, TopicReader, read_metadata
 from tsobs_ros.errors import BagReadError, missing_library
 from tsobs_ros.files import open_regular
 from tsobs_ros.yaml_files import MAX_BYTES
@@ -349,21 +348,13 @@ class BagReader:
         if statistics.channel_count > (described := len(summary.channels)):
             counts = f"{statistics.channel_count} channels, but {described} in the index"
             raise ValueError(f"the file is damaged: {counts}; {RECOVER_HINT}")
-        offered = OfferedQos()
-        texts = {id_: each.data.decode(errors="replace") for id_, each in summary.schemas.items()}
+        read = TopicReader()
         for channel in summary.channels.values():
-            name, encoding = channel.topic, channel.message_encoding
-            if encoding != "cdr":
-                raise ValueError(f"{name} is encoded in '{encoding}', not in cdr")
-            if (schema := summary.schemas.get(channel.schema_id)) is None:
-                raise ValueError(f"{name} has no type")
+            name = channel.topic
             try:
-                offers = offered[channel]
+                topic = read(channel, summary.schemas.get(channel.schema_id))
             except ValueError as error:
-                raise ValueError(f"{name}: {error}") from error
-            hash_ = channel.metadata.get("topic_type_hash", "")
-            definition = MessageDefinition(schema.name, texts[schema.id], hash_, schema.encoding)
-            topic = TopicInfo(name, schema.name, 0, offers, hash_, definition)
+                raise ValueError(f"{name} {error}") from error
             known = self.topics.setdefault(name, topic)
             if known.type != topic.type:
                 raise ValueError(f"{name} is {topic.type} here, but {known.type} before")

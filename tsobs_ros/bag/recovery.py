@@ -13,14 +13,11 @@ from typing import IO, Any
 from mcap.records import Channel, Header, McapRecord, Metadata, Schema
 
 from tsobs_ros.bag.container import Records
-from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
-    TYPE_HASH,
     BagMetadata,
-    OfferedQos,
-    QosProfile,
     TopicInfo,
+    TopicReader,
     read_metadata,
 )
 from tsobs_ros.bag.walker import Damage, FileWalker, Progress
@@ -184,14 +181,6 @@ class DamagedBag:
             with suppress(ValueError):
                 self.metadata = BagMetadata.from_yaml(text)
 
-    def described(
-        self, name: str, definition: MessageDefinition, qos: tuple[QosProfile, ...]
-    ) -> TopicInfo | None:
-        """Return a topic that is added to those known; None if that has another type."""
-        topic = TopicInfo(name, definition.type, 0, qos, definition.type_hash, definition)
-        known = self.topics.setdefault(name, topic)
-        return known if known.type == topic.type else None
-
 
 class _File:
     """One file: what describes its topics, and its messages."""
@@ -200,12 +189,11 @@ class _File:
         self._bag, self._account, self._stream = bag, account, stream
         self._has_header = False
         self._schemas: dict[int, Schema] = {}
-        self._texts: dict[int, str] = {}  # one of a type, however many channels have it
         self._channels: dict[int, Channel] = {}
         # The topic of each channel, or why its messages are dropped.
         self._topics: dict[int, str] = {}
         self._reasons: dict[int, str] = {}
-        self._offered = OfferedQos()
+        self._read_topic = TopicReader()
         self._room, self._metadata_room = _MAX_DESCRIPTIONS, MAX_BYTES
 
     def messages(
@@ -262,7 +250,6 @@ class _File:
                 known = self._schemas.get(record.id)
                 if known is None and self._has_room(len(record.data)):
                     self._schemas[record.id] = record
-                    self._texts[record.id] = record.data.decode(errors="replace")
                 elif known is not None and known.name != record.name:
                     for id_, channel in self._channels.items():
                         if channel.schema_id == record.id:
@@ -279,25 +266,13 @@ class _File:
         if not self._has_room(sum(map(len, (*channel.metadata, *channel.metadata.values())))):
             return
         self._channels[channel.id] = channel
-        topic: TopicInfo | None = None
-        if channel.message_encoding != "cdr":
-            reason = f"which is encoded in '{channel.message_encoding}'"
-        elif schema := self._schemas.get(channel.schema_id):
-            reason = f"as {schema.name}, which is two types"
-            qos: tuple[QosProfile, ...] = ()
-            with suppress(ValueError):
-                qos = self._offered[channel]
-            hash_ = channel.metadata.get("topic_type_hash", "")
-            hash_ = hash_ if TYPE_HASH.fullmatch(hash_) else ""
-            text = self._texts[schema.id]
-            definition = MessageDefinition(schema.name, text, hash_, schema.encoding)
-            topic = self._bag.described(channel.topic, definition, qos)
-        else:
-            reason = "whose type is lost"
-        if topic:
+        try:
+            topic = self._read_topic(channel, self._schemas.get(channel.schema_id))
+            if self._bag.topics.setdefault(topic.name, topic).type != topic.type:
+                raise ValueError(f"is a {topic.type} here, but not elsewhere")
             self._topics[channel.id] = topic.name
-        else:
-            self._reasons[channel.id] = f"of {channel.topic}, {reason}"
+        except ValueError as error:
+            self._reasons[channel.id] = f"of {channel.topic}, which {error}"
 
     def _contradict(self, id_: int) -> None:
         """Drop further messages of a channel that is described as another: of another file."""

@@ -32,9 +32,8 @@ from tsobs_ros.bag.metadata import (
     ROOT_KEY,
     BagMetadata,
     FileMetadata,
-    OfferedQos,
-    QosProfile,
     TopicInfo,
+    TopicReader,
     read_metadata,
 )
 from tsobs_ros.bag.walker import FileWalker, Part, Progress
@@ -201,9 +200,10 @@ class _File:
         self._errors = errors
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._qos: dict[int, tuple[QosProfile, ...]] = {}
         self._start, self._end = 2**64, 0
-        self._offered, self._topics = OfferedQos(), set[str]()
+        self._read_topic = TopicReader()
+        self._topics: dict[int, TopicInfo] = {}
+        self._names: set[str] = set()
         # What the summary should state of each chunk: size, times and index offsets.
         self._chunks: dict[int, tuple[int, int, int, dict[int, int]]] = {}
         self._last = 0
@@ -221,14 +221,11 @@ class _File:
 
     def topics(self, metadata: BagMetadata) -> Iterator[TopicInfo]:
         """Yield what metadata.yaml should state of its topics, or does if the file does not."""
-        listed = {topic.name: topic for topic in metadata.topics}
-        for id_, channel in self._channels.items():
-            known = listed.get(channel.topic, TopicInfo(channel.topic, ""))
-            schema = self._schemas.get(channel.schema_id)
-            type_ = schema.name if schema else known.type
-            hash_ = channel.metadata.get("topic_type_hash", known.type_hash)
-            qos = self._qos.get(id_, known.qos_profiles)
-            yield TopicInfo(channel.topic, type_, 0, qos, hash_)
+        listed = {topic.name: topic.type_hash for topic in metadata.topics}
+        for id_, topic in self._topics.items():
+            hashes = self._channels[id_].metadata
+            hash_ = hashes.get("topic_type_hash", listed.get(topic.name, ""))
+            yield replace(topic, type_hash=hash_)
 
     def check(self, progress: Progress, is_trusted: bool) -> None:
         """Read the file once, from its start to its end."""
@@ -317,18 +314,16 @@ class _File:
         return known[record.id] is record
 
     def _check_channel(self, channel: Channel) -> None:
-        topic = channel.topic
-        if topic in self._topics:
-            self._error("has more than one channel", topic)
-        self._topics.add(topic)
-        if channel.message_encoding != "cdr":
-            self._error(f"is encoded in '{channel.message_encoding}', not in cdr", topic)
-        if channel.schema_id not in self._schemas:
-            self._error(f"has the schema {channel.schema_id}, which is not there before it", topic)
+        name = channel.topic
+        if name in self._names:
+            self._error("has more than one channel", name)
+        self._names.add(name)
         try:
-            self._qos[channel.id] = self._offered[channel]
+            schema = self._schemas.get(channel.schema_id)
+            self._topics[channel.id] = self._read_topic(channel, schema)
+            self._read_topic.offers(channel)
         except ValueError as error:
-            self._error(str(error), topic)
+            self._error(str(error), name)
 
     def _check_messages(self, content: Records) -> None:
         channels, times = content.rows["channel"], content.rows["log_time"].view("u8")
