@@ -11,12 +11,13 @@ from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
-from tsobs_ros.design.problem import CLEAN, DisturbanceTerm
+from tsobs_ros.design.problem import CLEAN, DisturbanceTerm, Terms
 from tsobs_ros.design.request import AnyRequest, ArmRequest, Output
 from tsobs_ros.model.arm import ANGLES
 from tsobs_ros.model.flow import ProcessNoise
 
 _BIAS, _DECAYING = DisturbanceTerm("bias"), DisturbanceTerm("gauss_markov")
+_DECAYS = "kind gauss_markov for {}, whose decaying state need not be seen"
 _SHARES = (0.75, 0.5, 0.25)
 
 
@@ -50,11 +51,8 @@ def remedies_of_hidden_modes(
     yield from _fewer_terms(request)
     if isinstance(request, ArmRequest) and slopes and None not in slopes:
         yield _domain_above(request, max(slope for slope in slopes if slope is not None))
-    yield from _decaying(request)
-    for place, (name, terms) in enumerate(request.channels):
-        if any(term.kind != "clean" for term in terms):
-            text = f"kind clean for {name}, if it is not disturbed"
-            yield [Remedy(text, request.with_terms(place, CLEAN))]
+    yield from _replaced(request, ("clean", "gauss_markov"), (_DECAYING,), _DECAYS)
+    yield from _replaced(request, ("clean",), CLEAN, "kind clean for {}, if it is not disturbed")
     yield from _further_outputs(request)
 
 
@@ -81,7 +79,7 @@ def remedies_of_gain(request: AnyRequest) -> Iterator[Family]:
             noise = ProcessNoise(noise.link or default.link, noise.motor or default.motor)
             text = f"process_noise above 0: link {noise.link:g}, motor {noise.motor:g} rad²/s³"
             yield [Remedy(text, replace(request, process_noise=noise))]
-    yield from _decaying(request)
+    yield from _replaced(request, ("clean", "gauss_markov"), (_DECAYING,), _DECAYS)
     yield from _further_outputs(request)
 
 
@@ -130,14 +128,13 @@ def _domain_above(request: ArmRequest, slope: float) -> Iterator[Remedy]:
         yield Remedy(text, replace(request, x_max=x_max))
 
 
-def _decaying(request: AnyRequest) -> Iterator[Family]:
-    for place, (name, terms) in enumerate(request.channels):
-        if any(term.kind not in ("clean", "gauss_markov") for term in terms):
-            text = (
-                f"kind gauss_markov for {name}, whose decaying state need not be seen, "
-                "in place of one that persists"
-            )
-            yield [Remedy(text, request.with_terms(place, (_DECAYING,)))]
+def _replaced(
+    request: AnyRequest, kept: Sequence[str], terms: Terms, text: str
+) -> Iterator[Family]:
+    """Yield other terms in place of those of other kinds than some, by disturbance."""
+    for place, channel in enumerate(request.channels):
+        if any(term.kind not in kept for term in channel.terms):
+            yield [Remedy(text.format(channel.name), request.with_terms(place, terms))]
 
 
 def _further_outputs(request: AnyRequest) -> Iterator[Family]:
