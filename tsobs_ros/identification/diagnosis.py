@@ -21,7 +21,7 @@ from tsobs_ros.identification.joint import (
     Unknowns,
 )
 from tsobs_ros.identification.likelihood import GATE, Recording, innovations
-from tsobs_ros.identification.result import Lack, OutputFit, Traces
+from tsobs_ros.identification.result import OutputFit, Traces
 
 HORIZON = 1.0
 """Time for which a free run is compared [s]: longer ones of an arm without gravity drift away."""
@@ -130,39 +130,27 @@ _MOTIONS = {
 """What would show a number, by a part of its name."""
 
 
-_HAS_IT = "the fitted request has it"
-
-
-def found_lacks(numbers: Sequence[Found]) -> list[Lack]:
-    """Return what was found that the request did not have."""
-    made = []
+def news(numbers: Sequence[Found]) -> tuple[list[str], list[str]]:
+    """Return what was found that the request did not have: what one can have, and the rest."""
+    added, lacks = list[str](), list[str]()
     for each in numbers:
+        name, _, last = each.name.rpartition(".")
+        value = f"{each.value:.3g} {each.unit}"
         if not each.significant or each.before:
             continue
-        value, (name, _, last), entry = (
-            f"{each.value:.3g} {each.unit}",
-            each.name.rpartition("."),
-            "",
-        )
         if each.name in FRICTION:
             side = last.removesuffix("_friction")
-            what = f"Coulomb friction of the {side}, {value}"
-            entry = f"the fitted request has a torque disturbance of the {side} for it"
+            added.append(f"Coulomb friction of the {side}, {value}, as a torque disturbance")
         elif each.name == DELAY and each.value < 0.0:
-            what = f"a torque that acts {-each.value:.3g} s before its stamp"
-        elif each.name in (OFFSET, DELAY):
-            what, entry = f"{last} of the torque, {value}", _HAS_IT
+            lacks.append(f"a torque that acts {-each.value:.3g} s before its stamp")
+        elif each.name in (OFFSET, DELAY) or last.endswith("damping"):
+            added.append(f"{last} of the {name.replace('arm', 'joint')}, {value}")
         elif last == "offset":
-            what, entry = f"offset of {name}, {value}", "subtract it from what the driver publishes"
-        elif last.endswith("damping"):
-            what, entry = f"{last} of {value}", _HAS_IT
-        else:
-            continue
-        made.append(Lack(what, entry, entry.startswith("the fitted request")))
-    return made
+            lacks.append(f"offset of {name}, {value}; subtract it from what the driver publishes")
+    return added, lacks
 
 
-def tones(joint: Joint, recording: Recording) -> list[Lack]:
+def tones(joint: Joint, recording: Recording) -> list[str]:
     """Return the tones in the outputs' innovations."""
     found, request = [], joint.request
     r = innovations(joint, recording).standardised
@@ -181,11 +169,8 @@ def tones(joint: Joint, recording: Recording) -> list[Lack]:
             # A window's gain of a tone's power by that of noise.
             size = std * math.sqrt(2.0 * float(ratio[peak]) / len(clean) * 3.0)
             found.append(
-                Lack(
-                    f"a tone of {hertz:.3g} Hz in {output.measures}, about {size:.2g} in size",
-                    f"disturbance of {output.measures}: "
-                    f"{{kind: sinusoid, frequency: {2.0 * math.pi * hertz:.4g}}}",
-                )
+                f"a tone of {hertz:.3g} Hz in {output.measures}, about {size:.2g} in size; its "
+                f"disturbance: {{kind: sinusoid, frequency: {2.0 * math.pi * hertz:.4g}}}"
             )
     return found
 

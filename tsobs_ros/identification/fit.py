@@ -15,7 +15,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.identification.diagnosis import found_lacks, output_fits, tones, unseen
+from tsobs_ros.identification.diagnosis import news, output_fits, tones, unseen
 from tsobs_ros.identification.joint import (
     DELAY,
     FRICTION,
@@ -37,7 +37,7 @@ from tsobs_ros.identification.likelihood import (
     innovations,
 )
 from tsobs_ros.identification.recordings import Samples, read, require_torque
-from tsobs_ros.identification.result import Fit, Lack
+from tsobs_ros.identification.result import Fit
 from tsobs_ros.model.arm import SIDES
 
 Advance = Callable[[int], None]
@@ -166,7 +166,7 @@ def _with_disturbed_sensor(
     optimum: Optimum,
     recordings: Sequence[Recording],
     advance: Advance,
-) -> tuple[ArmRequest, Optimum, list[Lack]]:
+) -> tuple[ArmRequest, Optimum, list[str]]:
     """Return request and optimum with a drifting sensor if that explains far more of the motion.
 
     A precise sensor of an arm that is not quite the model, such as one with a flexible link, is
@@ -193,9 +193,8 @@ def _with_disturbed_sensor(
         return request, optimum, []
     text = f"something that {name} shows and the arm does not do: a free run explains "
     text += f"{best:.3g} % with it, {before:.3g} % without"
-    entry = f"the fitted request has a gauss_markov disturbance of {name} for it"
     found = maximise(chosen.unknowns, recordings, advance, begin=chosen.coordinates)
-    return changed, found, [Lack(text, entry, True)]
+    return changed, found, [text]
 
 
 def _free_run(joint: Joint, recording: Recording) -> float:
@@ -315,20 +314,22 @@ def fit(
     fitted = [each.part(0, end) for each, end in zip(recordings, begins, strict=True)]
     require_torque(unknowns, fitted[0].middle(_START_SAMPLES))
     optimum = maximise(unknowns, fitted, advance)
-    start, optimum, added = _with_disturbed_sensor(start, free, optimum, fitted, advance)
+    start, optimum, disturbed = _with_disturbed_sensor(start, free, optimum, fitted, advance)
     optimum = _with_zero(optimum, fitted, advance)
     likeliest, numbers = optimum.joint, optimum.numbers
     longest = max(range(len(recordings)), key=lambda place: recordings[place].count)
     whole = recordings[longest]
     begin = begins[longest] if held_out else whole.count // 2
     outputs, traces = output_fits(likeliest, whole, begin)
+    added, lacks = news(numbers)
     return Fit(
         request=_observable(likeliest, numbers, fitted, advance),
         before=start,
         joint=likeliest,
         numbers=numbers,
         unseen=unseen(optimum.unknowns, optimum.evaluation.information),
-        lacks=(*added, *found_lacks(numbers), *tones(likeliest, _longest(fitted))),
+        added=(*disturbed, *added),
+        lacks=(*lacks, *tones(likeliest, _longest(fitted))),
         outputs=outputs,
         samples=(sum(begins), sum(each.count for each in recordings) - sum(begins)),
         outliers=optimum.evaluation.outliers,

@@ -13,20 +13,6 @@ from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.identification.joint import Found, Joint, found_named, table
 
 
-class Lack(NamedTuple):
-    """Something that the model lacks.
-
-    Attributes:
-        what: In plain words, with a number.
-        entry: The request's entry that would add it, as YAML in one line; empty if none would.
-        is_added: Whether the fitted request has it.
-    """
-
-    what: str
-    entry: str
-    is_added: bool = False
-
-
 class OutputFit(NamedTuple):
     """How well an output is predicted in the part that was held out.
 
@@ -82,7 +68,8 @@ class Fit:
         numbers: What was estimated.
         unseen: What the recordings do not show, a line for each direction: the numbers that look
             alike, and a motion that would show them.
-        lacks: What the request's model lacks, and what the fitted one still lacks.
+        added: What the request's model lacks and the fitted one has, a line each.
+        lacks: What the fitted one still lacks, with the entry of a request that would add it.
         outputs: How well each output is predicted.
         samples: Number of samples that were fitted, and of those held out.
         outliers: Number of innovations that were taken for outliers.
@@ -95,7 +82,8 @@ class Fit:
     joint: Joint
     numbers: tuple[Found, ...]
     unseen: tuple[str, ...]
-    lacks: tuple[Lack, ...]
+    added: tuple[str, ...]
+    lacks: tuple[str, ...]
     outputs: tuple[OutputFit, ...]
     samples: tuple[int, int]
     outliers: int
@@ -112,7 +100,8 @@ class Fit:
             "samples": {"fitted": self.samples[0], "held_out": self.samples[1]},
             "numbers": [each._asdict() | {"seen": each.seen} for each in self.numbers],
             "unseen": list(self.unseen),
-            "lacks": [{"what": each.what, "entry": each.entry} for each in self.lacks],
+            "added": list(self.added),
+            "lacks": list(self.lacks),
             "outputs": [each._asdict() for each in self.outputs],
             "outliers": self.outliers,
             "notes": list(self.notes),
@@ -130,11 +119,11 @@ class Fit:
                 f"times as large as expected, neighbours correlated by {one.correlation:.2f}"
             )
         lines += [f"not shown: {each}" for each in self.unseen]
-        if added := [f"  {each.what}" for each in self.lacks if each.is_added]:
-            lines += ["found, and in the fitted request:", *added]
-        if rest := [each for each in self.lacks if not each.is_added]:
-            lines.append("the model still lacks:")
-            lines += [f"  {each.what}" + f"; {each.entry}" * bool(each.entry) for each in rest]
+        for title, found in (
+            ("found, and in the fitted request:", self.added),
+            ("the model still lacks:", self.lacks),
+        ):
+            lines += [title, *(f"  {each}" for each in found)] if found else []
         return "\n".join([*lines, *self.notes])
 
 
