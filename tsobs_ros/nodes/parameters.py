@@ -10,10 +10,10 @@ the rest.
 import math
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, Self, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
@@ -59,11 +59,21 @@ class SelectingParameters(ManagedParameters):
                     f"parameter '{name}': not a regular expression ({error}): '{pattern}'"
                 ) from error
 
-    def takes(self, name: str, is_listed: bool, is_excluded: bool) -> bool:
-        """Return whether to take a name by the patterns, and by whether the lists have it."""
-        if is_excluded or (self.exclude_regex and re.search(self.exclude_regex, name)):
-            return False
-        return is_listed or bool(self.regex and re.search(self.regex, name))
+    def resolved(self, full_name: Callable[[str], str]) -> Self:
+        """Return the parameters with full names of topics in place of those given."""
+        topics, excluded = (
+            tuple(map(full_name, names)) for names in (self.topics, self.exclude_topics)
+        )
+        return replace(self, topics=topics, exclude_topics=excluded)
+
+    def takes(self, topic: str, by_default: bool = True) -> bool:
+        """Return whether to take a topic by its full name, also without any selection."""
+        is_taken = topic in self.topics or bool(self.regex and re.search(self.regex, topic))
+        is_taken |= by_default and not (self.topics or self.regex)
+        return is_taken and not (
+            topic in self.exclude_topics
+            or (self.exclude_regex and re.search(self.exclude_regex, topic))
+        )
 
 
 @dataclass(frozen=True)

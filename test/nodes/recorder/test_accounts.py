@@ -24,7 +24,6 @@ def full(name: str) -> str:
     ("parameters", "expected"),
     [
         ({}, VISIBLE),
-        ({"topics": ("*", "_raw")}, VISIBLE | {"/arm/_raw"}),
         ({"topics": ("joints", "/camera/image")}, {"/arm/joints", "/camera/image"}),
         ({"topics": ("/arm/reset/_service_event",)}, {"/arm/reset/_service_event"}),
         ({"regex": "^/arm/.*e"}, {"/arm/torque", "/arm/reset/_service_event"}),

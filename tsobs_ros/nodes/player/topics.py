@@ -66,19 +66,12 @@ class PlayerParameters(SelectingParameters):
         Raises:
             ParameterError: A listed topic is not in the bag, or none is left.
         """
-        there = list(names)
-        listed, excluded = (
-            {f"/{name.removeprefix('/')}" for name in given}
-            for given in (self.topics, self.exclude_topics)
-        )
+        there, own = list(names), self.resolved(lambda name: f"/{name.removeprefix('/')}")
         has = f"the bag has {', '.join(there) or 'none'}"
-        if missing := sorted(listed - set(there)):
+        if missing := sorted(set(own.topics) - set(there)):
             raise ParameterError(f"parameter 'topics': no topic {', '.join(missing)}; {has}")
-        if self.clock:
-            excluded.add(CLOCK)
-        default = set() if listed or self.regex else set(there)
         selected = [
-            name for name in there if self.takes(name, name in listed | default, name in excluded)
+            name for name in there if own.takes(name) and not (self.clock and name == CLOCK)
         ]
         if there and not selected:
             raise ParameterError(f"the parameters leave no topic to play; {has}")

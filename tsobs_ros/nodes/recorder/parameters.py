@@ -1,15 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder's parameters, and the selection of topics."""
+"""The recorder's parameters."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from tsobs_ros.nodes.parameters import SelectingParameters
 from tsobs_ros.settings import live_setting, setting
-
-ALL = "*"
-"""What `topics` have for all that are not hidden."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +13,7 @@ class RecorderParameters(SelectingParameters):
     """The node's parameters; `config/recorder.yaml` shows them with their reasons."""
 
     topics: tuple[str, ...] = setting(
-        (), "Topics to record, also hidden ones; '*' for all that are not"
+        (), "Topics to record; without any selection all that are not hidden"
     )
     output: str = setting("", "Folder of the bag, which must not exist; empty for a dated name")
     compression: str = setting("zstd", "Compression of the chunks", choices=("none", "lz4", "zstd"))
@@ -40,22 +36,6 @@ class RecorderParameters(SelectingParameters):
         256, "Free disk space at which recording ends", unit="MiB", minimum=0
     )
 
-    def resolved(self, full_name: Callable[[str], str]) -> "RecorderParameters":
-        """Return the parameters with full names of topics in place of those given."""
-        return replace(
-            self,
-            topics=tuple(name if name == ALL else full_name(name) for name in self.topics),
-            exclude_topics=tuple(map(full_name, self.exclude_topics)),
-        )
-
-    @property
-    def listed(self) -> list[str]:
-        """The topics that are selected by name and awaited."""
-        return sorted({name for name in self.topics if name != ALL and self.wants(name)})
-
     def wants(self, topic: str) -> bool:
-        """Return whether to record a topic; a hidden one only if it is listed or matched."""
-        is_taken = topic in self.topics
-        if ALL in self.topics or not (self.topics or self.regex):
-            is_taken |= "/_" not in topic
-        return self.takes(topic, is_taken, topic in self.exclude_topics)
+        """Return whether to record a topic by its full name."""
+        return self.takes(topic, by_default="/_" not in topic)

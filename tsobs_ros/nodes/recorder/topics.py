@@ -19,7 +19,7 @@ from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.recorder.losses import LossCounter
-from tsobs_ros.nodes.recorder.parameters import ALL, RecorderParameters
+from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 from tsobs_ros.nodes.wire import DrainedSubscription, message_class
 
 _LATCHED, _RELIABLE = DurabilityPolicy.TRANSIENT_LOCAL, ReliabilityPolicy.RELIABLE
@@ -138,10 +138,9 @@ class TopicFinder:
         self.recorded: dict[str, RecordedTopic] = {}
         self._node = node
         self._selection = node.parameters.resolved(node.resolve_topic_name)
-        self._listed = self._selection.listed
+        self._listed = list(filter(self._selection.wants, self._selection.topics))
         # Full names and those before remappings, which subscribing applies.
-        names = [name for name in node.parameters.topics if name != ALL]
-        self._given = {node.resolve_topic_name(name): name for name in names}
+        self._given = dict(zip(self._selection.topics, node.parameters.topics, strict=True))
         self._warnings: set[str] = set()
         self._publisher_counts: dict[str, int] = {}
         self._polls = 0
