@@ -50,7 +50,7 @@ def test_a_report_of_a_simulated_bag(simulated, messages_of, write_bag, design, 
 def test_a_report_lists_what_happened_to_the_estimates(
     troubled, messages_of, write_bag, tmp_path
 ) -> None:
-    report = make_bag_report(write_bag(messages_of(troubled)), tmp_path, ekf=False, html=False)
+    report = make_bag_report(write_bag(messages_of(troubled)), tmp_path, ekf=False)
 
     health = json.loads((tmp_path / "report.json").read_text())["health"]
     assert [(round(one["time"]), one["kind"], one["level"]) for one in health["events"]] == [
@@ -65,13 +65,13 @@ def test_a_report_of_a_robot_without_truth(short, messages_of, write_bag, tmp_pa
     bag = write_bag(messages_of(replace(short, true_state=None, true_disturbance=None)))
     (tmp_path / "report.json").write_text("old")
 
-    report = make_bag_report(bag, tmp_path, ekf=False, html=False, force=True)
+    report = make_bag_report(bag, tmp_path, ekf=False, force=True)
 
     assert report.ekf is None
     assert report.as_mapping()["ekf"] is None
     assert report.metrics.windows == ()
     assert json.loads((tmp_path / "report.json").read_text())["estimates"] == 200
-    assert [path.name for path in report.files] == ["report.png", "report.json"]
+    assert [path.name for path in report.files] == ["report.png", "report.html", "report.json"]
     assert "note: the bag has no ground truth" in report.text()
     assert "note: the run is too short" in report.text()
 

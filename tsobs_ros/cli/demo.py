@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the nodes, then report on their bag."""
     from tqdm import tqdm
 
-    from tsobs_ros.report import figures  # noqa: F401  # nothing is run for a report that fails
+    from tsobs_ros.report import figures, page  # noqa: F401  # nothing runs for a report that fails
 
     output = options.output or Path("demo") / datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
     if options.domain_id is None:

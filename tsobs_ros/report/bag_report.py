@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 
 from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile
-from tsobs_ros.errors import BagReadError, TsobsError, missing_library, printable
+from tsobs_ros.errors import BagReadError, TsobsError, printable
 from tsobs_ros.files import require_new, written_whole
 from tsobs_ros.replay.health import (
     Health,
@@ -151,7 +150,6 @@ def make_bag_report(
     design: str | None = None,
     other_design: bool = False,
     ekf: bool = True,
-    html: bool = True,
     joint: str | None = None,
     topic: str | None = None,
     force: bool = False,
@@ -166,7 +164,6 @@ def make_bag_report(
             else the shipped one.
         other_design: Whether that may be another one than the bag's.
         ekf: Whether to run EKFs over the same measurements.
-        html: Whether to write the page too; it is left out, with a remark, without plotly.
         joint: Name of the joint in the bag; None if there is one only.
         topic: Name of the measurements' topic, for a bag with several arms.
         force: Whether to replace files of these names.
@@ -177,11 +174,13 @@ def make_bag_report(
         DesignFileError: The design is none, or not that of the bag; or that is not known here.
         OutputError: A file exists already.
         ReportError: A file cannot be written.
-        ModuleNotFoundError: matplotlib is not installed.
+        ModuleNotFoundError: matplotlib or plotly is not installed.
     """
-    page = html and find_spec("plotly") is not None
-    names = ["report.png", *(["report.html"] if page else []), "report.json"]
-    files = tuple(output / name for name in names)
+    # Here, so that they are needed only for what they draw.
+    from tsobs_ros.report.figures import draw_run
+    from tsobs_ros.report.page import write_html
+
+    files = [output / f"report.{kind}" for kind in ("png", "html", "json")]
     require_new(files, force=force)
     source = BagSource(bag, topic=topic, joints=[joint] if joint else ())
     given = [] if design is None else [design]
@@ -202,22 +201,14 @@ def make_bag_report(
         rival = best_ekf(source, file, source.ran.settings())
     shown = picture(run, metrics, expected, diagnosed=diagnosed, rival=rival and rival.run)
     remarks = [*source.ran.doubt(given), *source.ran.remarks, *_limits(run, metrics, diagnosed)]
-    if html and not page:
-        remarks.append(f"note: no report.html: {missing_library('plotly')}")
     facts = [*_facts(bag, source, file), *notes.items()]
     known = metrics, health, events, rival, diagnosed, shown
     report = BagReport(bag, file, run, *known, facts, files, remarks)
     with written_whole(output, ReportError, force=force) as folder:
-        # Here, so that matplotlib and plotly are needed only for what they draw.
-        from tsobs_ros.report.figures import draw_run
-
-        draw_run(shown, folder / names[0])
-        if page:
-            from tsobs_ros.report.page import write_html
-
-            write_html(shown, folder / names[1], report.about)
+        draw_run(shown, folder / files[0].name)
+        write_html(shown, folder / files[1].name, report.about)
         text = json.dumps(report.as_mapping(), indent=2, allow_nan=False)
-        (folder / names[-1]).write_text(text + "\n", encoding="utf-8")
+        (folder / files[2].name).write_text(text + "\n", encoding="utf-8")
     return report
 
 
