@@ -16,8 +16,6 @@ Without gains, (18) is checked on {C̄x̄ = 0}, on which Qᵢ drops out: by Fins
 satisfies it if and only if it holds there.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +23,6 @@ from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.matrices import block_diagonal
 from tsobs_ros.model.ts_model import TSModel
 
 # Reciprocal condition number below which E_L counts as singular.
@@ -34,23 +31,48 @@ _SINGULAR = 1e-12
 _STRICT = 1e-9
 
 
-@dataclass(frozen=True)
 class Augmentation:
     """A T–S system with the disturbance of its outputs as additional states.
 
     Attributes:
         system: The T–S system; n states, m inputs, p outputs, r rules.
-        free_matrix: L, shape (n + p, p); [0; I] by default.
-
-    Raises:
-        ModelError: L has another shape, or E_L is singular.
+        state_count: n.
+        output_count: p, also of disturbances.
+        rule_count: r.
+        size: n + p.
+        C: The common output matrix, that of the first rule, shape (p, n).
+        C_bar: C̄ = [C I], shape (p, n + p).
+        blind_basis: T = [I; −C], a basis of {x̄ : C̄x̄ = 0}, shape (n + p, n).
+        L: The free matrix, shape (n + p, p).
+        E_L: Ē + L C̄, shape (n + p, n + p).
+        E_L_inverse: E_L⁻¹.
+        A1: A₁ᵢ = E_L⁻¹(Āᵢ − N C̄₀), shape (r, n + p, n + p).
+        B1: E_L⁻¹B̄ᵢ with B̄ᵢ = [Bᵢ; 0], shape (r, n + p, m).
+        N1: E_L⁻¹N, shape (n + p, p).
+        L1: E_L⁻¹L, what the output adds to the observer's own state, shape (n + p, p). It is [0; I]
+            whatever L is: E_L w = L v gives L₂(C̄w − v) = 0, hence C̄w = v and w_x = 0.
     """
 
-    system: TSModel
-    free_matrix: ArrayLike | None = None
+    def __init__(self, system: TSModel, free_matrix: ArrayLike | None = None) -> None:
+        """Augment a system.
 
-    def __post_init__(self) -> None:
-        n, p = self.state_count, self.output_count
+        Args:
+            system: The T–S system.
+            free_matrix: L, shape (n + p, p); [0; I] by default.
+
+        Raises:
+            ModelError: L has another shape, or E_L is singular.
+        """
+        r, n, p = system.rule_count, system.state_count, len(system.C)
+        self.system = system
+        self.rule_count, self.state_count, self.output_count, self.size = r, n, p, n + p
+        self.C: Array = np.asarray(system.rule_outputs[0])
+        self.C_bar: Array = np.hstack([self.C, np.eye(p)])
+        self.blind_basis: Array = np.vstack([np.eye(n), -self.C])
+        self.L = as_matrix(
+            "L", np.eye(n + p, p, -n) if free_matrix is None else free_matrix, (n + p, p)
+        )
+        self.E_L: Array = np.diag([1.0] * n + [0.0] * p) + self.L @ self.C_bar
         singular = np.linalg.svd(self.E_L, compute_uv=False)
         if singular[-1] < _SINGULAR * singular[0]:
             raise ModelError(
@@ -58,86 +80,13 @@ class Augmentation:
                 f"({p}, {p}) block; got E_L with singular values {singular[0]:.3g} to "
                 f"{singular[-1]:.3g} for the lower block {self.L[n:].tolist()}"
             )
-
-    @property
-    def rule_count(self) -> int:
-        """Number of rules r."""
-        return self.system.rule_count
-
-    @property
-    def state_count(self) -> int:
-        """Number of states n of the system itself."""
-        return self.system.state_count
-
-    @property
-    def output_count(self) -> int:
-        """Number of outputs p, and of disturbances."""
-        return len(self.system.C)
-
-    @property
-    def size(self) -> int:
-        """Length n + p of the augmented state."""
-        return self.state_count + self.output_count
-
-    @property
-    def C(self) -> Array:
-        """The common output matrix, that of the first rule, shape (p, n)."""
-        return np.asarray(self.system.rule_outputs[0])
-
-    @cached_property
-    def L(self) -> Array:
-        """The free matrix, shape (n + p, p)."""
-        n, p = self.state_count, self.output_count
-        given = np.eye(n + p, p, -n) if self.free_matrix is None else self.free_matrix
-        return as_matrix("L", given, (n + p, p))
-
-    @cached_property
-    def C_bar(self) -> Array:
-        """C̄ = [C I], shape (p, n + p)."""
-        return np.hstack([self.C, np.eye(self.output_count)])
-
-    @cached_property
-    def E_L(self) -> Array:
-        """Ē + L C̄, shape (n + p, n + p)."""
-        n, p = self.state_count, self.output_count
-        return block_diagonal(np.eye(n), np.zeros((p, p))) + self.L @ self.C_bar
-
-    @cached_property
-    def E_L_inverse(self) -> Array:
-        """E_L⁻¹, shape (n + p, n + p)."""
-        return np.asarray(np.linalg.inv(self.E_L))
-
-    @cached_property
-    def A1(self) -> Array:
-        """A₁ᵢ = E_L⁻¹A₀ᵢ with A₀ᵢ = Āᵢ − N C̄₀, shape (r, n + p, n + p)."""
-        n, p, r = self.state_count, self.output_count, self.rule_count
         A0 = np.zeros((r, n + p, n + p))
-        A0[:, :n, :n] = self.system.A
-        A0[:, n:] = -self.C_bar
-        return np.asarray(self.E_L_inverse @ A0)
-
-    @cached_property
-    def B1(self) -> Array:
-        """E_L⁻¹B̄ᵢ with B̄ᵢ = [Bᵢ; 0], shape (r, n + p, m)."""
-        return np.asarray(self.E_L_inverse[:, : self.state_count] @ self.system.B)
-
-    @cached_property
-    def N1(self) -> Array:
-        """E_L⁻¹N with N = [0; I], shape (n + p, p)."""
-        return np.asarray(self.E_L_inverse[:, self.state_count :])
-
-    @cached_property
-    def L1(self) -> Array:
-        """E_L⁻¹L, shape (n + p, p): what the output adds to the observer's own state.
-
-        It is [0; I] whatever L is: E_L w = L v gives L₂(C̄w − v) = 0, hence C̄w = v and w_x = 0.
-        """
-        return np.asarray(self.E_L_inverse @ self.L)
-
-    @cached_property
-    def blind_basis(self) -> Array:
-        """T = [I; −C], a basis of {x̄ : C̄x̄ = 0}, shape (n + p, n)."""
-        return np.vstack([np.eye(self.state_count), -self.C])
+        A0[:, :n, :n], A0[:, n:] = system.A, -self.C_bar
+        self.E_L_inverse: Array = np.asarray(np.linalg.inv(self.E_L))
+        self.A1: Array = self.E_L_inverse @ A0
+        self.B1: Array = self.E_L_inverse[:, :n] @ system.B
+        self.N1: Array = self.E_L_inverse[:, n:]
+        self.L1: Array = self.E_L_inverse @ self.L
 
     def alpha_1(self, alpha: ArrayLike) -> Array:
         """Return α₁ᵢ = ‖E_L⁻¹‖ αᵢ ≥ ‖E_L⁻¹ΔĀᵢ‖, shape (r,), for bounds ‖ΔAᵢ‖ ≤ αᵢ.
