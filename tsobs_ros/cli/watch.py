@@ -27,7 +27,6 @@ def add_parser(commands: Commands) -> None:
     text = "an observer's estimates and health, live"
     add = add_command(commands, "watch", run, text).add_argument
     add("--observer", default="/observer", metavar="NAME", help="the observer's full name")
-    add("--period", type=positive, default=0.25, metavar="S", help="time between two pictures")
     add("--once", action="store_true", help="print one picture and end, as without a terminal")
     add(
         "--timeout", type=positive, default=10.0, metavar="S",
@@ -65,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
         return now < min(deadline, seen + _ENOUGH)
 
     with ExitStack() as screen:
-        failed = runtime.run(lambda: Watcher(options.observer, options.period, take), args=[])
+        failed = runtime.run(lambda: Watcher(options.observer, take), args=[])
     if failed or not once:
         return failed
     if signal_came() or newest is None:

@@ -27,6 +27,7 @@ from tsobs_ros.nodes.wire import DrainedSubscription
 from tsobs_ros.replay.places import FIELDS
 
 _QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+_PERIOD = 0.25  # time between two views [s]
 _COLUMNS = ("value", "bound", "truth")
 _TABLES = {
     "estimate": (topics.STATES, topics.STATE_BOUNDS, topics.TRUE_STATES),
@@ -128,16 +129,13 @@ class Watcher(Node):
 
     Args:
         observer: Full name of the observer, or relative to the root.
-        period: Time between two views [s].
         show: Takes a view; returns whether there shall be another.
 
     Raises:
         NodeError: The observer's name is not one of a node.
     """
 
-    def __init__(
-        self, observer: str, period: float, show: Callable[[View], bool], **node_kwargs: Any
-    ) -> None:
+    def __init__(self, observer: str, show: Callable[[View], bool], **node_kwargs: Any) -> None:
         namespace, _, name = observer.rpartition("/")
         if not name:
             raise NodeError(f"'{observer}' is not the name of an observer")
@@ -151,7 +149,7 @@ class Watcher(Node):
         self.finished = False
         self._show = show
         self._feed = ObserverFeed(self, name, chain.from_iterable(_TABLES.values()))
-        self.ticker = Ticker(self, period, self._tick)
+        self.ticker = Ticker(self, _PERIOD, self._tick)
         self.ticker.start()
 
     def _tick(self) -> None:
