@@ -30,9 +30,9 @@ def statuses(run):
         fault = {"kind": kind, "magnitude [rad]": "0.25", "since": "for 0.5 s"}
         gated = {"rejected: gated": str(max(0, second - 10)), "rejected: too old": "0"}
         timing = {"missed ticks": "3", "latency p50 [ms]": "1.5", "latency p99 [ms]": "nan"}
-        yield RecordedStatus(stamp, level, ("observer", "sensor fault"), "arm", fault)
-        yield RecordedStatus(stamp, 0, ("observer", "measurements"), "arm", gated)
-        yield RecordedStatus(stamp, 0, ("observer", "timing"), "arm", timing)
+        yield RecordedStatus(stamp, level, ("observer", "sensor fault"), fault)
+        yield RecordedStatus(stamp, 0, ("observer", "measurements"), gated)
+        yield RecordedStatus(stamp, 0, ("observer", "timing"), timing)
 
 
 @pytest.fixture

@@ -148,15 +148,13 @@ class RecordedStatus(NamedTuple):
     Attributes:
         stamp: Of the array's header, ns since the epoch.
         level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
-        name: Parts of its name, such as the node and the concern.
-        hardware: Its hardware, such as a joint.
+        name: Parts of its name, such as the node, a joint and the concern.
         values: By their keys.
     """
 
     stamp: int
     level: int
     name: tuple[str, ...]
-    hardware: str
     values: dict[str, str]
 
 
@@ -171,11 +169,11 @@ def read_statuses(data: bytes) -> Iterator[RecordedStatus]:
         reader.text("frame_id")
         for _ in range(reader.count("status", 1)):
             level = data[reader.skip(1, "level")]
-            name, _, hardware = (reader.text(field) for field in ("name", "message", "hardware_id"))
+            name, _, _ = (reader.text(field) for field in ("name", "message", "hardware_id"))
             pairs = [
                 (reader.text("key"), reader.text("value")) for _ in range(reader.count("values", 8))
             ]
-            yield RecordedStatus(stamp, level, tuple(name.split(": ")), hardware, dict(pairs))
+            yield RecordedStatus(stamp, level, tuple(name.split(": ")), dict(pairs))
 
 
 TICK_LOG = "std_msgs/msg/Int64MultiArray"

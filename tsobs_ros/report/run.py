@@ -282,7 +282,7 @@ def diagnostics(source: BagSource) -> Iterator[RecordedStatus]:
     for message in source.reader.messages([topic.name]):
         for status in read_statuses(message.data) if mark in message.data else ():
             of_all = status.name[-1] == "timing" or len(source.ran.designs) <= 1
-            if status.name[0] == node and (of_all or status.name[1] in source.joints):
+            if status.name[0] == node and (of_all or {*status.name[1:2]} & {*source.joints}):
                 yield status
 
 
