@@ -12,12 +12,11 @@
  * parameters, (r, q, 4) --- */
 
 /* Codes of the shapes. Their parameters, in this order; the rest of the four is not read:
- * LINEAR: zero, one. TRAPEZOID: left, top_left, top_right, right. GAUSSIAN: centre, width.
+ * TRAPEZOID: left, top_left, top_right, right. GAUSSIAN: centre, width.
  * SINE_UPPER, SINE_LOWER: half_width, sin(half_width)/half_width.
  * SQUARE, SQUARE_REST: half_width. */
 enum {
     SHAPE_ALWAYS,
-    SHAPE_LINEAR,
     SHAPE_TRAPEZOID,
     SHAPE_GAUSSIAN,
     SHAPE_SINE_UPPER,

@@ -15,15 +15,7 @@ static double clipped(double x)
     return least > 1.0 ? 1.0 : least;
 }
 
-/* From 0 at z = zero to 1 at z = one in a straight line, level outside. */
-static double linear(double z, double zero, double one, double *slope)
-{
-    const double first = one < zero ? one : zero, last = one < zero ? zero : one;
-    *slope = first <= z && z < last ? 1.0 / (one - zero) : 0.0;
-    return clipped((z - zero) / (one - zero));
-}
-
-/* 1 between b and c, falling in straight lines to 0 at a and d. */
+/* 1 between b and c, falling in straight lines to 0 at a and d, of which two may be infinite. */
 static double trapezoid(double z, const double *corners, double *slope)
 {
     const double a = corners[0], b = corners[1], c = corners[2], d = corners[3];
@@ -92,8 +84,6 @@ double grade_and_slope(int64_t shape, double z, const double *parameters, double
         return z;
     }
     switch (shape) {
-    case SHAPE_LINEAR:
-        return linear(z, parameters[0], parameters[1], slope);
     case SHAPE_TRAPEZOID:
         return trapezoid(z, parameters, slope);
     case SHAPE_GAUSSIAN:

@@ -329,17 +329,6 @@ BIND(simulate_systems, "dDddDDD")
     Py_RETURN_NONE;
 }
 
-BIND(gauss_markov, "ffDD")
-{
-    if (!HAVE(2, 1)) {
-        return NULL;
-    }
-    gauss_markov(
-        t[0].number, t[1].number, t[2].numbers, t[3].numbers, (long)t[2].length,
-        (long)(t[3].length / t[2].length));
-    Py_RETURN_NONE;
-}
-
 /* --- estimators: steps of some states one after the other --- */
 
 /* Bind the model, the first argument; return the number of states, the second one, or -1 with an
@@ -661,7 +650,6 @@ static PyMethodDef methods[] = {
     METHOD(flow_over),
     METHOD(simulate_arms),
     METHOD(simulate_systems),
-    METHOD(gauss_markov),
     METHOD(estimator_correct),
     METHOD(estimator_predict),
     METHOD(estimator_read),

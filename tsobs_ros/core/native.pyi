@@ -38,9 +38,6 @@ def simulate_arms(*arguments: Any) -> None:
 def simulate_systems(*arguments: Any) -> None:
     """Move T–S systems over samples; see simulate.h."""
 
-def gauss_markov(decay: float, strength: float, present: Numbers, series: Numbers, /) -> None:
-    """Write Gauss–Markov processes over their normal numbers (runs, samples)."""
-
 def messages_split(data: bytes | memoryview, found: Numbers, /) -> int:
     """Write the fields of each message in some records, and return their number or -1."""
 

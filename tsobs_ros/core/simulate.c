@@ -193,16 +193,3 @@ void simulate_systems(
         memcpy(present, x, state);
     }
 }
-
-void gauss_markov(
-    double decay, double strength, double *present, double *series, long runs, long samples)
-{
-    for (long run = 0; run < runs; run++) {
-        double now = present[run];
-        for (long k = 0; k < samples; k++, series++) {
-            now = decay * now + strength * *series;
-            *series = now;
-        }
-        present[run] = now;
-    }
-}

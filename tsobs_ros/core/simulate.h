@@ -87,10 +87,4 @@ void simulate_systems(
     const simulated_system *system, const system_sizes *s, const double *inputs,
     const double *kicks, double *present, double *states, double *truths, long runs, long samples);
 
-/* Write a Gauss-Markov process, x <- decay x + strength w, over its normal numbers w.
- *
- * present: x before the first sample, moved on, (runs). series: (runs, samples). */
-void gauss_markov(
-    double decay, double strength, double *present, double *series, long runs, long samples);
-
 #endif

@@ -45,24 +45,17 @@ static double first_cosine(double angle)
     return value + (((1.0 - value) - half) + z * (z * r));
 }
 
-/* Return an angle beyond 10^6 rad within one turn. What is lost is less than the rounding of so
- * large an angle. */
-static double within_a_turn(double angle)
-{
-    const double rest = fmod(angle, TWO_PI); /* which is exact */
-    return rest < 0.0 ? rest + TWO_PI : rest + 0.0;
-}
-
 void sine_and_cosine(double angle, double *sin, double *cos)
 {
     long quarters = 0;
     double at_sine, at_cosine;
     if (!(fabs(angle) <= 1e6)) {
-        if (!(fabs(angle) < HUGE_VAL)) {
-            *sin = *cos = (double)NAN;
+        /* What is lost is less than the rounding of so large an angle. */
+        angle = fmod(angle, TWO_PI);
+        if (isnan(angle)) {
+            *sin = *cos = angle;
             return;
         }
-        angle = within_a_turn(angle);
     }
     if (fabs(angle) > 0.25 * PI) {
         const double whole = round_down(angle * (2.0 / PI) + 0.5);
@@ -97,9 +90,6 @@ double exponential(double x)
     double whole, high, low, r, t, c;
     if (!(x >= -745.2)) {
         return isnan(x) ? x : 0.0;
-    }
-    if (x > 709.0) {
-        return HUGE_VAL; /* which no caller has a use for */
     }
     whole = round_down(x * 1.44269504088896338700e00 + 0.5);
     high = x - whole * 6.93147180369123816490e-01;

@@ -19,7 +19,7 @@ from tsobs_ros.core import native
 from tsobs_ros.core.functions import evaluate
 from tsobs_ros.errors import ModelError
 
-_ALWAYS, _LINEAR, _TRAPEZOID, _GAUSSIAN, _SINE_UPPER, _SINE_LOWER, _SQUARE, _REST = range(8)
+_ALWAYS, _TRAPEZOID, _GAUSSIAN, _SINE_UPPER, _SINE_LOWER, _SQUARE, _REST = range(7)
 
 
 class Shape(NamedTuple):
@@ -53,7 +53,13 @@ SHAPES: Mapping[str, Shape] = {
     # 1 everywhere: a rule that does not look at this premise.
     "always": Shape(_ALWAYS),
     # From 0 at z = zero to 1 at z = one, in a straight line, and level outside.
-    "linear": Shape(_LINEAR, ("zero", "one"), "zero and one apart", lambda a, b: a != b),
+    "linear": Shape(
+        _TRAPEZOID,
+        ("zero", "one"),
+        "zero and one apart",
+        lambda a, b: a != b,
+        lambda a, b: (a, b, math.inf, math.inf) if a < b else (-math.inf, -math.inf, b, a),
+    ),
     # 1 at the peak, falling in straight lines to 0 at left and right.
     "triangle": Shape(
         _TRAPEZOID,

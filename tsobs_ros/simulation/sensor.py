@@ -5,11 +5,11 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 import numpy as np
 
 from tsobs_ros.checks import Array, Flags, non_negative
-from tsobs_ros.core import native
 from tsobs_ros.core.functions import evaluate
 from tsobs_ros.model.arm import QUANTITIES
 from tsobs_ros.settings import check_numbers, live_setting
@@ -252,6 +252,9 @@ def _outliers(luck: Array, sensor: Sensor) -> Array:
 def _moved(now: Array, numbers: Array, period: float, time: float, std: float = 1.0) -> Array:
     """Return Gauss–Markov processes after each period [s]; `now` becomes their last values."""
     decay = evaluate("exponential", -period / time).item()
-    values = numbers.copy()
-    native.gauss_markov(decay, math.sqrt(1.0 - decay * decay) * std, now, values)
+    strength, values = math.sqrt(1.0 - decay * decay) * std, np.empty_like(numbers)
+    for run, own in enumerate(numbers.tolist()):
+        first = now[run].item()
+        moved = [*accumulate(own, lambda x, w: decay * x + strength * w, initial=first)]
+        values[run], now[run] = moved[1:], moved[-1]
     return values
