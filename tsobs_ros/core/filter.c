@@ -87,16 +87,6 @@ static double white_of(const model *m, const state *at, const hypothesis *h, lon
     return m->R[output * m->s.p + output] * (scale * scale * factor);
 }
 
-/* Write Omega = C Upsilon of an output. */
-static void regress(const model *m, const hypothesis *h, long output, double *omega)
-{
-    const long width = (long)m->s.width, n = (long)m->s.n, place = part_of(m, h, output);
-    for (long a = 0; a < m->s.k; a++) {
-        const double *row = h->upsilon + a * width;
-        omega[a] = dot(m->C + output * width, row, n) + (place < 0 ? 0.0 : row[place]);
-    }
-}
-
 double expect(
     const model *m, const state *at, const hypothesis *h, long output, correction *effect,
     double *known)
@@ -126,41 +116,52 @@ double expect(
     return at->y[i] - expected;
 }
 
-/* Return the logarithm of the likelihood of an innovation, and whether it is not an outlier's.
- *
- * That of an outlier is the same wherever the sample is, and whatever the filter expects. */
-static double likelihood(
-    const model *m, const state *at, long output, double innovation, double variance, int *used)
+/* An output's sample as a hypothesis expects it: the innovation, the variance of what the filter knows
+ * of it and, by the parameters, of all, the logarithm of the likelihood, and whether it is no outlier's. */
+typedef struct {
+    double innovation, known, variance, likelihood;
+    int used;
+} outlook;
+
+/* Look at a sample; write Omega = C Upsilon. The likelihood of an outlier is the same wherever the sample
+ * is, and whatever the filter expects. */
+static outlook look(const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
-    const double scale = noise_of(m, at, output);
-    const double designed = scale * scale * m->innovation_covariance[output * m->s.p + output];
-    const double ratio = innovation * innovation / variance, size = 0.5 * logarithm(variance);
-    double level;
-    if (*m->supervised == 0) {
-        *used = !(ratio > *m->gate * *m->gate);
-        return -0.5 * ratio - size;
+    const long n = (long)m->s.n, k = (long)m->s.k, p = (long)m->s.p, width = (long)m->s.width;
+    const long place = part_of(m, h, i);
+    const double scale = noise_of(m, at, i);
+    double *omega = effect->omega + i * k, ratio, size, level;
+    outlook of = {0.0, 0.0, 0.0, 0.0, 0};
+    of.innovation = expect(m, at, h, i, effect, &of.known);
+    for (long a = 0; a < k; a++) {
+        const double *row = h->upsilon + a * width;
+        omega[a] = dot(m->C + i * width, row, n) + (place < 0 ? 0.0 : row[place]);
     }
-    level = 0.5 * logarithm(designed);
-    *used = -0.5 * ratio - size >= -0.5 * *m->gate * *m->gate - level;
-    return maximum(-0.5 * ratio - size, -m->constants[OUTLIER_PRICE] - level);
+    of.variance = of.known + (k > 0 ? larger(quadratic(h->gamma, k, omega, k), 0.0) : 0.0);
+    if (!(effect->weight[i] > 0.0)) {
+        return of;
+    }
+    ratio = of.innovation * of.innovation / of.variance;
+    size = 0.5 * logarithm(of.variance);
+    of.likelihood = -0.5 * ratio - size;
+    if (*m->supervised == 0) {
+        of.used = !(ratio > *m->gate * *m->gate);
+        return of;
+    }
+    level = 0.5 * logarithm(scale * scale * m->innovation_covariance[i * p + i]);
+    of.used = of.likelihood >= -0.5 * *m->gate * *m->gate - level;
+    of.likelihood = maximum(of.likelihood, -m->constants[OUTLIER_PRICE] - level);
+    return of;
 }
 
 void weigh(const model *m, const state *at, const hypothesis *h, correction *effect)
 {
-    const long p = (long)m->s.p, k = (long)m->s.k;
-    for (long i = 0; i < p; i++) {
-        double *omega = effect->omega + i * k, known;
-        int used = 0;
-        effect->likelihoods[i] = 0.0;
-        effect->innovations[i] = expect(m, at, h, i, effect, &known);
-        regress(m, h, i, omega);
-        effect->variances[i]
-            = known + (k > 0 ? larger(quadratic(h->gamma, k, omega, k), 0.0) : 0.0);
-        if (effect->weight[i] > 0.0) {
-            effect->likelihoods[i]
-                = likelihood(m, at, i, effect->innovations[i], effect->variances[i], &used);
-        }
-        effect->used[i] = used;
+    for (long i = 0; i < m->s.p; i++) {
+        const outlook of = look(m, at, h, i, effect);
+        effect->innovations[i] = of.innovation;
+        effect->variances[i] = of.variance;
+        effect->likelihoods[i] = of.likelihood;
+        effect->used[i] = of.used;
     }
 }
 
@@ -303,40 +304,38 @@ double correct_by(
     const double *tone = h->x + m->s.n + 1;
     const double before[2] = {*h->kind == TONE ? tone[0] : 0.0, *h->kind == TONE ? tone[1] : 0.0};
     const double inflation = k > 0 && adapt ? inflation_of(m, h) : 1.0;
-    double *omega = effect->omega + output * k, *gain = effect->gain + output;
-    double innovation = effect->innovations[output], variance = effect->variances[output], known;
-    double said = effect->likelihoods[output];
-    int regular;
+    const double *omega = effect->omega + output * k, scale = noise_of(m, at, output);
+    double *gain = effect->gain + output;
+    outlook of = {
+        effect->innovations[output],
+        scale * scale * m->innovation_covariance[output * p + output],
+        effect->variances[output], effect->likelihoods[output], 1,
+    };
     if (*h->certified != 0) { /* of all outputs at once */
-        const double scale = noise_of(m, at, output);
-        known = scale * scale * m->innovation_covariance[output * p + output];
         for (long j = 0; j < used; j++) {
             gain[j * p] = m->K[j * p + output];
-            h->x[j] += gain[j * p] * innovation;
+            h->x[j] += gain[j * p] * of.innovation;
         }
     } else {
-        innovation = expect(m, at, h, output, effect, &known);
-        regress(m, h, output, omega);
-        variance = known + (k > 0 ? larger(quadratic(h->gamma, k, omega, k), 0.0) : 0.0);
-        said = likelihood(m, at, output, innovation, variance, &regular);
+        of = look(m, at, h, output, effect);
         for (long j = 0; j < used; j++) {
-            gain[j * p] = effect->crossed[j] / known;
+            gain[j * p] = effect->crossed[j] / of.known;
         }
-        correct_covariance(m, h, effect->crossed, innovation, known, used);
+        correct_covariance(m, h, effect->crossed, of.innovation, of.known, used);
     }
     if (*m->supervised != 0) {
-        follow(m, at, h, output, innovation, variance);
+        follow(m, at, h, output, of.innovation, of.variance);
     }
     if (k > 0) {
-        correct_regressors(m, h, omega, gain, p, known, used);
+        correct_regressors(m, h, omega, gain, p, of.known, used);
         if (adapt) {
-            adapt_by(m, h, omega, innovation, known, inflation, effect->cross);
+            adapt_by(m, h, omega, of.innovation, of.known, inflation, effect->cross);
         }
     }
     if (*h->kind == TONE) {
         turn_frequency(m, h, before, larger(*sensor_of(m, at, output).since, *m->period));
     }
-    return said;
+    return of.likelihood;
 }
 
 /* Begin another pass of learning: what the last one moved is wrong by a share of it, as its
