@@ -4,7 +4,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -52,9 +51,8 @@ class Arm:
     what they add to the covariance, and `process` that in a period if nothing bends it.
     """
 
-    def __init__(self, file: Path, torque: TorquePath = DIRECT) -> None:
-        design = load_design(file)
-        self.design = replace(design, request=replace(design.arm_request, torque=torque))
+    def __init__(self, file: Path) -> None:
+        self.design = load_design(file)
         request = self.design.arm_request
         self.flow, self.uncertainty = request.flow, request.uncertainty_model
         self._gravity, self._effects = request.arm.gravity_gain, self.uncertainty.directions[:, 0]
@@ -146,28 +144,6 @@ class Blend:
 
 
 System = Arm | Blend
-
-
-class Commands:
-    """Commands, steps of time that are integrated as they reach an arm's motor; else as given."""
-
-    def __init__(self, path: TorquePath) -> None:
-        self.path, self.now, self.steps = path, 0.0, [(-math.inf, np.zeros(1))]
-
-    def give(self, u: Array) -> None:
-        if self.path != DIRECT:
-            u = self.path.gain * u + self.path.offset
-        self.steps.append((self.now if len(self.steps) > 1 else -math.inf, u))
-
-    def over(self, ahead: float, duration: float) -> Array:
-        """Return the mean from a time after now on."""
-        begin = self.now + ahead - self.path.delay
-        ends = [at for at, _ in self.steps[1:]] + [math.inf]
-        total = np.zeros(len(self.steps[-1][1]))
-        for (start, u), end in zip(self.steps, ends, strict=True):
-            overlap = min(end, begin + duration) - max(start, begin)
-            total = total + (max(overlap, 0.0) / duration * u if overlap > 0.0 else 0.0)
-        return total
 
 
 class Plan:
@@ -363,7 +339,7 @@ class Filter:
                 self.gamma[a, a] = min(grown, 0.3**2)
             self.anchor = self.theta.copy()
 
-    def predict(self, commands: Commands, duration: float) -> None:
+    def predict(self, u: Array, duration: float) -> None:
         regular = abs(duration / self.plan.T - 1.0) <= 0.1
         serves = self.certified and self.corrected and regular
         if not serves:
@@ -371,7 +347,7 @@ class Filter:
         left = duration
         while left > 1e-9:
             part = min(self.plan.T, left)
-            self._step(commands.over(duration - left, part), part)
+            self._step(u, part)
             left -= part
         if self.kind is Hypothesis.IMPERFECT:
             more = (BANK["IMPERFECTION"] - 1.0) * duration / self.plan.T
@@ -476,10 +452,8 @@ class Sensors:
         self.since = np.where(np.isfinite(y), 0.0, self.since) + duration
 
 
-LATE = TorquePath(gain=0.8, offset=0.4, delay=0.0117)
 SYSTEMS: dict[str, Callable[[], System]] = {
     "arm": lambda: Arm(config_path(SHIPPED_DESIGN)),
-    "late torque": lambda: Arm(config_path(SHIPPED_DESIGN), LATE),
     "both encoders": lambda: Arm(Path(__file__).parent / "data" / "both_encoders.design.yaml"),
     "two outputs of one state": lambda: Blend(1, per_channel([clean(), bias(1e-3)]), 2, 2),
     "many": lambda: Blend(6, per_channel([bias(1e-3), clean(), gauss_markov(), bias(1e-2)]), 3, 4),
@@ -533,7 +507,7 @@ def test_one_filter_is_that_of_the_formulas(name: str, gain_mode: str) -> None:
     observer = plan.estimator(gain_mode=gain_mode)
     p, m, rng = len(plan.C), system.flow.input_count, np.random.default_rng(5)
     oracle, rest, sensors, state = Filter(plan), Rest(plan), Sensors(plan), observer.initial()
-    gains, commands = [], Commands(system.flow.torque_path)
+    gains = []
     for step in range(75):
         y = drawn(oracle, np.ones(p), rng, 3.0)  # of what moves enough to be learnt from
         if step % 30 == 25 and p > 1:
@@ -546,9 +520,7 @@ def test_one_filter_is_that_of_the_formulas(name: str, gain_mode: str) -> None:
         check(correction.innovation, e, "innovation")
         check(correction.innovation_covariance.diagonal(), (known + learnt).diagonal(), "S")
         compare(state.records["hypotheses"][0, 0], oracle, f"after {step}")
-        commands.give(u)
-        oracle.predict(commands, T)
-        commands.now += T
+        oracle.predict(u, T)
         oracle.certified = oracle.certified and gain_mode == "certified"
         state = observer.predict(state, u, T)
         compare(state.records["hypotheses"][0, 0], oracle, f"before {step + 1}")
@@ -599,8 +571,7 @@ def mixed(
 
 @pytest.mark.parametrize(
     "name",
-    ["arm", "both encoders", "many"]
-    + [pytest.param(name, marks=SLOW) for name in ("late torque", "two outputs of one state")],
+    ["arm", "both encoders", "many", pytest.param("two outputs of one state", marks=SLOW)],
 )
 def test_the_bank_is_bayes_rule_over_filters(name: str) -> None:
     """All standing hypotheses awake; no sample is an outlier to the best, so that nothing forks."""
@@ -612,7 +583,7 @@ def test_the_bank_is_bayes_rule_over_filters(name: str) -> None:
     for each in filters:
         each.score = -2.0 * (each.kind % 3)
     state, rest, sensors = begin(observer, filters), Rest(plan), Sensors(plan)
-    led, commands = set(), Commands(system.flow.torque_path)
+    led = set()
     for step in range(55):
         best = max(filters, key=lambda each: each.score)
         led.add(best.kind)
@@ -647,13 +618,11 @@ def test_the_bank_is_bayes_rule_over_filters(name: str) -> None:
             )
             check(readout.state[i], units[i] * said[0], f"mean {step}")
             check(readout.state_bound[i], units[i] * said[1], f"second moment {step}")
-        commands.give(u)
         for each in filters:
-            each.predict(commands, T)
-        commands.now += T
+            each.predict(u, T)
         state = observer.predict(state, u, T)
         sensors.waited(y, T)
     check(state.noise_scale, sensors.scale.max(), "scale")
     assert not state.records["hypotheses"]["live"][0, native.HYPOTHESES - 6 :].any()
-    assert len(led) > 1 or name not in ("arm", "late torque", "many")
+    assert len(led) > 1 or name not in ("arm", "many")
     assert min(each.score for each in filters) < -8.0
