@@ -129,17 +129,6 @@ void hold_inputs(const model *m, state *at, const double *u)
     at->held[0] = mean_torque(m, at, 0.0, *m->period);
 }
 
-/* Let time pass for the torques that are on their way. */
-static void age_torques(const model *m, state *at, double duration)
-{
-    for (long i = 0; i < m->s.past; i++) {
-        at->past[2 * i + 1] += duration;
-    }
-    if (m->s.past > 0 && !isinf(at->past[1])) {
-        at->held[0] = mean_torque(m, at, 0.0, *m->period);
-    }
-}
-
 void take_torque(const model *m, state *at, const double *u)
 {
     if (*m->torque_limit > 0.0) {
@@ -173,14 +162,7 @@ static void open_torque(const model *m, const state *at, hypothesis *h, int unkn
         leave_certified(m, at, h, BASIS_GAP);
         *variance += spread * spread;
     } else if (known == 0.0) {
-        for (long i = 0; i < width; i++) {
-            h->covariance[n * width + i] = 0.0;
-            h->covariance[i * width + n] = 0.0;
-        }
-        h->x[n] = 0.0;
-        for (long a = 0; a < m->s.k; a++) {
-            h->upsilon[a * width + n] = 0.0;
-        }
+        clear_auxiliary(m, h, n, n + 1);
     }
 }
 
@@ -234,7 +216,7 @@ static void renew(const model *m, state *at, long kind)
     *h.size = size;
     *h.output = output;
     /* What the best one took for a part of the sensors is the disturbance's again. */
-    clear_auxiliary(m, &h, first_of_its_own(m, at, kind));
+    clear_auxiliary(m, &h, first_of_its_own(m, at, kind), width);
     if (kind == FORCE && h.covariance[n * width + n] <= 0.0) {
         h.covariance[n * width + n] = *m->force * *m->force;
     }
@@ -247,22 +229,16 @@ static void renew(const model *m, state *at, long kind)
     }
 }
 
-/* Return whether a standing hypothesis differs from the design. */
-static int is_of_use(const model *m, const state *at, long kind)
+/* Consider all hypotheses that differ from the design for a while, and begin those that sleep. */
+static void wake(const model *m, state *at)
 {
     const double *c = m->constants;
-    const double sizes[STANDING] = {
+    const double differences[STANDING] = {
         1.0, *m->force, c[IMPERFECTION] - 1.0, c[NOISE_FACTOR] - 1.0, c[COLOUR_SIZE],
         c[DRIFT_SIZE], *hypothesis_of(m, at, TONE).frequency,
     };
-    return sizes[kind] > 0.0;
-}
-
-/* Consider all hypotheses for a while, and begin those that sleep. */
-static void wake(const model *m, state *at)
-{
     for (long kind = 0; kind < STANDING; kind++) {
-        if (*hypothesis_of(m, at, kind).live == 0 && is_of_use(m, at, kind)) {
+        if (*hypothesis_of(m, at, kind).live == 0 && differences[kind] > 0.0) {
             renew(m, at, kind);
         }
     }
@@ -498,7 +474,7 @@ static void open_fork(
     case JUMPED:
         if (m->disturbed[output] == 0) { /* a sensor that lies */
             if (*h->kind != DRIFT) {
-                clear_auxiliary(m, h, first_of_its_own(m, at, DRIFT));
+                clear_auxiliary(m, h, first_of_its_own(m, at, DRIFT), width);
                 *h->kind = DRIFT;
             }
             P[(n + 1 + output) * width + n + 1 + output] += innovation * innovation;
@@ -568,15 +544,6 @@ static void suppose(
     }
 }
 
-/* Count what a fork that takes its parent's place has found. */
-static void count_event(const state *at, int64_t fork)
-{
-    int64_t *const counts[] = {NULL, at->jumps, at->hits, at->losses};
-    if (fork != NO_FORK) {
-        *counts[fork] += 1;
-    }
-}
-
 /* Let the best fork take its parent's place once it is sure, and let the others end. */
 static void select_forks(const model *m, state *at)
 {
@@ -590,7 +557,9 @@ static void select_forks(const model *m, state *at)
             const hypothesis parent = hypothesis_of(m, at, kind);
             if (*parent.live == 0 || *h.age > m->constants[TRIAL]
                 || *parent.score < -0.5 * m->constants[FLOOR]) {
-                count_event(at, *h.fork);
+                *at->jumps += *h.fork == JUMPED;
+                *at->hits += *h.fork == HIT;
+                *at->losses += *h.fork == MOVED;
                 *h.fork = NO_FORK;
                 copy_hypothesis(m, at, i, kind);
                 drop(m, at, i);
@@ -662,19 +631,6 @@ static int moves(const model *m, state *at, const hypothesis *h)
     return moving;
 }
 
-/* Remember the newest sample of each output, and use those that there are. */
-static void take_sample(const model *m, state *at, const double *y, correction *effect)
-{
-    for (long i = 0; i < m->s.p; i++) {
-        const int there = isfinite(y[i]) != 0;
-        at->y[i] = there ? y[i] : NAN;
-        effect->weight[i] = there ? 1.0 : 0.0;
-        if (there) {
-            at->sample[i] = y[i];
-        }
-    }
-}
-
 /* Write what the sample is to the best hypothesis, which is not corrected by it yet. */
 static void report(const model *m, const hypothesis *best, correction *effect)
 {
@@ -714,16 +670,6 @@ static void fork_best(const model *m, state *at, long best, correction *effect)
     }
 }
 
-/* Correct one hypothesis by a sample that it has weighed. */
-static void use_sample(const model *m, state *at, long place, correction *effect)
-{
-    hypothesis h = hypothesis_of(m, at, place);
-    if (place == AS_DESIGNED && *at->awake > 0.0) {
-        listen(m, at, effect);
-    }
-    *h.score += correct_hypothesis(m, at, &h, (int)*at->moving, effect);
-}
-
 /* Correct all hypotheses, and fork the best one where it does not expect a sample. */
 static void correct_bank(const model *m, state *at, correction *effect)
 {
@@ -742,19 +688,25 @@ static void correct_bank(const model *m, state *at, correction *effect)
     }
     *at->outliers += outliers;
     for (long i = m->s.hypotheses - 1; i >= 0; i--) {
-        const hypothesis other = hypothesis_of(m, at, i);
+        hypothesis other = hypothesis_of(m, at, i);
         if (*other.live != 0) {
             distrust_stuck(m, at, &other, effect);
         }
         if (i != best && *other.live != 0) {
             weigh(m, at, &other, effect);
-            use_sample(m, at, i, effect);
+            if (i == AS_DESIGNED && *at->awake > 0.0) {
+                listen(m, at, effect);
+            }
+            *other.score += correct_hypothesis(m, at, &other, (int)*at->moving, effect);
         }
     }
     weigh(m, at, &h, effect); /* others have written over it, and the noise may have grown */
     fork_best(m, at, best, effect);
     memset(effect->gain, 0, (size_t)(m->s.width * m->s.p) * sizeof(double));
-    use_sample(m, at, best, effect);
+    if (best == AS_DESIGNED && *at->awake > 0.0) {
+        listen(m, at, effect);
+    }
+    *h.score += correct_hypothesis(m, at, &h, (int)*at->moving, effect);
     compare(m, at);
     select_forks(m, at);
     for (long kind = 0; kind < STANDING; kind++) {
@@ -764,21 +716,6 @@ static void correct_bank(const model *m, state *at, correction *effect)
         }
     }
     rest(m, at);
-}
-
-/* Begin with the initial covariance again, and with the estimate as it is. */
-static void start_covariance(const model *m, hypothesis *h)
-{
-    const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
-    state initial;
-    hypothesis first;
-    state_bind(&initial, &m->s, m->initial);
-    first = hypothesis_of(m, &initial, 0);
-    copy_matrix(first.covariance, width, h->covariance, width, n, n);
-    copy_matrix(first.gamma, k, h->gamma, k, k, k);
-    copy_matrix(first.upsilon, width, h->upsilon, width, k, n);
-    *h->inlier = 1.0;
-    *h->age = 0.0;
 }
 
 /* Correct the only hypothesis, which starts its covariance again if it leaves out most samples. */
@@ -797,7 +734,16 @@ static void correct_alone(const model *m, state *at, correction *effect)
     }
     *h.inlier += there ? share_of(elapsed, m->constants[PATIENCE]) * ((double)used - *h.inlier) : 0.0;
     if (*h.inlier < m->constants[REJECTING] && *h.age >= m->constants[PATIENCE]) {
-        start_covariance(m, &h);
+        const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
+        state initial;
+        hypothesis first;
+        state_bind(&initial, &m->s, m->initial);
+        first = hypothesis_of(m, &initial, 0);
+        copy_matrix(first.covariance, width, h.covariance, width, n, n);
+        copy_matrix(first.gamma, k, h.gamma, k, k, k);
+        copy_matrix(first.upsilon, width, h.upsilon, width, k, n);
+        *h.inlier = 1.0;
+        *h.age = 0.0;
     }
 }
 
@@ -813,7 +759,12 @@ void correct(const model *m, state *at, const double *y, correction *effect)
         }
         *at->in_gap = 0;
     }
-    take_sample(m, at, y, effect);
+    for (long i = 0; i < p; i++) {
+        const int there = isfinite(y[i]) != 0;
+        at->y[i] = there ? y[i] : NAN;
+        at->sample[i] = there ? y[i] : at->sample[i];
+        effect->weight[i] = there ? 1.0 : 0.0;
+    }
     if (*m->supervised != 0) {
         correct_bank(m, at, effect);
     } else {
@@ -877,7 +828,12 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
     }
     *at->in_gap = in_gap;
     if (!between_samples) {
-        age_torques(m, at, duration);
+        for (long i = 0; i < m->s.past; i++) {
+            at->past[2 * i + 1] += duration;
+        }
+        if (m->s.past > 0 && !isinf(at->past[1])) {
+            at->held[0] = mean_torque(m, at, 0.0, *m->period);
+        }
         *at->torque_age += duration;
         *at->since += duration;
         *at->age += duration;

@@ -94,7 +94,7 @@ void predict_hypothesis(
     const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
     work *scratch);
 
-/* Forget the auxiliary states from a place on. */
-void clear_auxiliary(const model *m, hypothesis *h, long first);
+/* Forget the auxiliary states from a place on, up to another. */
+void clear_auxiliary(const model *m, hypothesis *h, long first, long end);
 
 #endif

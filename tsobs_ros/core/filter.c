@@ -46,10 +46,10 @@ long part_of(const model *m, const hypothesis *h, long output)
     return *h->kind == TONE && *h->output == output ? first : -1;
 }
 
-void clear_auxiliary(const model *m, hypothesis *h, long first)
+void clear_auxiliary(const model *m, hypothesis *h, long first, long end)
 {
     const long width = (long)m->s.width;
-    for (long i = first; i < width; i++) {
+    for (long i = first; i < end; i++) {
         h->x[i] = 0.0;
         for (long j = 0; j < width; j++) {
             h->covariance[i * width + j] = 0.0;

@@ -6,6 +6,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "matrices.h"
+
 static const double NANOSECONDS = 1e9;
 
 /* --- the ring --- */
@@ -31,15 +33,11 @@ static int64_t stamp_at(const tracker *t, int64_t place)
     return *(const int64_t *)(const void *)numbers_at(t, place);
 }
 
-/* Return the numbers of the state in a gap, and of the one that is read. */
-static double *coasted_numbers(const tracker *t)
+/* Return the numbers of a spare state: that in a gap, or the one that is read. */
+enum { COASTED = 2, SHOWN = 1 };
+static double *spare_numbers(const tracker *t, int64_t from_end)
 {
-    return t->ring + (size_t)(t->slots - 2) * t->state_size;
-}
-
-static double *shown_numbers(const tracker *t)
-{
-    return t->ring + (size_t)(t->slots - 1) * t->state_size;
+    return t->ring + (size_t)(t->slots - from_end) * t->state_size;
 }
 
 int64_t newest_stamp(const tracker *t)
@@ -92,27 +90,14 @@ const char *tracker_bind(tracker *view, const tracker_memory *given)
 
 /* --- measurements --- */
 
-/* Return whether an output and all inputs are numbers, but for a torque, which is judged. */
-static int is_readable(const tracker *t, const double *y, const double *u)
-{
-    int has_output = 0, has_inputs = 1;
-    int64_t i;
-    for (i = 0; i < t->m.s.p; i++) {
-        has_output |= isfinite(y[i]) != 0;
-    }
-    for (i = 0; i < t->m.s.m; i++) {
-        has_inputs &= isfinite(u[i]) != 0;
-    }
-    return has_output && (has_inputs || *t->m.torque_limit > 0.0);
-}
-
 /* Return why a measurement cannot be used, or USED. */
 static int64_t refusal(
     const tracker *t, int64_t stamp, const double *y, const double *u, int64_t now)
 {
     const int64_t newest = newest_stamp(t);
-    int64_t place;
-    if (!is_readable(t, y, u)) {
+    const int has_inputs = *t->m.torque_limit > 0.0 /* then a torque is judged */
+                           || count_finite(u, (long)t->m.s.m) == t->m.s.m;
+    if (!has_inputs || count_finite(y, (long)t->m.s.p) == 0) {
         return NON_FINITE;
     }
     if (stamp <= 0) {
@@ -127,8 +112,7 @@ static int64_t refusal(
     if (stamp < newest - *t->h.span || (*t->h.has_base != 0 && stamp <= stamp_at(t, 0))) {
         return TOO_OLD;
     }
-    place = count_before(t, stamp);
-    return place < *t->h.length && stamp_at(t, place) == stamp ? DUPLICATE : USED;
+    return stamp_at(t, count_before(t, stamp)) == stamp ? DUPLICATE : USED;
 }
 
 /* Start over from the initial state, but go on counting. */
@@ -159,28 +143,12 @@ static int correct_by_sample(tracker *t, state *at, const double *y, const doubl
     return isfinite(total) != 0;
 }
 
-/* Return whether an output of the latest measurement was used. */
-static int any_used(const tracker *t)
-{
-    for (int64_t i = 0; i < t->m.s.p; i++) {
-        if (t->effect.weight[i] > 0.0) {
-            return 1;
-        }
-    }
-    return 0;
-}
-
 /* Forget what is out of reach of a late measurement, and what is too much. */
 static void forget_oldest(tracker *t, int64_t stamp)
 {
     history *h = &t->h;
-    for (;;) {
-        const int64_t steps = *h->length - *h->has_base;
-        const int has_expired = stamp_at(t, *h->has_base) < stamp - *h->span;
-        if (!has_expired && steps <= *h->max_steps) {
-            return;
-        }
-        *h->forgotten += has_expired ? 0 : 1;
+    while (stamp_at(t, *h->has_base) < stamp - *h->span
+           || *h->length - *h->has_base > *h->max_steps) {
         if (*h->has_base != 0) {
             *h->first = (*h->first + 1) % (t->slots - SPARE);
             *h->length -= 1;
@@ -196,6 +164,7 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
     double *numbers = numbers_at(t, *h->length);
     state at = state_at(t, *h->length);
     int64_t code;
+    int used = 0;
     if (*h->length == 0) {
         copy_state(&t->m, t->m.initial, numbers);
     } else {
@@ -215,9 +184,10 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
     for (int64_t i = 0; i < t->m.s.m; i++) {
         code = isnan(u[i]) ? UNKNOWN_INPUT : code;
     }
-    if (!any_used(t)) {
-        code = GATED;
+    for (int64_t i = 0; i < t->m.s.p; i++) {
+        used = used || t->effect.weight[i] > 0.0;
     }
+    code = used ? code : GATED;
     *at.stamp = stamp;
     memcpy(at.u, u, (size_t)t->m.s.m * sizeof *u);
     at.judged[code] += code != USED;
@@ -316,13 +286,13 @@ static void coast(tracker *t, int64_t place, double duration)
     const int64_t whole = duration > 2.0 * period ? (int64_t)floor(duration / period) : 0;
     const int is_memorable = place == *h->length - 1;
     int64_t taken = 0;
-    double *numbers = shown_numbers(t);
+    double *numbers = spare_numbers(t, SHOWN);
     double rest;
     state shown;
     state_bind(&shown, &t->m.s, numbers);
     if (is_memorable && *h->coasted_generation == *h->generation && *h->coasted_periods > 0 &&
         *h->coasted_periods <= whole) {
-        copy_state(&t->m, coasted_numbers(t), numbers);
+        copy_state(&t->m, spare_numbers(t, COASTED), numbers);
         taken = *h->coasted_periods;
     } else {
         copy_state(&t->m, numbers_at(t, place), numbers);
@@ -334,7 +304,7 @@ static void coast(tracker *t, int64_t place, double duration)
         taken += periods;
     }
     if (whole > 0 && is_memorable) {
-        copy_state(&t->m, numbers, coasted_numbers(t));
+        copy_state(&t->m, numbers, spare_numbers(t, COASTED));
         *h->coasted_periods = whole;
         *h->coasted_generation = *h->generation;
     }
@@ -364,7 +334,7 @@ int estimate_at(tracker *t, int64_t stamp, double *row)
     remaining = (double)elapsed / NANOSECONDS;
     if (elapsed > 0) {
         coast(t, place, remaining);
-        state_bind(&shown, &t->m.s, shown_numbers(t));
+        state_bind(&shown, &t->m.s, spare_numbers(t, SHOWN));
     } else {
         shown = state_at(t, place);
     }

@@ -24,7 +24,6 @@ enum { SPARE = 2 }; /* states at the end of a ring: one in a gap, and one that i
     F(COUNT, coasted_periods, 1, 1) /* which is so many periods after the newest sample */ \
     F(COUNT, accepted, 1, 1)        /* counts of measurements, */                          \
     F(COUNT, rewinds, 1, 1)         /* late ones, put in their place, */                   \
-    F(COUNT, forgotten, 1, 1)       /* ones that left a full ring early, */                \
     F(COUNT, bad_outputs, 1, 1)     /* estimates that were not finite, */                  \
     F(COUNTS, refused, OUTCOMES, 1) /* and measurements refused, by outcome */             \
     F(COUNT, span, 1, 1)            /* how far back a late measurement may reach [ns] */   \

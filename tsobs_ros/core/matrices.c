@@ -61,25 +61,16 @@ int is_below(
     return is_nonnegative(scratch, n);
 }
 
-/* Return whether numbers are all zero. */
-static int is_zero(const double *a, long n)
-{
-    for (long i = 0; i < n; i++) {
-        if (a[i] != 0.0) {
-            return 0;
-        }
-    }
-    return 1;
-}
-
 int is_nonnegative(double *s, long n)
 {
     for (long first = 0; first < n; first++) {
         const double *top = s + first * n;
         const double pivot = top[first];
         if (!(pivot > 0.0)) { /* which NaN is not either */
-            if (pivot != 0.0 || !is_zero(top + first + 1, n - first - 1)) {
-                return 0;
+            for (long column = first; column < n; column++) {
+                if (top[column] != 0.0) {
+                    return 0;
+                }
             }
             continue;
         }

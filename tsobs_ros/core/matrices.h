@@ -24,12 +24,12 @@ static inline double dot(const double *a, const double *b, long n)
     return total;
 }
 
-/* Return whether one of the first n numbers is finite. */
-static inline int has_finite(const double *a, long n)
+/* Return how many of the first n numbers are finite. */
+static inline long count_finite(const double *a, long n)
 {
-    int found = 0;
+    long found = 0;
     for (long i = 0; i < n; i++) {
-        found = found || isfinite(a[i]);
+        found += isfinite(a[i]) != 0;
     }
     return found;
 }

@@ -440,7 +440,7 @@ BIND(estimator_observe, "dDddfiDDD")
                 predict(&m, &at, t[4].number, 0, &scratch);
             }
             take_torque(&m, &at, u);
-            if (has_finite(y, (long)p)) {
+            if (count_finite(y, (long)p) > 0) {
                 correct(&m, &at, y, &effect);
             }
             row = estimate_bind(&said, &m.s, row);
