@@ -18,7 +18,6 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator, SupervisionOptions, certified_estimator
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.estimation.state import State
-from tsobs_ros.model.arm import DIRECT, TorquePath
 from tsobs_ros.model.disturbance import DisturbanceModel, bias, clean, gauss_markov, per_channel
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_flow import TSFlow
