@@ -261,24 +261,16 @@ def read_torques(path: str | Path) -> TorqueSeries:
             if (column := file.find(name)) is None:
                 raise LogError(f"no column is called {name!r}; {file.described}")
             columns.append(column.in_units_of(name))
-        stamps, torques, last = list[Stamps](), list[Array](), NO_TIME
-        for lines, times, values in file.read(columns[0], columns[1:]):
-            for wrong, text in (
-                (
-                    (times == NO_TIME) | ~np.isfinite(values[:, 0]),
-                    "expected a time and a finite torque",
-                ),
-                (
-                    np.diff(times, prepend=last) <= 0,
-                    "its time is not after that of the line before",
-                ),
-            ):
-                if wrong.any():
-                    raise LogError(f"line {lines[int(wrong.argmax())]}: {text}")
-            stamps.append(times)
-            torques.append(values[:, 0])
-            last = int(times[-1])
-        if not stamps:
+        parts = list(file.read(columns[0], columns[1:]))
+        if not parts:
             raise LogError("no lines below the header")
-    times = np.concatenate(stamps)
-    return TorqueSeries((times - times[0]) / NANOSECONDS, np.concatenate(torques))
+        lines = [line for own, _, _ in parts for line in own]
+        times = np.concatenate([own for _, own, _ in parts])
+        torques = np.concatenate([own[:, 0] for _, _, own in parts])
+        for wrong, text in (
+            ((times == NO_TIME) | ~np.isfinite(torques), "expected a time and a finite torque"),
+            (np.diff(times, prepend=NO_TIME) <= 0, "its time is not after that of the line before"),
+        ):
+            if wrong.any():
+                raise LogError(f"line {lines[int(wrong.argmax())]}: {text}")
+    return TorqueSeries((times - times[0]) / NANOSECONDS, torques)
