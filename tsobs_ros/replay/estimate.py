@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import chain, product
 from pathlib import Path
 from typing import Any
@@ -360,9 +360,9 @@ class Run:
             found += [f"warning: {name}: {text}"] if off else []
         return found
 
-    @property
+    @cached_property
     def events(self) -> list[JointEvent]:
-        """What the node would have logged, in order."""
+        """What the node would have logged, in order; known after the last window."""
         if not self._slow:
             return []
         source = self._source
