@@ -160,12 +160,6 @@ def test_a_core_that_is_not_built_from_these_sources_is_not_loaded(
     assert load() == "load_design"
 
 
-def requirements(wheel: ZipFile) -> set[str]:
-    lines = wheel.read(f"{STEM}.dist-info/METADATA").decode().splitlines()
-    found = (line.partition("Requires-Dist: ")[2].partition(";")[0].strip() for line in lines)
-    return {each for each in found if each}
-
-
 def test_the_readme_installs_what_the_package_requires(wheel: ZipFile) -> None:
     """ROS has NumPy, for whose first version it is built, and rosdep installs PyYAML."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -110,14 +110,6 @@ def _number(name: str, value: float, accepts: Callable[[float], bool], words: st
     return number
 
 
-def check_each(
-    check: Callable[[str, float], float], record: object, *names: str, prefix: str = ""
-) -> None:
-    """Apply `positive`, `non_negative` or `finite` to attributes of a record, named in errors."""
-    for name in names:
-        check(prefix + name, getattr(record, name))
-
-
 def check_names(entry: str, names: Iterable[str], known: Collection[str]) -> None:
     """Raise `ModelError` for a name in an entry that is not among the known ones."""
     for name in names:

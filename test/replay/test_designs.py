@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rosbags.typesys import Stores, get_typestore
 
 import tsobs_ros as ts
 from tsobs_ros.bag import BagReader
@@ -25,7 +24,6 @@ from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 SHIPPED, FIXED = (str(config_path(name)) for name in (SHIPPED_DESIGN, FIXED_DESIGN))
 START = 1_700_000_000_000_000_000
-TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 
 @pytest.fixture(scope="session")
