@@ -149,7 +149,7 @@ def test_every_kind_of_vertex_is_proved_exactly(known: Design, example: Design) 
 
 
 def test_disturbances_act_through_D_s() -> None:
-    request = blended(disturbance=[BIAS], D_s=[[0.0], [2.0]])
+    request = blended(disturbance=[BIAS], D_s=np.array([[0.0], [2.0]]))
     np.testing.assert_array_equal(request.flow.output_matrix, [[1, 0, 0, 0], [0, 0, 1, 2]])
     assert [channel.name for channel in request.channels] == ["channel 1"]
 

@@ -230,13 +230,9 @@ class ArmRequest(Request):
         for name in ("torque_limit", "torque_rate_limit"):
             if (limit := getattr(self, name)) is not None:
                 self._take(**{name: non_negative(name, limit)})
-        states, outputs = (
-            tuple("rad" if name in ANGLES else "rad/s" for name in names)
-            for names in (QUANTITIES, measured)
-        )
-        self._label(
-            Labels(tuple(QUANTITIES), measured, ("torque",)), Labels(states, outputs, ("N m",))
-        )
+        unit = {name: "rad" if name in ANGLES else "rad/s" for name in QUANTITIES}
+        units = Labels(tuple(unit.values()), tuple(unit[name] for name in measured), ("N m",))
+        self._label(Labels(QUANTITIES, measured, ("torque",)), units)
         if not 0.0 < self.x_max <= math.pi:
             degrees = f" rad; as degrees it would be {math.radians(self.x_max):.4g} rad"
             hint = degrees if math.pi < self.x_max <= 180.0 else ""
@@ -439,7 +435,7 @@ class TSRequest(Request):
             ("process_noise", (n,)),
             ("measurement_std", (p,)),
             ("initial_std", (n,)),
-            ("D_s", np.shape(self.D_s or ())),
+            ("D_s", np.shape(self.D_s)),
         ):
             if (given := getattr(self, name)) is not None:
                 self._take(**{name: as_matrix(name, given, shape)})
