@@ -431,14 +431,11 @@ class TSRequest(Request):
 
     def __post_init__(self) -> None:
         model, (n, p) = self.model, (self.model.state_count, len(self.model.C))
-        for name, shape in (
-            ("process_noise", (n,)),
-            ("measurement_std", (p,)),
-            ("initial_std", (n,)),
-            ("D_s", np.shape(self.D_s)),
-        ):
-            if (given := getattr(self, name)) is not None:
-                self._take(**{name: as_matrix(name, given, shape)})
+        shapes = {"process_noise": (n,), "measurement_std": (p,), "initial_std": (n,)}
+        if self.D_s is not None:
+            shapes["D_s"] = np.shape(self.D_s)
+        for name, shape in shapes.items():
+            self._take(**{name: as_matrix(name, getattr(self, name), shape)})
         for name in ("measurement_std", "initial_std"):
             require_squares(name, getattr(self, name).tolist())
         self._take(
