@@ -6,23 +6,23 @@ A joint is what its design or request file says: its arm or T–S system, its ou
 its process noise.
 """
 
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, lru_cache, partial
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from tsobs_ros.checks import finite
+from tsobs_ros.checks import Array, finite, shown
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError, ParameterError, TsobsError
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.nodes.parameters import JointParameters
-from tsobs_ros.nodes.plant_simulator.entries import PLAYED, Readers, TorqueFile, by_joint
 from tsobs_ros.plants import request_in, scenario_of
+from tsobs_ros.replay.csv_file import TorqueSeries, read_torques
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode
 from tsobs_ros.settings import live_setting, setting, settings_group
@@ -30,6 +30,7 @@ from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch, Scenario, TorqueDisturbance
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
+    EXCITATIONS,
     KINDS,
     BiasStep,
     Constant,
@@ -46,6 +47,12 @@ from tsobs_ros.simulation.signals import (
     signal_of,
 )
 from tsobs_ros.simulation.systems import SystemScenario
+from tsobs_ros.yaml_files import load_yaml
+
+T = TypeVar("T")
+
+Readers = Mapping[str, Callable[[Any], Any]]
+"""What an entry may name of one joint, each with the function that reads the entry's value."""
 
 _TORQUES = {side: f"{side}_torque" for side in SIDES}
 """What entries of `signals` call the torque disturbance of each side."""
@@ -53,6 +60,58 @@ _EFFORT_ERROR = "effort_error"
 _SHIPPED_STATE = (0.3, 0.0, 0.2, 0.0)
 _FAULTS = [each for each in fields(Sensor) if each.name != "noise_std"]
 """What a sensor has beside the noise that a design knows."""
+# A sample at a line's time gets this line's torque, whatever their last bits are [s].
+_LATE = 1e-6
+
+
+def read_once(reader: Callable[[Path], T], path: str) -> T:
+    """Return what a file has; it is read again after it has changed, and not for each parameter.
+
+    Raises:
+        ParameterError: It cannot be used: a parameter may be refused for it, but not end a node.
+    """
+    file = Path(path)
+    try:
+        found: T = _read(reader, file, file.stat().st_mtime_ns if file.exists() else 0)
+    except TsobsError as error:
+        raise ParameterError(str(error)) from error
+    return found
+
+
+@lru_cache(maxsize=64)
+def _read(reader: Callable[[Path], Any], path: Path, _modified: int) -> Any:
+    return reader(path)
+
+
+@dataclass(frozen=True)
+class TorqueFile(Signal, kind="file"):
+    """The torque of a CSV file with columns `time` and `torque`, held from line to line.
+
+    The first line belongs to t = 0; after the last one's time the torque is 0.
+
+    Raises:
+        ModelError: There is no path.
+        ParameterError: The file cannot be used.
+    """
+
+    file: str = ""
+    _series: TorqueSeries = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.file:
+            raise ModelError("file: expected a CSV file of time and torque")
+        object.__setattr__(self, "_series", read_once(read_torques, self.file))
+
+    def _at(self, times: Array) -> Array:
+        series = self._series
+        places = np.searchsorted(series.time, times + _LATE, side="right") - 1
+        is_on = (places >= 0) & (times <= series.time[-1] + _LATE)
+        return np.where(is_on, series.torque[places], 0.0)
+
+
+PLAYED: Mapping[str, type[Signal]] = {**EXCITATIONS, TorqueFile.kind: TorqueFile}
+"""Every kind of signal of an input that the node can play, under its name."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +228,9 @@ class PlantSimulatorParameters(JointParameters):
     def requests(self) -> dict[str, ArmRequest | TSRequest]:
         """What describes each joint."""
         shipped = str(config_path(SHIPPED_DESIGN))
-        return {joint: _request(path or shipped) for joint, path in self.design_of.items()}
+        return {
+            joint: read_once(request_in, path or shipped) for joint, path in self.design_of.items()
+        }
 
     @property
     def sample_rate(self) -> float:
@@ -289,15 +350,33 @@ def _changes(request: ArmRequest | TSRequest) -> Readers:
     return dict.fromkeys(names, partial(finite, "value"))
 
 
-def _request(path: str) -> ArmRequest | TSRequest:
-    """Return the request in a file; a parameter may be refused for it, but not end a node."""
-    file = Path(path)
-    try:
-        return _read(file, file.stat().st_mtime_ns if file.exists() else 0)
-    except TsobsError as error:
-        raise ParameterError(str(error)) from error
+def by_joint(
+    parameter: str, lines: Iterable[str], readers: Mapping[str, Readers]
+) -> dict[str, dict[str, list[Any]]]:
+    """Return the values of a list parameter by joint and by what they are about.
 
+    ROS parameters hold lists of texts only, so an entry is a line of YAML:
+    "elbow/motor_angle: {kind: ramp}"; without "elbow/" it is for all joints that have one.
 
-@lru_cache(maxsize=64)
-def _read(path: Path, _modified: int) -> ArmRequest | TSRequest:
-    return request_in(path)
+    Raises:
+        ParameterError: An entry is malformed, or names none of them.
+    """
+    found: dict[str, dict[str, list[Any]]] = {joint: {} for joint in readers}
+    for place, line in enumerate(lines):
+        where = f"parameter '{parameter}[{place}]'"
+        try:
+            data: Any = load_yaml(line)
+            ((target, value),) = data.items()
+        except (AttributeError, ValueError) as error:
+            raise ParameterError(f"{where}: expected 'name: value', got {shown(line)}") from error
+        joint, _, name = str(target).rpartition("/")
+        joints = [each for each in found if name in readers[each] and joint in ("", each)]
+        if not joints:
+            known = ", ".join(f"{each}/{one}" for each in found for one in readers[each])
+            raise ParameterError(f"{where}: expected one of {known}, got {str(target)!r}")
+        try:
+            for each in joints:
+                found[each].setdefault(name, []).append(readers[each][name](value))
+        except (ModelError, ValueError) as error:
+            raise ParameterError(f"{where}: {target}: {error}") from error
+    return found
