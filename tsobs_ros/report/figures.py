@@ -40,7 +40,8 @@ def draw_run(picture: Picture, path: Path) -> None:
     Raises:
         OSError: The file cannot be written.
     """
-    with matplotlib.rc_context(STYLE):
+    # A name is no formula.
+    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
         _figure(picture).savefig(path, dpi=_DPI, metadata={"Software": None})
 
 
@@ -68,7 +69,7 @@ def _figure(picture: Picture) -> Figure:
     made[0].set_xlim(picture.time_range)
     figure.align_ylabels(made[::2])
     figure.align_ylabels(made[1::2])
-    head = figure.legend(
+    figure.legend(
         handles=_legend(picture),
         title=f"{picture.name}\n{picture.headline}",
         title_fontproperties={"weight": "bold", "size": 10},
@@ -78,7 +79,6 @@ def _figure(picture: Picture) -> Figure:
         handlelength=1.6,
         columnspacing=1.6,
     )
-    head.get_title().set_parse_math(False)  # a name is no formula
     return figure
 
 
@@ -103,11 +103,11 @@ def _legend(picture: Picture) -> list[Line2D | Patch]:
 def _draw(axes: Axes, plot: Plot, picture: Picture) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
     axes.tick_params(length=0)
-    label = wrap(_plain(plot.title), _LABEL_WIDTH, max_lines=2, placeholder=" …")
+    label = wrap(plot.title, _LABEL_WIDTH, max_lines=2, placeholder=" …")
     axes.set_ylabel("\n".join(label), linespacing=1.4)
     axes.set_ylim(plot.limits)
     remark = wrap("  ·  ".join(plot.remark), _REMARK_WIDTH, max_lines=2, placeholder=" …")
-    axes.set_title(_plain("\n".join(remark)), loc="left", fontsize=7.8, pad=4)
+    axes.set_title("\n".join(remark), loc="left", fontsize=7.8, pad=4)
     for band in plot.bands:
         axes.fill_between(band.times, band.lower, band.upper, color=BAND_COLOUR, alpha=_FAINT, lw=0)
     for curve in plot.curves:
@@ -115,11 +115,11 @@ def _draw(axes: Axes, plot: Plot, picture: Picture) -> None:
         look: dict[str, Any] = {"ls": dash, "lw": width, "solid_capstyle": "butt"}
         if dash == ".":
             look = {"ls": "", "marker": ".", "ms": 2.2, "mew": 0}
-        axes.plot(curve.times, curve.values, color=colour, label=_plain(curve.name), **look)
+        axes.plot(curve.times, curve.values, color=colour, label=curve.name, **look)
     if plot.own:
         axes.legend(loc="upper left", fontsize=7.5, ncols=2, borderpad=0.1, handlelength=1.2)
     if plot.rows:
-        axes.set_yticks(range(len(plot.rows)), [_plain(name) for name in plot.rows])
+        axes.set_yticks(range(len(plot.rows)), plot.rows)
     if plot.level is not None:
         for sign in (-1.0, 1.0):
             axes.axhline(sign * plot.level, color=MUTED, lw=0.9, ls=(0, (5, 3)))
@@ -133,8 +133,3 @@ def _mark(axes: Axes, spans: Sequence[tuple[float, float]], **style: Any) -> Non
     """Mark times over the whole height, as one artist: one each would make many events slow."""
     widths = [(begin, end - begin) for begin, end in spans]
     axes.broken_barh(widths, (0.0, 1.0), transform=axes.get_xaxis_transform(), lw=0, **style)
-
-
-def _plain(name: str) -> str:
-    """Return a name that is no formula."""
-    return name.replace("$", r"\$")
