@@ -23,7 +23,7 @@ from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import arm_uncertainty
 from tsobs_ros.report.comparison import HIGH_GAIN, THETAS
 from tsobs_ros.report.metrics import JUMP, measure
-from tsobs_ros.report.scenario_table import BOUNDS, Cell, ScenarioComparison, ScenarioRow
+from tsobs_ros.report.scenario_table import BOUNDS, Runs, ScenarioComparison, ScenarioRow
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor
@@ -129,10 +129,10 @@ def fitted(scenario: Scenario, design: Design) -> Scenario:
     )
 
 
-def _measured(design: Design, settings: ObserverSettings, runs: Trajectories) -> Cell:
+def _measured(design: Design, settings: ObserverSettings, runs: Trajectories) -> Runs:
     observed = observe(design, runs, settings)
     places = range(len(runs.physical))
-    return Cell.of([measure(recorded(runs, run, observed.of(run))) for run in places])
+    return [measure(recorded(runs, run, observed.of(run))) for run in places]
 
 
 def _tuned(design: Design, settings: ObserverSettings, runs: Trajectories) -> ObserverSettings:
@@ -141,8 +141,8 @@ def _tuned(design: Design, settings: ObserverSettings, runs: Trajectories) -> Ob
     choices = [replace(settings, theta=theta) for theta in THETAS]
 
     def error(choice: ObserverSettings) -> float:
-        found = float(_measured(design, choice, some).normalised.mean())
-        return found if math.isfinite(found) else math.inf
+        (run,) = _measured(design, choice, some)
+        return math.inf if run.normalised_rmse is None else run.normalised_rmse
 
     return min(choices, key=error)
 
@@ -154,7 +154,7 @@ def why_unbounded(scenario: Scenario) -> str:
     return ", ".join([*found, *["a stuck sensor"] * stuck])
 
 
-def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str, Cell]:
+def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str, Runs]:
     """Return the Cramér–Rao bounds with known parameters, and with those as states."""
     request, arm = design.arm_request, scenario.true_arm
     drifts = [each for each in scenario.disturbance if isinstance(each, GaussMarkov)]
@@ -172,7 +172,7 @@ def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str,
     share = np.isfinite(runs.measurements[..., 0]).mean(axis=0) * (1.0 - sensor.outlier_probability)
     information = share * white_information(sensor.noise_std, sensor.noise_degrees)
     uncertain = arm_uncertainty(arm, request.uncertainty_model.bounds)
-    found = {}
+    found: dict[str, Runs] = {}
     for name, unknown in zip(BOUNDS, (None, uncertain), strict=True):
         if unknown is not None and not unknown.count:
             continue
@@ -192,5 +192,5 @@ def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str,
             "state": runs.physical[0] + std[:, :4],
             "disturbance": runs.disturbances[0] + std[:, 4:5],
         }
-        found[name] = Cell.of([measure(recorded(runs, 0, least))])
+        found[name] = [measure(recorded(runs, 0, least))]
     return found

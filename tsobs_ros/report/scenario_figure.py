@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from tsobs_ros.report.comparison import number_text
-from tsobs_ros.report.scenario_table import BOUNDS, ScenarioComparison
+from tsobs_ros.report.scenario_table import BOUNDS, ScenarioComparison, typical
 from tsobs_ros.style import INK, MUTED, STYLE
 
 _MARKERS = {
@@ -49,24 +49,26 @@ def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
             marker, colour = _MARKERS[name]
             axes.plot([], [], marker, color=colour, label=name)
             for number, row in enumerate(comparison.rows):
-                typical = row.cells[name].typical
-                if typical is None or not typical <= _LARGEST:
+                runs = row.cells[name]
+                error = typical(runs)
+                if error is None or not error <= _LARGEST:
                     axes.text(
-                        0.995, number + height, f"{name}: {number_text(typical)} →",
+                        0.995, number + height, f"{name}: {number_text(error)} →",
                         transform=axes.get_yaxis_transform(), ha="right", va="center",
                         fontsize=7.5, color=MUTED,
                     )  # fmt: skip
                     continue
-                reach = np.percentile(row.cells[name].normalised, (_FEWEST, _MOST))
+                each = [float(run.normalised_rmse or 0.0) for run in runs]
+                reach = np.percentile(each, (_FEWEST, _MOST))
                 axes.plot(reach, [number + height] * 2, color=colour, linewidth=1.4)
                 axes.plot(
-                    [typical], [number + height], marker, color=colour, markersize=6.5,
+                    [error], [number + height], marker, color=colour, markersize=6.5,
                     markeredgecolor="white", markeredgewidth=0.6,
                 )  # fmt: skip
         for name, style in zip(BOUNDS, (":", "-"), strict=True):
             axes.plot([], [], color=INK, linestyle=style, linewidth=1.6, label=name)
             for number, row in enumerate(comparison.rows):
-                if name in row.cells and (least := row.cells[name].typical) is not None:
+                if name in row.cells and (least := typical(row.cells[name])) is not None:
                     ends = [number - 0.42, number + 0.42]
                     axes.plot([least] * 2, ends, color=INK, linestyle=style, linewidth=1.6)
         axes.set_yticks(range(count), [row.scenario for row in comparison.rows])

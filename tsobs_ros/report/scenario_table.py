@@ -5,15 +5,13 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from tsobs_ros.checks import Array
 from tsobs_ros.methods import METHODS
 from tsobs_ros.report.comparison import aligned, number_text
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics
-from tsobs_ros.report.quantities import QUANTITIES
 
 BOUNDS = ("pcrb", "pcrb_augmented")
 """Names of the posterior Cramér–Rao bound with known parameters, and with those as states."""
@@ -40,46 +38,29 @@ _BIASED = {
 """Why the bound does not hold for observers."""
 
 
-class Cell(NamedTuple):
-    """Errors over the settled parts of a scenario's runs; NaN if there are none.
+Runs: TypeAlias = Sequence[RunMetrics]
+"""An observer's errors in the runs of a scenario."""
 
-    RMSE of `QUANTITIES` and shares of errors inside `SIGMAS` times the bound, shape (runs, 5), and
-    the root mean square over the states of RMSE / scale, shape (runs,).
-    """
 
-    rmse: Array
-    inside: Array
-    normalised: Array
+def typical(runs: Runs) -> float | None:
+    """Return the root mean square of the normalised RMSE over runs; None without errors."""
+    return _root_mean([run.normalised_rmse for run in runs])
 
-    @classmethod
-    def of(cls, runs: Sequence[RunMetrics]) -> "Cell":
-        """Return the errors of some runs."""
-        numbers = np.array(
-            [[(one.rmse, one.inside) for one in run.quantities] for run in runs], np.float64
-        )
-        normalised = np.array([run.normalised_rmse for run in runs], np.float64)
-        return cls(numbers[..., 0], numbers[..., 1], normalised)
 
-    @property
-    def typical(self) -> float | None:
-        """Root mean square of the normalised RMSE over the runs; None without errors."""
-        return _root_mean(self.normalised)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return everything as plain data."""
-        inside = {
-            quantity.key: float(shares.mean())
-            for quantity, shares in zip(QUANTITIES, self.inside.T, strict=True)
-            if np.isfinite(shares).all()
-        }
-        return {
-            "normalised_rmse": self.typical,
-            "rmse": {
-                one.key: _root_mean(rmse) for one, rmse in zip(QUANTITIES, self.rmse.T, strict=True)
-            },
-            "normalised_rmse_of_runs": self.normalised.tolist(),
-            **({f"inside_{SIGMAS:g}_sigma": inside} if inside else {}),
-        }
+def _mapping(runs: Runs) -> dict[str, Any]:
+    """Return the errors of runs as plain data."""
+    quantities = list(zip(*(run.quantities for run in runs), strict=True))
+    inside = {}
+    for each in quantities:
+        shares = [one.inside for one in each if one.inside is not None]
+        if len(shares) == len(runs):
+            inside[each[0].key] = float(np.mean(shares))
+    return {
+        "normalised_rmse": typical(runs),
+        "rmse": {each[0].key: _root_mean([one.rmse for one in each]) for each in quantities},
+        "normalised_rmse_of_runs": [run.normalised_rmse for run in runs],
+        **({f"inside_{SIGMAS:g}_sigma": inside} if inside else {}),
+    }
 
 
 class ScenarioRow(NamedTuple):
@@ -90,7 +71,7 @@ class ScenarioRow(NamedTuple):
     """
 
     scenario: str
-    cells: dict[str, Cell]
+    cells: dict[str, Runs]
     unbounded: str
     thetas: Mapping[str, float]
 
@@ -117,7 +98,7 @@ class ScenarioComparison:
             "observers": {name: ABOUT[name] for name in self.names},
             "scenarios": {
                 row.scenario: {
-                    **{name: one.as_mapping() for name, one in row.cells.items()},
+                    **{name: _mapping(runs) for name, runs in row.cells.items()},
                     "theta": dict(row.thetas),
                     "unbounded": row.unbounded or None,
                 }
@@ -142,17 +123,18 @@ class ScenarioComparison:
     def __str__(self) -> str:
         table = [["", *(row.scenario for row in self.rows)]]
         for name in self.names:
-            cells = (row.cells.get(name) for row in self.rows)
-            table.append([name, *(number_text(one and one.typical) for one in cells)])
+            cells = (typical(row.cells.get(name, ())) for row in self.rows)
+            table.append([name, *map(number_text, cells)])
         width = max(map(len, self.names))
         about = [f"{name:<{width}}  {ABOUT[name]}" for name in self.names]
         return "\n".join([*aligned(table, text_columns=1), "", *about, "", *self.notes()])
 
 
-def _root_mean(values: Array) -> float | None:
+def _root_mean(values: Sequence[float | None]) -> float | None:
     """Return the root mean square; infinite if a run diverged, None if no run has a value."""
-    if np.isnan(values).all():
+    known = [value for value in values if value is not None]
+    if not known:
         return None
     with np.errstate(over="ignore"):
-        mean = float(np.mean(np.square(values)))
-    return math.sqrt(mean) if math.isfinite(mean) else math.inf
+        mean = float(np.mean(np.square(known)))
+    return math.sqrt(mean) if math.isfinite(mean) and len(known) == len(values) else math.inf
