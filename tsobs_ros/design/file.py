@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from tsobs_ros.checks import Array, as_matrix, meant, shown
+from tsobs_ros.checks import Array, as_matrix, shown
 from tsobs_ros.design.names import NO_LABELS, Labels
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import (
@@ -31,7 +31,7 @@ from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Direction
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.schema import decode, encode, located, naming, within
+from tsobs_ros.schema import decode, encode, naming, within
 from tsobs_ros.yaml_files import read_text, read_yaml, write_yaml, yaml_mapping, yaml_text
 
 FilePath: TypeAlias = str | PathLike[str]
@@ -160,9 +160,7 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
         raise DesignFileError(f"{path}: version: expected {VERSION}, got {shown(version)}")
     with naming(path):
         answer = decode({name: data.pop(name) for name in _ANSWER if name in data}, _Answer)
-        request = (
-            _arm_request(data, "design") if kind == _ARM else decode(data, _SystemFile).request()
-        )
+        request = _arm_request(data) if kind == _ARM else decode(data, _SystemFile).request()
         p, n = request.flow.output_matrix.shape
         K = as_matrix("gain.K", answer.gain.K, (n,) if kind == _ARM and p == 1 else (n, p))
         P = as_matrix("certificate.P", answer.certificate.P, (n, n))
@@ -189,26 +187,21 @@ def load_request(path: FilePath) -> AnyRequest:
     found = [name for name in ("format", *_ANSWER) if name in data]
     if found:
         raise DesignFileError(
-            f"{path}: {found[0]}: expected a request, got a finished design; a node runs it with "
-            f"`-p design:={path}`, `tsobs verify` checks it; to design another one, "
-            "give a request, which has none of format, version, gain, certificate and solver"
+            f"{path}: {found[0]}: expected a request, got a finished design, which nodes run and "
+            "`tsobs verify` checks"
         )
     with naming(path):
-        known = {each.name for each in fields(ArmRequest)}
-        for name in data if data.keys().isdisjoint(("design", "system")) else ():
-            if name not in known and (question := meant(name, ("design", "system"))):
-                raise DesignFileError(f"unknown entry {shown(name)}{question}")
         request: AnyRequest
         if "system" in data:
             request = decode(data, _SystemFile).request()
         else:
-            place = "design" if "design" in data else ""
-            request = _arm_request(data, place)
-            arm = data.get("design", data).get("arm", _ARM_PARAMETERS)
+            data = data if "design" in data else {"design": data}
+            request = _arm_request(data)
+            arm = data["design"].get("arm", _ARM_PARAMETERS)
             # In silence the shipped arm's would be taken for one that is not like it at all.
             if missing := [name for name in _ARM_PARAMETERS if name not in arm]:
                 expected = f"missing; an arm has all of {', '.join(_ARM_PARAMETERS)}"
-                raise DesignFileError(located(place, f"arm.{missing[0]}: {expected}"))
+                raise DesignFileError(f"design.arm.{missing[0]}: {expected}")
             if 0.0 in (request.torque_limit, request.torque_rate_limit):
                 # The observer's parameter of this name means the design's by 0.
                 raise DesignFileError(
@@ -232,17 +225,18 @@ def arm_entries(request: ArmRequest) -> dict[str, Any]:
     return entries
 
 
-def _arm_request(data: dict[Any, Any], place: str) -> ArmRequest:
-    """Return the request under `design` or alone; its outputs are a list, or the link angle's."""
-    entries = data.get(place) if place else data
+def _arm_request(data: dict[Any, Any]) -> ArmRequest:
+    """Return the request under `design`; its outputs are a list, or the link angle's."""
+    entries = data.get("design")
     if isinstance(entries, dict) and "outputs" in entries:
         if not entries["outputs"]:
-            raise DesignFileError(located(place, "outputs: expected at least one"))
+            raise DesignFileError("design.outputs: expected at least one")
         for name in ("disturbance", "measurement_std"):
             if name in entries:
-                message = f"{name}: expected in outputs, one per output, not beside them"
-                raise DesignFileError(located(place, message))
-    return decode(data, _ArmFile).design if place else decode(data, ArmRequest)
+                raise DesignFileError(
+                    f"design.{name}: expected in outputs, one per output, not beside them"
+                )
+    return decode(data, _ArmFile).design
 
 
 @dataclass
