@@ -15,7 +15,7 @@ sum of positive semidefinite terms, so the noise stays a covariance.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -237,7 +237,7 @@ class Flow(ABC):
         n, m = self.state_count, self.input_count
         k, inputs = 0 if uncertainty is None else uncertainty.count, m - self.scheduled_count
         sizes = FlowSizes(n, m, inputs, k, self.plant_count, *self.rule_counts)
-        record, (_, phi, gamma, noise, _) = np.zeros(1, flow_type(sizes)), self.nominal
+        record, (_, phi, gamma, noise, _) = np.zeros(1, record_type("flow", sizes)), self.nominal
         for name, values in {
             **sizes._asdict(),
             "kind": self.kind,
@@ -305,13 +305,6 @@ def _norm(A: Array) -> float:
         if settled:
             break
     return float(max((sum(column.tolist()) for column in balanced.T), default=0.0))
-
-
-@cache
-def flow_type(sizes: FlowSizes) -> "np.dtype[Any]":
-    """Return the type of a model's numbers, those of the compiled core's `flow`."""
-    kind: np.dtype[Any] = record_type("flow", sizes)
-    return kind
 
 
 def as_rows(name: str, values: ArrayLike, batch: tuple[int, ...], shape: tuple[int, ...]) -> Array:
