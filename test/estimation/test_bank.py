@@ -100,7 +100,6 @@ def changed(begin: int, by: float, end: int | None = None) -> Array:
 
 def awake(tracker: Tracker) -> list[int]:
     """Return which hypotheses are considered."""
-    assert tracker.state is not None
     return np.flatnonzero(tracker.state.records["hypotheses"]["live"][0]).tolist()
 
 

@@ -113,7 +113,6 @@ def test_late_samples_change_no_bit_while_hypotheses_compete(batch: int) -> None
         one = Tracker(ADAPTIVE.supervised(0.5), x_max=X_MAX)
         for part in np.split(order, range(batch, count, batch)):
             one.offer_many(stamps[part], y[part], u[part], END)
-            assert one.state is not None
             seen |= {*np.flatnonzero(one.state.records["hypotheses"]["live"][0]).tolist()}
         results.append((probes(one), one.state.records.tobytes(), one.rejected))
     assert len(seen) > 8  # standing ones, and forks

@@ -148,52 +148,42 @@ class Tracker:
 
     def forget(self) -> None:
         """Forget all measurements, but not the counts."""
-        if (last := self._last) is not None:
-            self.memory["bad_outputs"] += last["failures"]
+        self.memory["bad_outputs"] += self._last["failures"]
         for name in ("first", "length", "has_base", "coasted_periods"):
             self.memory[name] = 0
 
     @property
     def _last(self) -> Any:
-        """The newest state, shape (1,), None before the first."""
+        """The newest state, or the one before any measurement, shape (1,)."""
         memory = self.memory[0]
         if not memory["length"]:
-            return None
+            return self.estimator.model["initial"]
         place = int((memory["first"] + memory["length"] - 1) % (len(self.ring) - _SPARE))
         return self.ring[place : place + 1]
-
-    def _count(self, name: str) -> int:
-        """Return a count of the newest state."""
-        return 0 if self._last is None else int(self._last[name][0])
-
-    @property
-    def _judged(self) -> list[int]:
-        """Numbers of measurements that the estimator itself refused, in part at least, by code."""
-        last = self._last
-        return [0] * len(REASONS) if last is None else last["judged"][0].tolist()
 
     @property
     def newest(self) -> int | None:
         """Stamp of the newest measurement in use [ns], None before the first."""
-        return None if self._last is None else self._count("stamp")
+        return int(self._last["stamp"][0]) or None
 
     @property
-    def state(self) -> State | None:
-        """The state after the newest measurement, None before the first."""
-        last = self._last
-        return None if last is None else State(copy_records(last), self.estimator.shape)
+    def state(self) -> State:
+        """The state after the newest measurement."""
+        return State(copy_records(self._last), self.estimator.shape)
 
     @property
     def used(self) -> int:
         """Number of measurements that were used, angle and torque."""
-        return int(self.memory["accepted"][0]) - sum(self._judged)
+        return int(self.memory["accepted"][0] - self._last["judged"].sum())
 
     @property
     def rejected(self) -> Counter[RejectReason]:
         """Number of measurements not used, by reason."""
-        refused = self.memory["refused"][0].tolist()
-        pairs = zip(REASONS, refused, self._judged, strict=True)
-        return Counter({reason: n + own for reason, n, own in pairs if reason and n + own})
+        # Some are refused by the estimator itself, in part at least.
+        counts = (self.memory["refused"][0] + self._last["judged"][0]).tolist()
+        return Counter(
+            {reason: n for reason, n in zip(REASONS, counts, strict=True) if reason and n}
+        )
 
     @property
     def rewinds(self) -> int:
@@ -203,33 +193,29 @@ class Tracker:
     @property
     def restarts(self) -> int:
         """Number of restarts after a gap or a numerical failure."""
-        return self._count("restarts")
+        return int(self._last["restarts"][0])
 
     @property
     def failures(self) -> int:
         """Number of numerical failures: states or outputs that were not finite."""
-        return int(self.memory["bad_outputs"][0]) + self._count("failures")
+        return int(self.memory["bad_outputs"][0] + self._last["failures"][0])
 
     @property
     def events(self) -> dict[str, int]:
         """The estimator's counts up to the newest measurement, by name."""
-        state = self.state
-        return {} if state is None else self.estimator.events(state)
+        return self.estimator.events(self.state)
 
     @property
     def repeats(self) -> list[int]:
         """How often each output's newest value has repeated, in a way that speaks for a fault."""
-        last, p = self._last, self.estimator.shape.p
-        counts: list[int] = [0] * p if last is None else last["sensors"]["repeats"][0].tolist()
+        counts: list[int] = self._last["sensors"]["repeats"][0].tolist()
         return counts
 
     @property
     def output_counts(self) -> tuple[dict[str, int], ...]:
         """Numbers of samples of each output that were gated, and that were missing."""
-        names, last = ("gated", "missing"), self._last
-        if last is None:
-            return (dict.fromkeys(names, 0),) * self.estimator.shape.p
-        return tuple({name: int(each[name]) for name in names} for each in last["sensors"][0])
+        names, sensors = ("gated", "missing"), self._last["sensors"][0]
+        return tuple({name: int(each[name]) for name in names} for each in sensors)
 
     def reject(self, reason: RejectReason, count: int = 1) -> None:
         """Count measurements that the caller could not even read."""
