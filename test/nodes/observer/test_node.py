@@ -185,7 +185,7 @@ def test_methods_to_compare_with_publish_what_they_have(
 def test_a_numerical_failure_is_an_error_and_a_fresh_start_of_its_joint(
     stage: Stage, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    observer = stage.add(method="high_gain")
+    observer = stage.add(method="high_gain", theta=100.0)
     events = samples(0, 33)
     events[20] = Event(events[20].at, ARM.message(events[20].at, position=[1.7e308]))
     stage.step(BEGIN - PERIOD)
