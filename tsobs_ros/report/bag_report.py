@@ -74,7 +74,7 @@ class BagReport:
     def _note(self) -> str:
         """The line on what the errors are of."""
         note = f"Errors over the {self.metrics.settled_time:.1f} s that count as settled."
-        return note + (f" {about_ekfs([self.ekf.method], self.ekf.metrics)}." if self.ekf else "")
+        return note + (f" {about_ekfs([self.ekf.method])}." if self.ekf else "")
 
     def text(self) -> str:
         """Return the report for a terminal."""

@@ -19,14 +19,13 @@ import numpy as np
 
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import BagReadError, printable
-from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import EKFS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.held_out import HeldOutErrors, HeldOutSensor
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics, innovation_std, measure, root_mean
-from tsobs_ros.report.quantities import QUANTITIES, outputs_of
+from tsobs_ros.report.quantities import outputs_of
 from tsobs_ros.report.run import (
     ESTIMATED,
     RecordedRun,
@@ -247,19 +246,17 @@ def render_comparison(rows: Sequence[ObserverErrors]) -> str:
         first = next((row.metrics for row in own if row.metrics is not None), None)
         title = [printable(joint)] if len(joints) > 1 else []
         note = [_note(first)]
-        if first is not None and (ekfs := [r.observer for r in own if r.observer in _EKFS]):
-            note.append(about_ekfs(ekfs, first))
+        if ekfs := [row.observer for row in own if row.observer in _EKFS]:
+            note.append(about_ekfs(ekfs))
         note += dict.fromkeys(row.held_out.sensor.note for row in own if row.held_out)
         parts.append("\n".join([*title, *aligned(_cells(own, first)), "", *note]))
     return "\n\n".join(parts)
 
 
-def about_ekfs(methods: Sequence[str], metrics: RunMetrics) -> str:
+def about_ekfs(methods: Sequence[str]) -> str:
     """Return the line on what EKFs have in common with ours, and in what they differ."""
-    of_arm = metrics.quantities[0].quantity in QUANTITIES
     known = ", ".join(f"{name} has {_EKFS[name]}" for name in methods)
-    gate = f"gated at {GATE:g}σ" if of_arm else "not gated"
-    return f"EKF: same disturbance model, noise and data as ours, {gate}; {known}"
+    return f"EKF: same disturbance model, noise and data as ours; {known}"
 
 
 def _cells(rows: Sequence[ObserverErrors], first: RunMetrics | None) -> list[list[str]]:
