@@ -227,19 +227,18 @@ class Likelihood:
         key = coordinates.tobytes()
         if key in self._known:
             return self._known[key]
-        k = self.unknowns.count
         errors, logs = self._filtered(coordinates, self.recordings, self._gate)
         regular = errors * errors <= self._gate * self._gate
         # A sample that is an outlier at one of two points only would make their difference a jump.
         filtered = partial(self._filtered, used=self._without(~regular), gate=math.inf)
         with ThreadPoolExecutor(WORKERS) as pool:
             moved = list(pool.map(filtered, coordinates + np.diag(self._spacing)))
-        by_error, by_log = np.empty((len(errors), k)), np.empty((len(errors), k))
-        for place, (moved_errors, moved_logs) in enumerate(moved):
-            # ∂e/√s at fixed s: the standardised innovation's own derivative lacks its share of s.
-            change = (moved_logs - logs) / self._spacing[place]
-            slope = (moved_errors - errors) / self._spacing[place]
-            by_log[:, place], by_error[:, place] = change, slope + 0.5 * errors * change
+        by_error, by_log = (
+            (np.stack(shifted, axis=1) - here[:, None]) / self._spacing
+            for here, shifted in zip((errors, logs), zip(*moved, strict=True), strict=True)
+        )
+        # ∂e/√s at fixed s: the standardised innovation's own derivative lacks its share of s.
+        by_error += 0.5 * errors[:, None] * by_log
         by_error[~regular] = by_log[~regular] = 0.0
         squares = np.where(regular, errors * errors, 1.0)
         # Score of each sample: ½ ∂(e²/s + log s).
