@@ -248,25 +248,6 @@ def _channel(id_: int, offers: dict[str, str]) -> Channel:
     return Channel(id=id_, message_encoding="cdr", metadata=offers, schema_id=1, topic=f"/t{id_}")
 
 
-def _deep_type(levels: int = 300) -> bytes:
-    """Return a type that takes three hundred steps a byte."""
-    separator = b"=" * 80 + b"\n"
-    parts = [b"p/T0[] a\n"]
-    parts += [b"MSG: p/T%d\np/T%d a\n" % (k, k + 1) for k in range(levels)]
-    parts.append(b"MSG: p/T%d\nuint8 a\n" % levels)
-    return separator.join(parts)
-
-
-def _deep(folder: Path) -> None:
-    described = written(
-        Schema(id=1, data=_deep_type(), encoding="ros2msg", name=STRING),
-        Channel(id=1, topic="/a", message_encoding="cdr", metadata={}, schema_id=1),
-    )
-    size = _MIB
-    body = b"\0\1\0\0" + struct.pack("<I", size) + bytes(size)
-    finished(folder / NAME, [chunk(described + message(data=body))])
-
-
 def _metadata(text: str) -> Callable[[Path], None]:
     def make(folder: Path) -> None:
         (folder / "metadata.yaml").write_text(text, encoding="utf-8")
@@ -362,7 +343,6 @@ BAGS: Mapping[str, Callable[[Path], object]] = {
         _statistics(0),
     ),
     "times at the limits": _put([chunk(DESCRIBED + _ENDS, times=(0, 2**64 - 1))]),
-    "type of 300 levels": _deep,
     "pipe": lambda folder: os.mkfifo(folder / NAME),
     "device": lambda folder: (folder / NAME).symlink_to("/dev/zero"),
     "socket": _socket,

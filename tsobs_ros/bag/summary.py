@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from tsobs_ros.bag.metadata import BagMetadata, TopicInfo
+from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.recovery import DamagedBag
 from tsobs_ros.errors import BagReadError, printable
@@ -56,73 +56,59 @@ def summarise(bag: str | Path) -> BagSummary:
     Raises:
         BagReadError: There is no bag of ROS 2, or nothing can be read of it.
     """
-    path = Path(bag)
+    path, problem = Path(bag), ""
     try:
         reader = BagReader(path)
+        metadata, sizes = reader.metadata, [s.path.stat().st_size for s in reader.summaries]
+        counts = [s.statistics.message_count for s in reader.summaries]
+        durations = _durations(reader)
+        topics = [(one, durations[name]) for name, one in reader.topics.items()]
+        start, end = reader.start_time, reader.end_time
     except BagReadError as error:
-        return _of_damaged(path, error)
-    files = [
-        {"name": s.path.name, "size": s.path.stat().st_size, "messages": s.statistics.message_count}
-        for s in reader.summaries
-    ]
-    # The chunks that have messages of a topic tell its first and last times well enough.
+        problem, damaged = str(error), DamagedBag(path)
+        first, last = dict[str, int](), dict[str, int]()
+        for place in range(len(damaged.files)):
+            for topic, _, log_time, _ in damaged.messages(place):
+                first[topic] = min(first.get(topic, log_time), log_time)
+                last[topic] = max(last.get(topic, log_time), log_time)
+        if damaged.profiles - {"ros2"} or not damaged.topics:
+            raise
+        metadata, sizes = damaged.metadata, [each.bytes_read for each in damaged.files]
+        counts = [each.kept.total() for each in damaged.files]
+        kept = sum((each.kept for each in damaged.files), Counter[str]())
+        topics = [
+            (replace(one, count=kept[name]), last.get(name, 0) - first.get(name, 0))
+            for name, one in damaged.topics.items()
+        ]
+        start, end = min(first.values(), default=None), max(last.values(), default=None)
+        names = [each.name for each in damaged.files]
+    else:
+        names = [s.path.name for s in reader.summaries]
+    files = zip(names, sizes, counts, strict=True)
+    return BagSummary(
+        bag=str(path),
+        problem=problem,
+        storage_id="mcap",
+        ros_distro=metadata.ros_distro if metadata else "",
+        size=sum(sizes),
+        messages=sum(counts),
+        start_ns=start,
+        end_ns=end,
+        duration_ns=0 if start is None or end is None else end - start,
+        custom_data=dict((metadata.custom_data if metadata else None) or {}),
+        files=[{"name": name, "size": size, "messages": count} for name, size, count in files],
+        topics=[_topic(*each) for each in topics],
+    )
+
+
+def _durations(reader: BagReader) -> dict[str, int]:
+    """Return the time [ns] of the chunks with messages of each topic, nearly that of these."""
     times: dict[str, list[int]] = {name: [] for name in reader.topics}
     for summary in reader.summaries:
         for span in summary.spans:
             for id_ in (span.channels or summary.channels.keys()) & summary.channels.keys():
                 times[summary.channels[id_].topic] += span.start, span.end
-    topics = [
-        _topic(topic, max(times[name], default=0) - min(times[name], default=0))
-        for name, topic in reader.topics.items()
-    ]
-    found = _summary(path, "", files, reader.start_time, reader.end_time, reader.metadata)
-    return BagSummary(**found, topics=topics)
-
-
-def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
-    damaged = DamagedBag(path)
-    first, last = dict[str, int](), dict[str, int]()
-    for place in range(len(damaged.files)):
-        for topic, _, log_time, _ in damaged.messages(place):
-            first[topic] = min(first.get(topic, log_time), log_time)
-            last[topic] = max(last.get(topic, log_time), log_time)
-    if damaged.profiles - {"ros2"} or not damaged.topics:
-        raise error
-    files = [
-        {"name": each.name, "size": each.bytes_read, "messages": each.kept.total()}
-        for each in damaged.files
-    ]
-    counts = sum((each.kept for each in damaged.files), Counter[str]())
-    topics = [
-        _topic(replace(topic, count=counts[name]), last.get(name, 0) - first.get(name, 0))
-        for name, topic in damaged.topics.items()
-    ]
-    times = min(first.values(), default=None), max(last.values(), default=None)
-    found = _summary(path, str(error), files, *times, damaged.metadata)
-    return BagSummary(**found, topics=topics)
-
-
-def _summary(
-    bag: Path,
-    problem: str,
-    files: list[dict[str, Any]],
-    start: int | None,
-    end: int | None,
-    metadata: BagMetadata | None,
-) -> dict[str, Any]:
-    return {
-        "bag": str(bag),
-        "problem": problem,
-        "storage_id": "mcap",
-        "ros_distro": metadata.ros_distro if metadata else "",
-        "size": sum(file["size"] for file in files),
-        "messages": sum(file["messages"] for file in files),
-        "start_ns": start,
-        "end_ns": end,
-        "duration_ns": 0 if start is None or end is None else end - start,
-        "custom_data": dict((metadata.custom_data if metadata else None) or {}),
-        "files": files,
-    }
+    return {name: max(each, default=0) - min(each, default=0) for name, each in times.items()}
 
 
 def _topic(topic: TopicInfo, duration: int) -> dict[str, Any]:
