@@ -113,7 +113,7 @@ def membership(shape: str, parameters: Mapping[str, float] | None = None) -> Mem
         ModelError: The name is unknown, a parameter is missing, unknown or out of range.
 
     >>> membership("linear", {"zero": 1.0, "one": 3.0}).numbers
-    (1.0, 3.0, 0.0, 0.0)
+    (1.0, 3.0, inf, inf)
     """
     if shape not in SHAPES:
         raise ModelError(
