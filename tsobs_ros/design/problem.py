@@ -171,10 +171,6 @@ class Request(ABC):
     def on_share(self, share: float) -> tuple[str, Self] | None:
         """Return the request on a share of its domain, in words too; None if it has none."""
 
-    @abstractmethod
-    def with_bounds(self, share: float) -> Self:
-        """Return the request with a share of its bounds of uncertainty."""
-
     def torque_limits(self, limit: float = 0.0, rate_limit: float = 0.0) -> TorqueLimits | None:
         """Return which torques a drive of the arm can have; None for a T–S system."""
         return None

@@ -68,11 +68,8 @@ def remedies_of_gain(request: AnyRequest) -> Iterator[Family]:
             for rate in for_rates
         ]
     if request.certify_uncertainty:
-        text = "smaller bounds of uncertainty: {:.0f} % of them"
-        yield (
-            Remedy(text.format(100 * share), request.with_bounds(share))
-            for share in (0.5, 0.25, 0.1)
-        )
+        text = "no certify_uncertainty: the observer learns the parameters without a proof"
+        yield [Remedy(text, replace(request, certify_uncertainty=False))]
     if isinstance(request, ArmRequest):
         default, noise = ProcessNoise(), request.process_noise
         if not (noise.link and noise.motor):

@@ -384,10 +384,6 @@ class ArmRequest(Request):
         smaller = f"a smaller x_max: {x_max:.3g} rad", replace(self, x_max=x_max)
         return smaller if self.arm.gravity_torque else None
 
-    def with_bounds(self, share: float) -> Self:
-        bounds = {name: share * bound for name, bound in self.uncertainty.items()}
-        return replace(self, uncertainty=bounds)
-
 
 @dataclass(frozen=True, eq=False)
 class TSRequest(Request):
@@ -595,12 +591,6 @@ class TSRequest(Request):
         if self.slope_vertices:
             return text, replace(self, slope_vertices=tuple(closer))
         return text, replace(self, model=replace(self.model, A=closer))
-
-    def with_bounds(self, share: float) -> Self:
-        closer = {
-            name: replace(each, bound=share * each.bound) for name, each in self.uncertainty.items()
-        }
-        return replace(self, uncertainty=closer)
 
 
 def _closer(matrices: Array, share: float) -> Array:
