@@ -670,6 +670,30 @@ static void fork_best(const model *m, state *at, long best, correction *effect)
     }
 }
 
+/* Start the covariance of a lone hypothesis again if it leaves out most samples. */
+static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, correction *effect)
+{
+    const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
+    const double elapsed = minimum(larger(*at->since, *m->period), *m->longest);
+    double there = 0.0, used = 0.0;
+    state initial;
+    hypothesis first;
+    for (long i = 0; i < m->s.p; i++) {
+        there = maximum(there, effect->weight[i]);
+        used = maximum(used, (double)effect->used[i]);
+    }
+    *h->inlier += there * share_of(elapsed, m->constants[PATIENCE]) * (used - *h->inlier);
+    if (*h->inlier < m->constants[REJECTING] && *h->age >= m->constants[PATIENCE]) {
+        state_bind(&initial, &m->s, m->initial);
+        first = hypothesis_of(m, &initial, 0);
+        copy_matrix(first.covariance, width, h->covariance, width, n, n);
+        copy_matrix(first.gamma, k, h->gamma, k, k, k);
+        copy_matrix(first.upsilon, width, h->upsilon, width, k, n);
+        *h->inlier = 1.0;
+        *h->age = 0.0;
+    }
+}
+
 /* Correct all hypotheses, and fork the best one where it does not expect a sample. */
 static void correct_bank(const model *m, state *at, correction *effect)
 {
@@ -680,6 +704,11 @@ static void correct_bank(const model *m, state *at, correction *effect)
     examine(m, at, effect);
     report(m, &h, effect);
     *at->moving = moves(m, at, &h);
+    if (*m->supervised == 0) {
+        correct_hypothesis(m, at, &h, (int)*at->moving, effect);
+        reset_if_rejecting(m, at, &h, effect);
+        return;
+    }
     for (long i = 0; i < m->s.p; i++) {
         outliers = outliers || (effect->weight[i] > 0.0 && !effect->used[i]);
     }
@@ -718,35 +747,6 @@ static void correct_bank(const model *m, state *at, correction *effect)
     rest(m, at);
 }
 
-/* Correct the only hypothesis, which starts its covariance again if it leaves out most samples. */
-static void correct_alone(const model *m, state *at, correction *effect)
-{
-    const double elapsed = minimum(larger(*at->since, *m->period), *m->longest);
-    hypothesis h = hypothesis_of(m, at, 0);
-    int there = 0, used = 0;
-    weigh(m, at, &h, effect);
-    examine(m, at, effect);
-    report(m, &h, effect);
-    correct_hypothesis(m, at, &h, moves(m, at, &h), effect);
-    for (long i = 0; i < m->s.p; i++) {
-        there = there || effect->weight[i] > 0.0;
-        used = used || effect->used[i];
-    }
-    *h.inlier += there ? share_of(elapsed, m->constants[PATIENCE]) * ((double)used - *h.inlier) : 0.0;
-    if (*h.inlier < m->constants[REJECTING] && *h.age >= m->constants[PATIENCE]) {
-        const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
-        state initial;
-        hypothesis first;
-        state_bind(&initial, &m->s, m->initial);
-        first = hypothesis_of(m, &initial, 0);
-        copy_matrix(first.covariance, width, h.covariance, width, n, n);
-        copy_matrix(first.gamma, k, h.gamma, k, k, k);
-        copy_matrix(first.upsilon, width, h.upsilon, width, k, n);
-        *h.inlier = 1.0;
-        *h.age = 0.0;
-    }
-}
-
 void correct(const model *m, state *at, const double *y, correction *effect)
 {
     const long p = (long)m->s.p;
@@ -765,11 +765,7 @@ void correct(const model *m, state *at, const double *y, correction *effect)
         at->sample[i] = there ? y[i] : at->sample[i];
         effect->weight[i] = there ? 1.0 : 0.0;
     }
-    if (*m->supervised != 0) {
-        correct_bank(m, at, effect);
-    } else {
-        correct_alone(m, at, effect);
-    }
+    correct_bank(m, at, effect);
     *at->since = 0.0;
     for (long i = 0; i < p; i++) {
         const sensor of = sensor_of(m, at, i);
@@ -782,6 +778,18 @@ void correct(const model *m, state *at, const double *y, correction *effect)
             *(there ? of.gated : of.missing) += 1;
         }
     }
+}
+
+/* Return whether a covariance is below the certificate's bound, by the pivots of their difference. */
+static int is_covered(const model *m, const hypothesis *h, double *difference)
+{
+    const long n = (long)m->s.n, width = (long)m->s.width;
+    for (long i = 0; i < n; i++) {
+        for (long j = 0; j < n; j++) {
+            difference[i * n + j] = m->X[i * width + j] - h->covariance[i * width + j];
+        }
+    }
+    return is_nonnegative(difference, n);
 }
 
 /* The certified bound serves the whole interval to the next regular sample, and with `late_factor`
@@ -820,9 +828,7 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
         predict_hypothesis(m, at, &h, duration, simple, forgotten, scratch);
         if (!simple && !between_samples && !in_gap && *m->gain_mode == GAIN_CERTIFIED
             && *h.kind == AS_DESIGNED && *h.settling <= 0.0
-            && is_below(
-                h.covariance, (long)m->s.width, m->X, (long)m->s.width, scratch->square,
-                (long)m->s.n)) {
+            && is_covered(m, &h, scratch->square)) {
             *h.certified = 1;
         }
     }

@@ -33,15 +33,15 @@ flow flow_view(const double *memory)
 
 /* --- the linear flow --- */
 
-/* Evaluate polynomials by Horner's rule; rows of `series` begin `width` coefficients apart. */
+/* Evaluate `count` polynomials by Horner's rule; each row of `series` has their coefficients. */
 static void evaluate(
-    const double *series, long width, long terms, double step, double *restrict values, long count)
+    const double *series, long count, long terms, double step, double *restrict values)
 {
     for (long place = 0; place < count; place++) {
         values[place] = 0.0;
     }
     for (long row = terms - 1; row >= 0; row--) {
-        const double *restrict coefficients = series + row * width;
+        const double *restrict coefficients = series + row * count;
         for (long place = 0; place < count; place++) {
             values[place] = values[place] * step + coefficients[place];
         }
@@ -60,18 +60,14 @@ void flow_over(
         doublings += 1;
         step *= 0.5;
     }
-    evaluate(series, width, terms, step, values, noise != NULL ? width : squares + gammas);
+    evaluate(series, width, terms, step, values);
     memcpy(phi, values, (size_t)squares * sizeof *phi);
     memcpy(gamma, values + squares, (size_t)gammas * sizeof *gamma);
-    if (noise != NULL) {
-        memcpy(noise, values + squares + gammas, (size_t)squares * sizeof *noise);
-    }
+    memcpy(noise, values + squares + gammas, (size_t)squares * sizeof *noise);
     for (; doublings > 0; doublings--) {
         multiply(phi, gamma, forced, n, n, m);
         add_scaled(gamma, 1.0, forced, gammas);
-        if (noise != NULL) {
-            congruence(phi, noise, noise, values, n);
-        }
+        congruence(phi, noise, noise, values, n);
         multiply(phi, phi, turned, n, n, n);
         memcpy(phi, turned, (size_t)squares * sizeof *phi);
     }

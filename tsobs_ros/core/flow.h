@@ -47,7 +47,7 @@ static inline size_t flow_over_scratch_size(long n, long m)
     return (size_t)(n * (2 * n + m) + 2 * n * n + n * m);
 }
 
-/* Write Phi (n, n), Gamma (n, m) and, unless NULL, Q (n, n) over a duration of at least 0 [s].
+/* Write Phi (n, n), Gamma (n, m) and Q (n, n) over a duration of at least 0 [s].
  *
  * `series` has the Taylor coefficients of Phi, Gamma and Q side by side in `terms` rows, of
  * n (2 n + m) numbers, and serves steps up to `reach` [s]; a longer one is halved and doubled. */

@@ -50,17 +50,6 @@ void congruence(const double *a, double *s, const double *added, double *scratch
     }
 }
 
-int is_below(
-    const double *s, long s_width, const double *bound, long bound_width, double *scratch, long n)
-{
-    for (long i = 0; i < n; i++) {
-        for (long j = 0; j < n; j++) {
-            scratch[i * n + j] = bound[i * bound_width + j] - s[i * s_width + j];
-        }
-    }
-    return is_nonnegative(scratch, n);
-}
-
 int is_nonnegative(double *s, long n)
 {
     for (long first = 0; first < n; first++) {

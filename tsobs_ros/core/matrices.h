@@ -67,11 +67,6 @@ void multiply(
  * 3 n^2 numbers; added may be s. */
 void congruence(const double *a, double *s, const double *added, double *scratch, long n);
 
-/* Return whether s <= bound as symmetric matrices (n, n), by the pivots of their difference, which
- * `scratch` (n, n) takes up. */
-int is_below(
-    const double *s, long s_width, const double *bound, long bound_width, double *scratch, long n);
-
 /* Return whether a symmetric matrix (n, n) is positive semidefinite; overwrites its upper part. */
 int is_nonnegative(double *s, long n);
 
