@@ -22,17 +22,10 @@
 /* Gains: none, as the observer is integrated, that of Riccati, or the certified one. */
 enum { GAIN_OPEN, GAIN_RICCATI, GAIN_CERTIFIED };
 
-/* What the bounds rest on. */
+/* What the bounds rest on, as `estimation.records.Basis`. */
 enum {
-    BASIS_CERTIFIED,
-    BASIS_LEARNT,
-    BASIS_COVARIANCE,
-    BASIS_STARTING,
-    BASIS_GAP,
-    BASIS_JUMP,
-    BASIS_CONTRADICTED,
-    BASIS_HYPOTHESIS,
-    BASIS_OUTSIDE
+    BASIS_CERTIFIED, BASIS_LEARNT, BASIS_COVARIANCE, BASIS_STARTING, BASIS_GAP, BASIS_JUMP,
+    BASIS_CONTRADICTED, BASIS_HYPOTHESIS, BASIS_OUTSIDE
 };
 
 /* What the learning of parameters does. */
@@ -370,30 +363,23 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
 /* Write the estimate and its bounds; return whether all are finite. */
 int read_out(const model *m, const state *at, const estimate *said, work *scratch);
 
-/* --- innovations of a log: what a plain Kalman filter of a model does not expect of each sample ---
- *
- * Their likelihood is that of the model, which identification maximises. The filter is that of one
- * hypothesis without supervision, and has Coulomb friction, which the design's flow has not. */
-
-/* A log of n samples.
- *
- * durations: time from each sample to the next [s], negative where the next one begins anew, (n,).
- * y: outputs, NaN if missing, (n, p). u: inputs held until the next sample, (n, m). */
+/* A log of samples: time from each to the next [s], negative where the next one begins anew, (n,);
+ * outputs, NaN if missing, (n, p); and inputs held until the next sample, (n, m). */
 typedef struct {
     int64_t count;
     const double *durations, *y, *u;
 } sample_log;
 
-/* What the filter knows beside the model: Coulomb friction as the deceleration of link and motor, in
- * design coordinates [1/s^2], and the sigmas beyond which an output is left out. */
+/* What a plain Kalman filter knows beside the model: Coulomb friction as the deceleration of link and
+ * motor, in design coordinates [1/s^2], and the sigmas beyond which an output is left out. */
 typedef struct {
     double link_friction, motor_friction, gate;
 } filter_options;
 
-/* Filter a log from the model's initial state on, in the memory of a state. Write y - C x of each output
- * given those before it, and its variance, NaN of an output that is missing, (n, p) each; and the
- * states before each sample, (n, n). Without a `corrected_until` below n the filter runs free from that sample on:
- * innovations are those of a simulation. */
+/* Filter a log in the memory of a state, without supervision: the likelihood of its innovations is that
+ * of the model, which identification maximises. Write y - C x of each output given those before it, and
+ * its variance, NaN of an output that is missing, (n, p) each; and the states before each sample, (n, n).
+ * From `corrected_until` on the filter runs free, and innovations are those of a simulation. */
 void write_innovations(
     const model *m, state *at, const sample_log *log, const filter_options *options,
     int64_t corrected_until, double *innovations, double *variances, double *states,

@@ -202,8 +202,7 @@ static int64_t set_aside(tracker *t, int64_t place)
 {
     const size_t p = (size_t)t->m.s.p, m = (size_t)t->m.s.m;
     const int64_t late = *t->h.length - place;
-    int64_t j;
-    for (j = 0; j < late; j++) {
+    for (int64_t j = 0; j < late; j++) {
         const state step = state_at(t, place + j);
         t->later.stamps[j] = *step.stamp;
         memcpy(t->later.y + (size_t)j * p, step.y, p * sizeof *step.y);
@@ -218,9 +217,8 @@ static void write_outcome(
     const tracker *t, const double *y, int64_t code, const outcomes *written, int64_t i)
 {
     const int64_t p = t->m.s.p;
-    int64_t j;
     written->codes[i] = code;
-    for (j = 0; j < p; j++) {
+    for (int64_t j = 0; j < p; j++) {
         const double variance = t->effect.innovation_covariance[j * p + j];
         const int64_t used = t->effect.weight[j] > 0.0 ? USED : GATED;
         written->output_codes[i * p + j] = isfinite(y[j]) ? used : NON_FINITE;
@@ -233,30 +231,27 @@ void offer(tracker *t, const measurements *given, int64_t now, const outcomes *w
 {
     const int64_t p = t->m.s.p, m = t->m.s.m;
     /* In a rewind: how many measurements were set aside, and how many of them were used again. */
-    int64_t late = 0, again = 0, i = 0, j;
+    int64_t late = 0, again = 0, i = 0;
     while (i < given->count || again < late) {
         /* One that is older than its predecessor waits until a rewind is over. */
         const int is_repeated =
             again < late && (i >= given->count || given->stamps[i] > t->later.stamps[again] ||
                              given->stamps[i] < newest_stamp(t));
-        int64_t stamp, code;
-        const double *y, *u;
         if (is_repeated) {
             step_to(t, t->later.stamps[again], t->later.y + again * p, t->later.u + again * m);
             again++;
             continue;
         }
-        stamp = given->stamps[i];
-        y = given->y + i * p;
-        u = given->u + i * m;
-        code = refusal(t, stamp, y, u, now);
+        const int64_t stamp = given->stamps[i];
+        const double *y = given->y + i * p, *u = given->u + i * m;
+        int64_t code = refusal(t, stamp, y, u, now);
         if (code == USED && again < late && stamp == t->later.stamps[again]) {
             code = DUPLICATE;
         }
         if (code != USED) {
             t->h.refused[code] += 1;
             written->codes[i] = code;
-            for (j = 0; j < p; j++) {
+            for (int64_t j = 0; j < p; j++) {
                 written->output_codes[i * p + j] = code;
             }
             i++;
@@ -358,8 +353,8 @@ void advance(
     int64_t stale_after)
 {
     const int64_t p = t->m.s.p, m = t->m.s.m, width = (int64_t)estimate_size(&t->m.s);
-    int64_t done = 0, tick;
-    for (tick = 0; tick < ticks->count; tick++) {
+    int64_t done = 0;
+    for (int64_t tick = 0; tick < ticks->count; tick++) {
         const int64_t known = ticks->known[tick], stamp = ticks->stamps[tick];
         const measurements news = {
             known - done, given->stamps + done, given->y + done * p, given->u + done * m};

@@ -68,8 +68,8 @@ typedef struct {
 /* Bind a view. Return NULL, or what is wrong with a memory: a length, or a place in it. */
 const char *tracker_bind(tracker *view, const tracker_memory *given);
 
-/* Measurements, n of them. stamps: [ns]. y: NaN of an output that is missing, (n, p). u: inputs
- * from each measurement until the next one, (n, m). */
+/* Measurements: stamps [ns], (n,); outputs, NaN of one that is missing, (n, p); and inputs from each
+ * measurement until the next one, (n, m). */
 typedef struct {
     int64_t count;
     const int64_t *stamps;
@@ -78,7 +78,7 @@ typedef struct {
 
 /* What becomes of them. codes: outcomes, (n,). output_codes: those of each output, of a measurement
  * that is used USED, GATED, or NON_FINITE of one that is missing, (n, p). innovations: y - C x of
- * those that are used, NaN if missing, (n, p). expected_std: 1 sigma expected of each, (n, p). */
+ * those that are used, NaN if missing, and the 1 sigma expected of each, (n, p). */
 typedef struct {
     int64_t *codes, *output_codes;
     double *innovations, *expected_std;
@@ -94,10 +94,9 @@ void offer(tracker *t, const measurements *given, int64_t now, const outcomes *w
  * which is counted. The row is that of `estimate_bind`. */
 int estimate_at(tracker *t, int64_t stamp, double *row);
 
-/* Instants of estimates, and what comes out of them. stamps: of the estimates, ascending; now: time
- * on their clock [ns]. known: numbers of measurements that are offered before each, ascending.
- * newest: stamp of the newest one in use [ns]; there: whether there is an estimate; rows: of the
- * estimates, as of `estimate_at`. */
+/* Ticks: stamps of estimates, ascending, and times on their clock [ns]; numbers of measurements that are
+ * offered before each, ascending. Written: the stamp of the newest one in use [ns], whether there is an
+ * estimate, and its row. */
 typedef struct {
     int64_t count;
     const int64_t *stamps, *now, *known;

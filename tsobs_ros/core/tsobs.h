@@ -16,9 +16,6 @@
 #ifndef TSOBS_H
 #define TSOBS_H
 
-#include <stddef.h>
-#include <stdint.h>
-
 #ifdef __cplusplus
 extern "C" {
 #endif
