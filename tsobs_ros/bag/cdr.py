@@ -38,11 +38,7 @@ def require_header(data: bytes) -> None:
 class CdrReader:
     """A place in a message, which moves on as values are read, each inside of its bounds.
 
-    Args:
-        data: The message with its header.
-
-    Attributes:
-        place: The next byte to read, counted from the beginning of the header.
+    `place` is the next byte to read, counted from the beginning of the header.
 
     Raises:
         MessageError: The header is missing, or announces another encoding.

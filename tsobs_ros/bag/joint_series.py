@@ -65,11 +65,7 @@ class JointSeries(NamedTuple):
 class JointReader:
     """Reads numbers of joints off a topic's messages.
 
-    Args:
-        wanted: The places of each joint's numbers.
-
-    Attributes:
-        other_names: Other entries so far, a few of them at most.
+    `other_names` are entries that are not wanted, a few of them at most.
     """
 
     def __init__(self, wanted: Wanted) -> None:
@@ -109,16 +105,12 @@ def read_blocks(
     *,
     on_damage: Callable[[BagReadError], None] | None = None,
 ) -> Iterator[dict[str, RawMessages]]:
-    """Read some topics of a bag block by block.
+    """Read some topics of a bag in blocks of at least `size` messages, or in one block.
 
-    Args:
-        reader: The bag.
-        topics: Their names.
-        size: Least number of messages in a block, of all topics; None for one block.
-        on_damage: Called with damage to the bag, up to which all is returned; else it is raised.
+    `on_damage` is called with damage to the bag, up to which all is returned.
 
     Raises:
-        BagReadError: The bag has no such topic, or it is damaged.
+        BagReadError: The bag has no such topic, or it is damaged and that is not noted.
     """
     names = list(topics)
     parts = until_damage(reader.rows(names), on_damage)

@@ -57,13 +57,8 @@ class JointState(NamedTuple):
 class JointStates(NamedTuple):
     """Messages that have the same names and lengths, m of them.
 
-    Attributes:
-        places: Which ones they are of those that were decoded together, ascending, shape (m,).
-        names: The joints.
-        stamps: Of their headers, ns since the epoch, shape (m,).
-        position: Shape (m, joints), or (m, 0) where it was left empty.
-        velocity: As `position`.
-        effort: As `position`.
+    `places` are their numbers among those that were decoded together, ascending. Position, velocity
+    and effort have the shape (m, joints), or (m, 0) where they were left empty.
     """
 
     places: Places
@@ -157,11 +152,7 @@ class _Template:
 
 
 class JointStateEncoder:
-    """Writes messages of the same joints, as rclpy puts them on the wire.
-
-    Args:
-        names: The joints.
-    """
+    """Writes messages of the same joints, as rclpy puts them on the wire."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
@@ -248,11 +239,8 @@ class JointStateDecoder:
     def decode_rows(self, places: Places, rows: NDArray[np.uint8]) -> list[JointStates]:
         """Decode messages of one size, those of the same names and lengths together.
 
-        Those that are none are left out.
-
-        Args:
-            places: Numbers of the messages, ascending, shape (m,).
-            rows: Their bytes, shape (m, size).
+        Those that are none are left out. `rows` has the bytes of the messages at `places`, shape
+        (m, size).
         """
         found: list[JointStates] = []
         while len(places):

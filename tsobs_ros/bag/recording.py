@@ -78,12 +78,7 @@ class Recording(BagWriter):
                 return
 
     def record(self, message: BufferedMessage, latch: Latch | None = None) -> None:
-        """Write a message of a registered topic.
-
-        Args:
-            message: The message.
-            latch: Its publisher's, if it is latched.
-        """
+        """Write a message of a registered topic, with its publisher's latch if it is latched."""
         if latch is not None:
             self._latched.keep(message, latch)
         self.counts[message.topic] += 1

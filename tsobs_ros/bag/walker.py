@@ -107,7 +107,7 @@ class FileWalker:
     Args:
         stream: The file.
         size: The number of bytes to read: the file may be growing.
-        is_trusted: Whether to read chunks however much they decompress to.
+        is_trusted: Whether to lift these limits.
 
     Attributes:
         damage: The parts that are lost, as far as the file has been read.
