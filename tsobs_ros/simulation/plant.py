@@ -216,12 +216,9 @@ class Trajectories(NamedTuple):
         torques: Torque reported from each sample to the next [N m]: the one commanded, and its
             error, shape (runs, samples, 1).
         physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, samples, 4).
-        torque_disturbances: Torques on motor and link that the true arm (with its mismatch) would
-            need beside the reported one, which reaches it as the design says, without friction,
-            payload and backlash, to accelerate as it does, shape (runs, samples, 2) [N m]. They
-            count the torque disturbance, friction, the payload's inertia and weight, what the
-            spring lacks by play, and the error of the reported torque; not the mismatch, which is a
-            matter of parameters, nor the random accelerations.
+        torque_disturbances: Torques on motor and link that the true arm, with its mismatch but
+            without friction, payload and backlash, would need beside the reported one to accelerate
+            as it does, random accelerations aside, shape (runs, samples, 2) [N m].
     """
 
     times: Array
@@ -236,10 +233,7 @@ class Trajectories(NamedTuple):
 class Plant:
     """A plant with its excitation, its sensors and everything random about them.
 
-    Args:
-        scenario: How it is built, moved, disturbed and measured.
-        seeds: One seed for a single plant, or a sequence of seeds for a batch of runs. A run of a
-            batch is the same as the single plant with its seed.
+    A sequence of seeds is for a batch of runs, each the same as the single plant with its seed.
 
     Attributes:
         scenario: As given, or as exchanged.
