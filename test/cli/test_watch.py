@@ -68,7 +68,7 @@ def test_a_terminal_shows_an_observer_until_it_is_interrupted(
         read()
         # Without colours; the last may be a part of one.
         pictures = [ESCAPES.sub("", each) for each in printed.split("\x1b[H")[1:-1]]
-        fault = r"WARN +sensor fault +bias; magnitude \[rad\] 0\.\d+; since for \d"
+        fault = r"WARN +sensor fault +bias; magnitude \[rad\] 0\.\d+; for \d"
         found = [each for each in pictures if re.search(fault, each)]
         return [line.rstrip() for line in found[-1].split("\r\n")] if found else []
 

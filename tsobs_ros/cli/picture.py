@@ -80,7 +80,7 @@ def _statuses(view: View) -> RenderableType:
     for name, status in view.statuses.items():
         if name != "state" and (status.level or name.rpartition(": ")[2] in _ALWAYS):
             details = [
-                f"{key} {value}"
+                value if key == "since" else f"{key} {value}"
                 for key, value in status.values.items()
                 if key.startswith(_DETAILS) and value != "0"
             ]
