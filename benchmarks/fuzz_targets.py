@@ -13,6 +13,7 @@ import numpy as np
 from fuzz_mutations import mutated_bytes, mutated_text
 from mcap.writer import CompressionType, Writer
 
+from tsobs_ros.api import estimate_bag
 from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.recovery import recover
@@ -20,7 +21,6 @@ from tsobs_ros.bag.verification import verify
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.file import load_request, parse_design, save_design
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.replay.log import LogSource
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 Mutate = Callable[[bytes, Sequence[bytes], random.Random], bytes]
@@ -132,13 +132,12 @@ def log_target(_: Path) -> Target:
     rows = b"0.0,1.5,0.1\n0.005,1.6,0.2\n0.01,nan,\n0.015,1.7,0.1\n"
     logs = (
         b"time [s],angle [deg],torque [N m]\n" + rows,
-        b"# t q tau\n" + rows.replace(b",", b" "),
         "sep=;\nZeit [s];Winkel [°];Moment\nms;deg;Nm\n".encode()
         + rows.replace(b",", b";").replace(b".", b","),
         b"header.stamp.sec,header.stamp.nanosec,position[0],effort[0]\n17,5000000,0.1,1\n",
         b"time,q1,tau1\n23:59:59.995,0.1,1\n00:00:00,0.1,1\n",
     )
-    return Target(logs, mutated_text, LogSource, "log.csv")
+    return Target(logs, mutated_text, estimate_bag, "log.csv")
 
 
 TARGETS: Mapping[str, Callable[[Path], Target]] = {
