@@ -136,7 +136,6 @@ def test_diagnostics_come_to_faults_and_rates(diagnosed) -> None:
     assert diagnosed.rejected == {"gated": 9}
     times, rates = diagnosed.reject_rates["gated"]
     assert rates[times == 12.0] == 1.0
-    assert diagnosed.missed == 3
     np.testing.assert_array_equal(diagnosed.timing["latency p50"][1], 1.5)
 
 

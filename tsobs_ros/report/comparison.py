@@ -29,6 +29,7 @@ from tsobs_ros.report.quantities import outputs_of
 from tsobs_ros.report.run import (
     ESTIMATED,
     RecordedRun,
+    Rows,
     measured,
     row_type,
     rows_of,
@@ -215,17 +216,21 @@ class RunScores:
 
     def results(self) -> Iterator[tuple[ObserverErrors, RecordedRun | None]]:
         """Yield the errors of each observer with its run, None if it made no estimate."""
-        truth = [true_parts(self._source, joint) for joint in range(len(self._source.joints))]
+        source = self._source
+        common = [
+            true_parts(source, joint) | {"measurements": measured(source, joint)}
+            for joint in range(len(source.joints))
+        ]
         for joint, one, estimates, innovations in self._kept:
-            name, method = self._source.joints[joint], one.observer.name
+            name, method = source.joints[joint], one.observer.name
             design = one.observer.designs[joint]
             made, found = estimates.read(), {"innovation": innovations.read()}
             rms = tuple(map(root_mean, found["innovation"].values.T))
             run = metrics = held_out = None
             if len(made):
-                found |= truth[joint] | {"measurements": measured(self._source, joint)}
-                there = [key for key in ESTIMATED if made.of[key].shape[1]]
-                found |= {key: rows_of(made, made.of[key]) for key in there}
+                found |= common[joint] | {
+                    key: _part(made, key) for key in ESTIMATED if made.of[key].shape[1]
+                }
                 if self._sensors:
                     found["health"] = rows_of(made, np.stack([made.of[k] for k in HEALTH], axis=1))
                     found["held_out"] = self._sensors[joint].rows
@@ -235,6 +240,19 @@ class RunScores:
                     held_out = self._sensors[joint].errors(run, metrics.windows)
             outputs = tuple(outputs_of(design.request))
             yield ObserverErrors(method, name, rms, metrics, outputs, held_out), run
+
+
+def _part(made: Rows, key: str) -> Rows:
+    """Return one field of kept estimates as rows, without a copy of what is in a file."""
+    of, begin = made.dtype.fields["of"][:2]
+    kind, offset = of.fields[key][:2]
+    view: Any = {
+        "names": ["stamps", "log_times", "values"],
+        "formats": [np.int64, np.int64, kind],
+        "offsets": [0, 8, begin + offset],
+        "itemsize": made.dtype.itemsize,
+    }
+    return made.view(np.dtype((np.record, view)))
 
 
 def render_comparison(rows: Sequence[ObserverErrors]) -> str:

@@ -16,7 +16,7 @@ from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.series import NANOSECONDS
 
-_FAULT, _REJECTED, _MISSED = "sensor fault", "rejected: ", "missed ticks"
+_FAULT, _REJECTED = "sensor fault", "rejected: "
 _TIMING = tuple(f"{what} p{p} [ms]" for what in ("latency", "tick time") for p in (50, 99))
 # A fault that the next status does not repeat has ended by then; they are a second apart.
 _APART = 2.5
@@ -48,7 +48,6 @@ class Diagnosed:
         count: Number of statuses.
         rejected: Number of rejected measurements by reason, without those that are zero.
         reject_rates: Times [s] and rejects per second of the same reasons.
-        missed: Number of missed ticks.
         timing: Times [s] and values of the node's timing [ms], by name.
     """
 
@@ -56,7 +55,6 @@ class Diagnosed:
     faults: list[FaultSpan] = field(default_factory=list)
     rejected: dict[str, int] = field(default_factory=dict)
     reject_rates: dict[str, tuple[Array, Array]] = field(default_factory=dict)
-    missed: int = 0
     timing: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def as_mapping(self) -> dict[str, Any]:
@@ -64,7 +62,6 @@ class Diagnosed:
         return {
             "faults": [{**asdict(one), "level": one.level.name} for one in self.faults],
             "rejected": self.rejected,
-            "missed_ticks": self.missed,
         }
 
 
@@ -81,15 +78,13 @@ def diagnose(statuses: Iterable[RecordedStatus], origin: int, until: float) -> D
         if status.name[-1].startswith(_FAULT):
             _note_fault(found.faults, running, time, status)
             continue
-        for key in status.values.keys() & {*reasons, *_TIMING, _MISSED}:
+        for key in status.values.keys() & {*reasons, *_TIMING}:
             numbers.setdefault(key, []).append((time, _number(status.values[key])))
-    for key in (_MISSED, *_TIMING, *reasons):
+    for key in (*_TIMING, *reasons):
         if key not in numbers:
             continue
         times, values = np.array(numbers[key]).T
-        if key == _MISSED:
-            found.missed = int(values.max())
-        elif key in _TIMING:
+        if key in _TIMING:
             found.timing[key.removesuffix(" [ms]")] = (times, values)
         else:
             grown = np.maximum(np.diff(values, prepend=0.0), 0.0)

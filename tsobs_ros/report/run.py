@@ -229,10 +229,14 @@ def recorded_parts(
 
 def measured(source: BagSource, place: int) -> Rows:
     """Return the measurements of a joint in the order of recording: outputs, then inputs."""
-    samples, own = source.samples, source.signals[place]
-    y, u = samples.y[:, place, : len(own.outputs)], samples.u[:, place, : len(own.inputs)]
-    there = samples.complete[:, place] | np.isfinite(y).any(axis=1)
-    return rows_of(samples, np.hstack([y, u]))[there]
+    p, m = len(source.signals[place].outputs), len(source.signals[place].inputs)
+    spool = Spool(row_type(p + m))
+    for begin in range(0, source.count, BLOCK):
+        samples = source.samples[begin : begin + BLOCK]
+        y, u = samples.y[:, place, :p], samples.u[:, place, :m]
+        there = samples.complete[:, place] | np.isfinite(y).any(axis=1)
+        spool.add(rows_of(samples, np.hstack([y, u]))[there])
+    return spool.read()
 
 
 def true_parts(source: BagSource, place: int) -> dict[str, Rows]:
