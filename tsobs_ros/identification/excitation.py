@@ -383,10 +383,8 @@ def excite(
     # What a fit would find of delays, gain and offset does not depend on theirs.
     known, request = request, request.at_rate(request.rate)
     inner = Limits(at_motor, *((1.0 - MARGIN) * each for each in limits[1:]))
-    motions, arms = (
-        _Motions(request, duration, inner, free, seed),
-        trial_arms(request, _DRAWS, seed),
-    )
+    motions = _Motions(request, duration, inner, free, seed)
+    arms = trial_arms(request, _DRAWS, seed)
     thinned = _thinned(request, motions.frequencies[-1])
     search = _Motions(thinned, duration, inner, free, seed)
     rng = np.random.default_rng((seed, 0))
