@@ -41,12 +41,8 @@ EKFS = ("ekf", "ekf_augmented")
 FILTERS = ("ekf_plain", *EKFS)
 """All EKFs."""
 
-CONTENDERS: Mapping[str, Mapping[str, Any]] = {
-    "certified": {"method": "certified"},
-    "certified_fixed": {"method": "certified", "adapt": False},
-    **{name: {"method": name} for name in METHODS if name != "certified"},
-}
-"""What is compared, settings by name; `certified_fixed` does not learn."""
+CONTENDERS = ("certified", "certified_fixed", *(name for name in METHODS if name != "certified"))
+"""Names of what is compared; `certified_fixed` is the certified one that does not learn."""
 
 _ARMS_ONLY = ("ekf_plain", "ekf_augmented", "high_gain", "proportional_integral")
 
@@ -171,14 +167,16 @@ def _flatten(section: Any, name: str, found: dict[str, Any]) -> None:
 
 
 def contender(settings: ObserverSettings, name: str) -> ObserverSettings:
-    """Return settings with those of a name of `CONTENDERS`.
+    """Return settings with the method of a name of `CONTENDERS`.
 
     Raises:
         ModelError: There is no such name.
     """
     if name not in CONTENDERS:
         raise ModelError(f"method: expected one of {', '.join(CONTENDERS)}, got {name!r}")
-    return replace(settings, **CONTENDERS[name])
+    if name == "certified_fixed":
+        return replace(settings, method="certified", adapt=False)
+    return replace(settings, method=name)
 
 
 def warning(design: Design, method: str) -> str:
