@@ -204,7 +204,7 @@ def contact(case: Case, design: Design, seeds: Sequence[int]) -> Contact:
             part = slice(begin, begin + every)
             y, u = runs.measurements[place, part], runs.torques[place, part]
             found = tracker.offer_many(stamps[part], y, u, int(stamps[-1]))
-            monitor.measured(stamps[part], y, *found[1:], tracker.repeats)
+            monitor.measured(stamps[part], y, found, tracker.repeats)
             last = min(begin + every, len(stamps)) - 1
             estimate = tracker.estimate(int(stamps[last]))
             if estimate is None:

@@ -21,6 +21,7 @@ from common import at_least, design_of, parser, show, use_one_thread
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.faults import FaultMonitor
+from tsobs_ros.estimation.tracker import Outcomes
 from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
@@ -102,8 +103,8 @@ def _run(design: Design, case: _Case, seed: int, duration: float) -> _Run:
         std = np.sqrt(correction.innovation_covariance[0])
         stamp = 1_000_000_000 + round(float(sample.times) * 1e9)
         started = time.thread_time_ns()
-        given = [sample.measurements], used, [correction.innovation], [std]
-        monitor.measured([stamp], *given, state.repeats)
+        outcomes = Outcomes(used[0], used, correction.innovation[np.newaxis], std[np.newaxis])
+        monitor.measured([stamp], [sample.measurements], outcomes, state.repeats)
         monitor.estimated(stamp, known.disturbance, known.disturbance_bound)
         kinds.append(monitor.sensors[0].fault.kind)
         costs.append(time.thread_time_ns() - started)

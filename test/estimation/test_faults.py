@@ -15,6 +15,7 @@ from tsobs_ros.estimation.baselines import extended_kalman
 from tsobs_ros.estimation.fault_shapes import Fault, FaultKind, shape_of
 from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.health import Level
+from tsobs_ros.estimation.tracker import Outcomes
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Mismatch, Scenario
@@ -32,7 +33,8 @@ def add(
 ) -> Fault:
     """Take in a sample and the estimate after it, and return the fault."""
     used = np.zeros((1, 1), np.int64)
-    monitor.measured([stamp], [[y]], used, [[innovation]], [[STD]], [repeats])
+    outcomes = Outcomes(used[0], used, np.array([[innovation]]), np.array([[STD]]))
+    monitor.measured([stamp], [[y]], outcomes, [repeats])
     monitor.estimated(stamp, np.array([w]), np.array([BOUND]))
     return monitor.sensors[0].fault
 
@@ -136,7 +138,7 @@ def test_frequent_outliers_are_noise_and_the_steps_of_an_encoder_are_not(
     for k, (y, u) in enumerate(zip(run.measurements[0], run.torques[0], strict=False)):
         stamp = SECOND + k * PERIOD
         outcomes = tracker.offer_many([stamp], [y], [u], stamp)
-        monitor.measured([stamp], [y], *outcomes[1:], tracker.repeats)
+        monitor.measured([stamp], [y], outcomes, tracker.repeats)
         known = tracker.estimate(stamp)
         assert known is not None
         monitor.estimated(stamp, known.disturbance, known.disturbance_bound)

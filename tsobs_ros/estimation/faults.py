@@ -17,11 +17,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, positive
 from tsobs_ros.estimation.fault_shapes import Fault, FaultKind, shape_of
 from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level, Status, duration_text
 from tsobs_ros.estimation.records import CORRECTING, GATED, NON_FINITE
+from tsobs_ros.estimation.tracker import Outcomes
 from tsobs_ros.series import NANOSECONDS
 
 _MEMORY, _OUTLIER_MEMORY = 1.0, 5.0
@@ -63,20 +65,11 @@ class FaultMonitor:
         self.sensors = tuple(SensorFaults(std) for std in measurement_std)
 
     def measured(
-        self, stamps: Any, y: Any, codes: Any, innovations: Any, expected_std: Any, repeats: Any
+        self, stamps: ArrayLike, y: ArrayLike, outcomes: Outcomes, repeats: Sequence[int]
     ) -> None:
-        """Take in N samples of p sensors in the order of their stamps.
-
-        Args:
-            stamps: [ns], shape (N,).
-            y: Raw values, shape (N, p).
-            codes: `Outcomes.output_codes` of a tracker, as are the innovations and 1σ expected of
-                them, shape (N, p).
-            innovations: y − ŷ, shape (N, p).
-            expected_std: Shape (N, p).
-            repeats: `Tracker.repeats` after the samples, shape (p,).
-        """
-        samples = (np.transpose(each).tolist() for each in (y, codes, innovations, expected_std))
+        """Take in samples in the order of their stamps, shapes (N,) and (N, p), with the outcomes
+        of a tracker and its `repeats` after them."""
+        samples = (np.transpose(each).tolist() for each in (y, *outcomes[1:]))
         times = np.asarray(stamps).tolist()
         for sensor, count, *columns in zip(self.sensors, repeats, *samples, strict=True):
             for sample in zip(times, *columns, strict=True):

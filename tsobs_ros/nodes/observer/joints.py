@@ -184,8 +184,8 @@ class ObservedJoint:
 
     def _use(self, stamps: Stamps, y: Array, u: Array, now: int) -> tuple[Stamps, Array]:
         """Return the outcomes of samples and their innovations."""
-        codes, output_codes, innovations, std = self.tracker.offer_many(stamps, y, u, now)
-        self.faults.measured(stamps, y, output_codes, innovations, std, self.tracker.repeats)
+        codes, output_codes, innovations, _ = outcomes = self.tracker.offer_many(stamps, y, u, now)
+        self.faults.measured(stamps, y, outcomes, self.tracker.repeats)
         # Of several outputs one may be missing from a sample that is used.
         innovations[output_codes != USED] = math.nan
         return codes, innovations
