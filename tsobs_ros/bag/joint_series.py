@@ -113,23 +113,20 @@ def read_blocks(
         BagReadError: The bag has no such topic, or it is damaged and that is not noted.
     """
     names = list(topics)
-    parts = until_damage(reader.rows(names), on_damage)
-    whole = False
-    while not whole:
-        found, records = [np.zeros(0, ROW)], dict[int, bytes]()
-        while size is None or sum(map(len, found)) < size:
-            try:
-                rows, new = next(parts)
-            except StopIteration:
-                whole = True
-                break
-            found.append(rows)
-            records |= new
-        block = np.concatenate(found)
-        yield {
-            name: _raw(block[block["channel"] == place], records)
-            for place, name in enumerate(names)
-        }
+    found, records = [np.zeros(0, ROW)], dict[int, bytes]()
+
+    def block() -> dict[str, RawMessages]:
+        rows = np.concatenate(found)
+        each = enumerate(names)
+        return {name: _raw(rows[rows["channel"] == place], records) for place, name in each}
+
+    for rows, new in until_damage(reader.rows(names), on_damage):
+        found.append(rows)
+        records |= new
+        if size is not None and sum(map(len, found)) >= size:
+            yield block()
+            found, records = [rows[:0]], {}
+    yield block()
 
 
 def require_joint_states(reader: BagReader, topic: str) -> None:

@@ -51,7 +51,7 @@ class Recording(BagWriter):
     Attributes:
         counts: The messages recorded, by topic.
         bytes: The bytes of these messages.
-        discarded: The number of messages that were not recorded, for those who record to count.
+        discarded: The number of messages left out in pauses, which the caller counts.
 
     Raises:
         BagWriteError: As `BagWriter`; or the disk has failed to sync.
