@@ -271,46 +271,38 @@ static void scale_noise(const model *m, sensor *of, double innovation, double va
     *of->paired = kind;
 }
 
-/* Learn a sensor's step, as the smallest difference of successive values, and its noise, as the running
- * median of those of innovations, which the motion is not in. What is learnt grows by a fiftieth at
- * most, so that a single odd value is forgotten. */
-static void learn_step(const sensor *of, double difference, double change)
-{
-    const double rate = 1.02;
-    if (!isfinite(difference) || !isfinite(change)) {
-        return;
-    }
-    if (*of->step == 0.0) {
-        *of->step = difference;
-        *of->rough = change;
-        return;
-    }
-    *of->step = minimum(difference, rate * *of->step);
-    *of->rough = change > *of->rough ? *of->rough * rate : *of->rough / rate;
-}
-
 /* Count a repetition of a value if it speaks for a stuck sensor.
  *
  * If noise hides the sensor's steps, each does. Else a value repeats whenever the arm rests or moves by
  * less than a step, so that a repetition counts only once the prediction has left the value: once the
- * innovation exceeds the least that it has been by more than a step and the prediction's own sigma. */
+ * innovation exceeds the least that it has been by more than a step and the prediction's own sigma. The
+ * step is learnt as the smallest difference of successive values, and the noise as the running median
+ * of those of innovations, which the motion is not in; neither grows by more than a fiftieth at once,
+ * so that a single odd value is forgotten. */
 static void count_repeats(
     const sensor *of, double y, double innovation, double variance, double noise)
 {
-    const double hidden = 3.0;
+    const double rate = 1.02, hidden = 3.0;
     const double distance = fabs(innovation), difference = fabs(y - *of->value);
+    const double change = fabs(innovation - *of->before);
+    *of->before = innovation;
     if (difference == 0.0) {
         const double own = sqrt(larger(variance - noise, 0.0));
         const double step = *of->step > 0.0 ? *of->step : sqrt(noise);
         *of->nearest = minimum(*of->nearest, distance);
         *of->repeats += *of->rough > hidden * step || distance > *of->nearest + step + own;
-    } else {
-        learn_step(of, difference, fabs(innovation - *of->before));
-        *of->value = y;
-        *of->nearest = distance;
-        *of->repeats = 0;
+        return;
     }
-    *of->before = innovation;
+    if (isfinite(difference) && isfinite(change)) {
+        const int is_first = *of->step == 0.0;
+        *of->step = is_first ? difference : minimum(difference, rate * *of->step);
+        *of->rough = is_first                ? change
+                     : change > *of->rough ? *of->rough * rate
+                                           : *of->rough / rate;
+    }
+    *of->value = y;
+    *of->nearest = distance;
+    *of->repeats = 0;
 }
 
 static int is_stuck(const model *m, const sensor *of)
