@@ -16,10 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array, meant
+from tsobs_ros.design.file import arm_entries
 from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import SIDES, TorquePath
+from tsobs_ros.schema import decode
 
 TORQUE_GAIN, OFFSET, DELAY = "torque.gain", "torque.offset", "torque.delay"
 FRICTION = tuple(f"{side}_friction" for side in SIDES)
@@ -242,33 +244,17 @@ class Unknowns:
 
 
 def with_values(joint: Joint, values: Mapping[str, float]) -> Joint:
-    """Return a joint with some numbers changed, by their names."""
-    extras = {name: values.get(name, own) for name, own in joint.extras.items()}
-    tree: dict[str, Any] = {}
-    for name in [each for each in values if each not in extras]:
+    """Return a joint with some numbers changed, by their places in the request's file."""
+    request, entries = joint.request, arm_entries(joint.request)
+    places = dict(zip(request.output_names, entries.get("outputs", [entries]), strict=True))
+    for name in values.keys() - joint.extras.keys():
         *groups, last = name.split(".")
-        branch = tree
+        place: Any = {**entries, **places}
         for group in groups:
-            branch = branch.setdefault(group, {})
-        branch[last] = values[name]
-    request = joint.request
-    outputs = [_changed(output, tree.pop(output.measures, {})) for output in request.sensors]
-    first = {name: getattr(outputs[0], name) for name in ("measurement_std", "disturbance")}
-    others = {name: _changed(getattr(request, name), branch) for name, branch in tree.items()}
-    given = tuple(outputs) if request.outputs else ()
-    return Joint(replace(request, outputs=given, **first, **others), extras)
-
-
-def _changed(value: Any, tree: Any) -> Any:
-    """Return a record, or a sequence of them, with the numbers in a tree of its entries."""
-    if not isinstance(tree, dict):
-        return tree
-    if isinstance(value, DisturbanceTerm):
-        return DisturbanceTerm.from_mapping({**value, **tree})
-    if isinstance(value, Sequence):
-        return tuple(_changed(each, tree.get(str(at), {})) for at, each in enumerate(value))
-    changes = {name: _changed(getattr(value, name), branch) for name, branch in tree.items()}
-    return replace(value, **changes)
+            place = place[int(group) if isinstance(place, list) else group]
+        place[last] = values[name]
+    extras = {name: values.get(name, own) for name, own in joint.extras.items()}
+    return Joint(decode(entries, ArmRequest), extras)
 
 
 def require_arm(request: object) -> None:
