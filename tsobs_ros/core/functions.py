@@ -9,12 +9,7 @@ from tsobs_ros.core import native
 
 
 def evaluate(function: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return a function of each of some values.
-
-    Args:
-        function: "sine" or "cosine" of angles [rad], "exponential" of numbers up to 0, or the
-            natural "logarithm".
-        values: Of any shape.
+    """Return "sine" or "cosine" of angles [rad], "exponential" of numbers up to 0, or "logarithm".
 
     >>> evaluate("sine", 0.5).item()
     0.479425538604203

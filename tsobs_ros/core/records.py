@@ -13,13 +13,9 @@ from tsobs_ros.core import native
 def record_type(
     name: str, sizes: Iterable[int] = (), inner: Mapping[str, "np.dtype[Any]"] | None = None
 ) -> Any:
-    """Return the NumPy type of a record.
+    """Return the NumPy type of a record of some sizes.
 
-    Args:
-        name: Of the record in the compiled core.
-        sizes: That its layout depends on.
-        inner: Types of the fields that are records themselves: a MATRIX has one per row, a VECTOR
-            is a single one.
+    Fields that are records themselves have the types of `inner`, a MATRIX one per row.
     """
     nested = inner or {}
     fields: list[tuple[Any, ...]] = []
