@@ -16,6 +16,7 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.lib.recfunctions import repack_fields
 
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import BagReadError, printable
@@ -188,9 +189,10 @@ class RunScores:
         sensors: Sequence[HeldOutSensor] = (),
     ) -> None:
         self._source, self._sensors = source, sensors
+        self._fields = [*ESTIMATED, *(HEALTH if sensors else ())]
         self._kept: list[tuple[int, Run, Spool, Spool]] = []
         for joint, run in product(range(len(source.joints)), runs):
-            of = run.trackers[joint].estimator.row_type
+            of = repack_fields(run.trackers[joint].estimator.row_type[self._fields])
             estimates = np.dtype([("stamps", np.int64), ("log_times", np.int64), ("of", of)])
             innovations = row_type(len(run.signals[joint].outputs))
             self._kept.append((joint, run, Spool(estimates), Spool(innovations)))
@@ -203,7 +205,7 @@ class RunScores:
             innovations.add(rows_of(run.window.samples[used], errors[used]))
             there = np.isfinite(rows["state"][:, 0])
             ticks = run.window.ticks[there]
-            columns = [ticks.stamps, ticks.log_times, rows[there]]
+            columns = [ticks.stamps, ticks.log_times, rows[there][self._fields]]
             estimates.add(np.rec.fromarrays(columns, estimates.type))
 
     def errors(self) -> list[ObserverErrors]:
