@@ -363,12 +363,12 @@ static void distrust_stuck(
     }
 }
 
-/* Turn what an output's innovations have of each frequency over a sample, and add the newest. */
-static void listen_to(const model *m, const sensor *of, double r, double elapsed, double share)
+/* Turn what a signal has of each frequency over a sample, and add the newest. */
+static void listen_to(const model *m, double *tones, double r, double elapsed, double share)
 {
     double rate = m->constants[FIRST_TONE];
     for (long j = 0; j < TONES; j++) {
-        double *z = of->tones + 2 * j, sin, cos;
+        double *z = tones + 2 * j, sin, cos;
         const double first = z[0];
         sine_and_cosine(rate * elapsed, &sin, &cos);
         z[0] = (1.0 - share) * (cos * first - sin * z[1]) + r;
@@ -377,19 +377,41 @@ static void listen_to(const model *m, const sensor *of, double r, double elapsed
     }
 }
 
-/* Return the root of the power at a frequency's place, 0 beyond the ends. */
-static double loudness(const sensor *of, long place)
+/* Return the root of the power at a frequency's place. */
+static double loudness(const double *tones, long place)
 {
-    const double *z = of->tones + 2 * place;
-    return place < 0 || place >= TONES ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
+    const double *z = tones + 2 * place;
+    return sqrt(z[0] * z[0] + z[1] * z[1]);
 }
 
-/* Return whether the arm itself swings at a frequency: after a start, until it is learnt. */
-static int is_own(const model *m, const state *at, double frequency)
+/* Return whether two frequencies are closer than halfway between neighbouring ones. */
+static int is_near(const model *m, double one, double other)
 {
-    const double own = m->s.plant > 1 ? m->domain[1] / m->domain[0] : 0.0;
-    return *m->design_flow.kind == KIND_ARM && *at->age < 2.0 * m->constants[AWAKE]
-           && fabs(frequency - own) < 0.25 * own;
+    const double ratio = m->constants[TONE_RATIO];
+    return one * one < ratio * other * other && other * other < ratio * one * one;
+}
+
+/* Listen to the torque of an arm, and write which frequencies a tone of a sensor may have: neither
+ * those of the torque nor the arm's own, at which a wrong model of the arm looks the same. */
+static void find_candidates(const model *m, state *at, int *candidates)
+{
+    const int is_arm = *m->design_flow.kind == KIND_ARM && m->s.m > 0 && m->s.plant > 1;
+    const double own = m->domain[1] / m->domain[0];
+    const double elapsed = larger(*at->since, *m->period);
+    const double share = share_of(minimum(elapsed, *m->longest), m->constants[AWAKE]);
+    double *moments = at->torque_moments, rate = m->constants[FIRST_TONE];
+    if (is_arm) {
+        const double u = at->held[0];
+        listen_to(m, at->torque_tones, u, elapsed, share);
+        moments[0] += share * (u - moments[0]);
+        moments[1] += share * (u * u - moments[1]);
+    }
+    for (long j = 0; j < TONES; j++) {
+        const double power = share * loudness(at->torque_tones, j);
+        const double most = m->constants[TONE_DRIVEN] * (moments[1] - moments[0] * moments[0]);
+        candidates[j] = !is_arm || !(2.0 * power * power > most || is_near(m, rate, own));
+        rate *= m->constants[TONE_RATIO];
+    }
 }
 
 /* Listen for a tone in the design's innovations, and propose the loudest: where it stands between
@@ -397,23 +419,27 @@ static int is_own(const model *m, const state *at, double frequency)
 static void listen(const model *m, state *at, const correction *effect)
 {
     const hypothesis tone = hypothesis_of(m, at, TONE);
+    const double step = m->constants[TONE_RATIO];
     double most = m->constants[TONE_SIGN], size = 0.0, frequency = 0.0;
     int64_t output = 0;
+    int candidates[TONES];
+    find_candidates(m, at, candidates);
     for (long i = 0; i < m->s.p; i++) {
         const sensor of = sensor_of(m, at, i);
         const double elapsed = larger(*of.since, *m->period);
         const double share = share_of(minimum(elapsed, *m->longest), m->constants[AWAKE]);
         const double r = effect->innovations[i] / sqrt(effect->variances[i]);
-        const double step = m->constants[TONE_RATIO];
         double rate = m->constants[FIRST_TONE];
         if (!(effect->weight[i] > 0.0)) {
             continue;
         }
-        listen_to(m, &of, minimum(maximum(r, -3.0), 3.0), elapsed, share);
+        listen_to(m, of.tones, minimum(maximum(r, -3.0), 3.0), elapsed, share);
         for (long j = 0; j < TONES; j++) {
-            const double here = loudness(&of, j), power = here * here * (2.0 - share) * share;
-            if (power > most && !is_own(m, at, rate)) {
-                const double below = loudness(&of, j - 1), above = loudness(&of, j + 1);
+            const double here = loudness(of.tones, j), power = here * here * (2.0 - share) * share;
+            if (candidates[j] && power > most) {
+                const double below = j > 0 && candidates[j - 1] ? loudness(of.tones, j - 1) : 0.0;
+                const double above
+                    = j < TONES - 1 && candidates[j + 1] ? loudness(of.tones, j + 1) : 0.0;
                 const double other = maximum(below, above);
                 const double ratio = above > below ? step : 1.0 / step;
                 most = power;
@@ -421,6 +447,15 @@ static void listen(const model *m, state *at, const correction *effect)
                 output = i;
                 /* The filter follows a slow tone in part. */
                 size = 6.0 * share * here * sqrt(effect->variances[i]);
+            }
+            rate *= step;
+        }
+    }
+    if (*tone.live != 0) { /* one that has come to where a wrong model looks the same */
+        double rate = m->constants[FIRST_TONE];
+        for (long j = 0; j < TONES; j++) {
+            if (!candidates[j] && is_near(m, *tone.frequency, rate)) {
+                *tone.score = -INFINITY;
             }
             rate *= step;
         }
@@ -603,6 +638,8 @@ static void rest(const model *m, state *at)
         for (long i = 0; i < m->s.p; i++) {
             memset(sensor_of(m, at, i).tones, 0, 2 * TONES * sizeof(double));
         }
+        memset(at->torque_tones, 0, 2 * TONES * sizeof(double));
+        at->torque_moments[0] = at->torque_moments[1] = 0.0;
     }
 }
 

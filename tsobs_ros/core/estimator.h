@@ -85,6 +85,7 @@ enum {
     C(TONE_SIGN, 50.0, "power of an innovation's tone, by white noise's, that proposes one")   \
     C(FIRST_TONE, 0.8, "lowest frequency at which tones are looked for [rad/s]")               \
     C(TONE_RATIO, 1.25, "ratio of neighbouring ones")                                          \
+    C(TONE_DRIVEN, 0.4, "share of the torque's power at a frequency that excludes tones there") \
     C(LEAST_SCALE, 0.5, "least measured noise, by the design's; 1 is used then")               \
     C(REJECTING, 0.54, "share of used samples below which a lone filter opens its covariance")  \
     C(PATIENCE, 0.5, "time over which that share is averaged [s]")                             \
@@ -197,6 +198,8 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(NUMBER, noise_scale, 1, 1)   /* largest of theirs */                                     \
     F(NUMBER, since, 1, 1)         /* time since the last sample [s] */                        \
     F(NUMBER, age, 1, 1)           /* time since the start [s] */                              \
+    F(MATRIX, torque_tones, TONES, 2) /* the torque's cosine and sine of each frequency, */    \
+    F(VECTOR, torque_moments, 2, 1) /* and its mean and mean square */                         \
     F(VECTOR, centre, s->plant, 1) /* mean of the plant's states over some seconds */          \
     F(VECTOR, spread, s->plant, 1) /* and their variance */                                    \
     F(COUNT, moving, 1, 1)         /* whether these move enough to learn from */               \

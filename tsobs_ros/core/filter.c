@@ -537,9 +537,11 @@ void predict_hypothesis(
     const long n = (long)m->s.n, plant = (long)m->s.plant, width = (long)m->s.width;
     const flow *f = &m->design_flow;
     move(m, at, h, duration, simple, forgotten, scratch);
-    if (*h->kind == IMPERFECT && !simple) {
-        const double more
-            = (m->constants[IMPERFECTION] - 1.0) * (duration / *m->period);
+    if ((*h->kind == IMPERFECT || *h->kind == TONE) && !simple) {
+        /* The model is not so wrong beside a tone as without one: half as many decades. */
+        const double imperfection = m->constants[IMPERFECTION];
+        const double more = ((*h->kind == TONE ? sqrt(imperfection) : imperfection) - 1.0)
+                            * (duration / *m->period);
         const double half = *f->kind == KIND_SYSTEM ? 2.0 : 1.0;
         for (long i = 0; i < plant; i++) {
             for (long j = 0; j < plant; j++) {
