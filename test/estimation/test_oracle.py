@@ -348,8 +348,9 @@ class Filter:
             part = min(self.plan.T, left)
             self._step(u, part)
             left -= part
-        if self.kind is Hypothesis.IMPERFECT:
-            more = (BANK["IMPERFECTION"] - 1.0) * duration / self.plan.T
+        if self.kind in (Hypothesis.IMPERFECT, Hypothesis.TONE):
+            power = 1.0 if self.kind is Hypothesis.IMPERFECT else 0.5
+            more = (BANK["IMPERFECTION"] ** power - 1.0) * duration / self.plan.T
             q = self.plan.plant
             self.P[:q, :q] += more * self.plan.system.process[:q, :q]
         self.corrected = False
