@@ -16,6 +16,7 @@ from tsobs_ros.simulation.signals import (
     EXCITATIONS,
     KINDS,
     BiasStep,
+    Chirp,
     Constant,
     GaussMarkov,
     Multisine,
@@ -25,6 +26,7 @@ from tsobs_ros.simulation.signals import (
     Signal,
     Sine,
     Sinusoid,
+    Square,
     StuckSensor,
     parse_kinds,
     signal_of,
@@ -94,6 +96,16 @@ def test_multisine_has_the_stated_power_and_a_moderate_crest() -> None:
     torque = signal.values(np.arange(4000) * (4 * math.pi / 4000))
     assert torque.std() == pytest.approx(2.0 / math.sqrt(2.0), rel=1e-6)
     assert np.abs(torque).max() < 2.5 * torque.std()
+
+
+def test_a_square_changes_its_sign_and_a_chirp_its_frequency() -> None:
+    times = np.arange(4000) * 0.005
+    square = Square(2.0, math.pi).values(times + 1e-6)  # period 2 s, beside its edges
+    np.testing.assert_array_equal(square, np.where((times + 1e-6) % 2.0 < 1.0, 2.0, -2.0))
+    chirp = Chirp(1.0, 1.0, 5.0, 10.0).values(times)
+    phase = times[:2000] + 0.2 * times[:2000] ** 2
+    np.testing.assert_allclose(chirp[:2000], np.sin(phase), atol=1e-12)
+    np.testing.assert_allclose(chirp[2000:], chirp[:2000], atol=1e-9)
 
 
 @pytest.mark.parametrize(

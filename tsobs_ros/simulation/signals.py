@@ -128,6 +128,33 @@ class Multisine(Signal, kind="multisine"):
         return self.amplitude / math.sqrt(self.tones) * total
 
 
+@dataclass(frozen=True)
+class Square(Signal, kind="square"):
+    """Alternately +a and −a, half a period 2π/ω each, + first."""
+
+    amplitude: float = live_setting(1.0, "Amplitude", unit="N m")
+    frequency: float = live_setting(1.0, "Frequency", unit="rad/s", minimum=0.0)
+
+    def _at(self, times: Array) -> Array:
+        is_first = (self.frequency * times / math.tau) % 1.0 < 0.5
+        return self.amplitude * np.where(is_first, 1.0, -1.0)
+
+
+@dataclass(frozen=True)
+class Chirp(Signal, kind="chirp"):
+    """A tone whose frequency rises linearly from the lowest to the highest, again and again."""
+
+    amplitude: float = live_setting(1.0, "Amplitude", unit="N m")
+    lowest: float = live_setting(0.5, "Frequency a sweep starts at", unit="rad/s", minimum=0.0)
+    highest: float = live_setting(6.0, "Frequency it ends at", unit="rad/s", minimum=0.0)
+    sweep: float = live_setting(20.0, "Length of a sweep", unit="s", minimum=1e-3)
+
+    def _at(self, times: Array) -> Array:
+        within = times % self.sweep
+        half_rate = 0.5 * ((self.highest - self.lowest) / self.sweep)
+        return self.amplitude * evaluate("sine", (self.lowest + half_rate * within) * within)
+
+
 def _start() -> Any:
     return live_setting(0.0, "Start, counted from when it was put in", unit="s")
 
@@ -211,7 +238,7 @@ class Pulses(Signal, kind="pulses"):
 
 
 EXCITATIONS: Mapping[str, type[Signal]] = {
-    each.kind: each for each in (NoTorque, Constant, Sine, Multisine)
+    each.kind: each for each in (NoTorque, Constant, Sine, Multisine, Square, Chirp)
 }
 """Every kind of signal of an input under its name."""
 

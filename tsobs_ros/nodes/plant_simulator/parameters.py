@@ -33,6 +33,7 @@ from tsobs_ros.simulation.signals import (
     EXCITATIONS,
     KINDS,
     BiasStep,
+    Chirp,
     Constant,
     GaussMarkov,
     Multisine,
@@ -42,6 +43,7 @@ from tsobs_ros.simulation.signals import (
     Signal,
     Sine,
     Sinusoid,
+    Square,
     StuckSensor,
     parse_kinds,
     signal_of,
@@ -143,6 +145,8 @@ class ExcitationParameters:
     constant: Constant = settings_group(Constant)
     sine: Sine = settings_group(Sine)
     multisine: Multisine = settings_group(Multisine)
+    square: Square = settings_group(Square)
+    chirp: Chirp = settings_group(Chirp)
     file: str = live_setting(
         "",
         "CSV file of the kind file, such as that of tsobs excite: columns time [s] and torque "
