@@ -17,7 +17,6 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
 from importlib import import_module
 from typing import Any
 
@@ -30,7 +29,7 @@ from sensor_msgs.msg import JointState
 from tsobs_ros.bag.definitions import share_folders
 from tsobs_ros.design.signals import Place
 from tsobs_ros.errors import NodeError
-from tsobs_ros.replay.places import Layout
+from tsobs_ros.replay.places import Layouts
 from tsobs_ros.series import NANOSECONDS
 
 Taken = list[tuple[Any, Mapping[str, Any]]]
@@ -40,8 +39,6 @@ QUIET = PublisherEventCallbacks(use_default_callbacks=False)
 """Every QoS event is one more thing that an executor gathers for each of its waits."""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Of what stays valid until the next message."""
-MAX_LAYOUTS = 256
-"""How many layouts of messages are remembered."""
 
 _FEW = 32
 _NAME = re.compile(r"([A-Za-z]\w*)/(msg|srv|action)/([A-Za-z]\w*)", flags=re.ASCII)
@@ -159,10 +156,7 @@ class DrainedSubscription:
 
 
 class JointStatePublisher:
-    """Publishes JointStates of any of some parts, such as joints.
-
-    `parts` are the places of each part's numbers; of two in the same place the later one counts.
-    """
+    """Publishes JointStates of any of some parts, such as joints, as `Layouts` have them."""
 
     def __init__(
         self,
@@ -173,17 +167,12 @@ class JointStatePublisher:
         events: PublisherEventCallbacks | None = QUIET,
     ) -> None:
         self.publisher = node.create_publisher(JointState, topic, qos, event_callbacks=events)
-
-        @lru_cache(MAX_LAYOUTS)
-        def layout(key: tuple[tuple[int, int], ...]) -> Layout:
-            return Layout([place for part, count in key for place in parts[part][:count]])
-
-        self._layout = layout
+        self._layouts = Layouts(parts)
 
     def publish(self, stamp: int, rows: Mapping[int, Sequence[float]]) -> None:
         """Send a message, unless it is empty: of some parts, by index, as many numbers as given."""
         if rows:
-            layout = self._layout(tuple([(part, len(row)) for part, row in rows.items()]))
+            layout = self._layouts.of(tuple([(part, len(row)) for part, row in rows.items()]))
             numbers = [number for row in rows.values() for number in row]
             self.publisher.publish(layout.encode_one(stamp, numbers))
 

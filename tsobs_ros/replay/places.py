@@ -3,7 +3,8 @@
 """The places of joints' numbers in the topics of an observer and of a simulator."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -35,6 +36,8 @@ ESTIMATES: Mapping[str, tuple[str, ...]] = {
 
 FIELDS: tuple[Field, ...] = ("position", "velocity", "effort")
 """Fields of a JointState."""
+
+_MAX_LAYOUTS = 256
 
 
 def places_of(
@@ -69,62 +72,64 @@ def places_of(
 
 
 class Layout:
-    """The entries of messages made of columns of numbers.
-
-    Args:
-        places: The place of each column.
-    """
+    """The entries of messages made of columns of numbers, each with its place."""
 
     def __init__(self, places: Sequence[Place]) -> None:
-        self._names = list(dict.fromkeys(place.name for place in places))
-        self._columns: dict[Field, dict[int, int]] = {field: {} for field in FIELDS}
-        for column, (name, field) in enumerate(places):
-            self._columns[field][self._names.index(name)] = column
-        self._encoders: dict[tuple[int, ...], JointStateEncoder] = {}
-        self._encode_one = JointStateEncoder(self._names)
-        # The columns of all entries, -1 for one without a place, of each field.
-        entries = range(len(self._names))
-        self._all = [
-            [own.get(each, -1) for each in entries if own] for own in self._columns.values()
+        names = list(dict.fromkeys(place.name for place in places))
+        columns = {place: column for column, place in enumerate(places)}
+        # The columns of all entries, -1 for one without a place, of each field that has any.
+        self._columns = [
+            [columns.get(Place(name, field), -1) for name in names] if field in used else []
+            for used in [{place.field for place in places}]
+            for field in FIELDS
         ]
+        self._encoder = JointStateEncoder(names)
 
     def encode_one(self, stamp: int, values: Sequence[float]) -> bytes:
-        """Return one message of all entries, as `encode` does at a higher cost.
-
-        Args:
-            stamp: Of its header [ns].
-            values: In the order of the places.
-        """
+        """Return one message as `encode` does, which costs more, of a stamp [ns]."""
         numbers = [*values, math.nan]
-        return self._encode_one(stamp, *[[numbers[place] for place in own] for own in self._all])
+        return self._encoder(stamp, *[[numbers[place] for place in own] for own in self._columns])
 
-    def entries_of(self, columns: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return whether each entry has any of some columns of m messages, shape (m, entries)."""
-        there = np.zeros((len(columns), len(self._names)), np.bool_)
-        for chosen in self._columns.values():
-            there[:, list(chosen)] |= columns[:, list(chosen.values())]
-        return there
-
-    def encode(
-        self, stamps: Stamps, values: Array, entries: Sequence[int] | None = None
-    ) -> NDArray[np.uint8]:
-        """Return messages of some entries, a row each; fields in which none has a place are empty.
+    def encode(self, stamps: Stamps, values: Array) -> NDArray[np.uint8]:
+        """Return messages, a row each; fields in which no column has a place are empty.
 
         Args:
             stamps: Of the headers [ns], shape (m,).
             values: In the order of the places, NaN for none, shape (m, k).
-            entries: Which ones; all if None.
         """
-        chosen = tuple(range(len(self._names)) if entries is None else entries)
-        if chosen not in self._encoders:
-            self._encoders[chosen] = JointStateEncoder([self._names[entry] for entry in chosen])
         # One more column, for entries without a place.
         numbers = np.append(values, np.full((len(values), 1), np.nan), axis=1)
-        fields = []
-        for columns in self._columns.values():
-            own = [columns.get(entry, -1) for entry in chosen]
-            fields.append(numbers[:, own] if max(own, default=-1) >= 0 else numbers[:1, :0])
-        return self._encoders[chosen].encode_rows(stamps, *fields)
+        return self._encoder.encode_rows(stamps, *(numbers[:, own] for own in self._columns))
+
+
+class Layouts:
+    """The layouts of messages of any of some parts, such as joints.
+
+    `parts` are the places of each part's numbers; of two in the same place the later one counts.
+    """
+
+    def __init__(self, parts: Sequence[Sequence[Place]]) -> None:
+        self.parts = parts
+        self._known: dict[tuple[tuple[int, int], ...], Layout] = {}
+
+    def of(self, key: tuple[tuple[int, int], ...]) -> Layout:
+        """Return the layout of some parts by their index, each with how many of its numbers."""
+        if key not in self._known:
+            if len(self._known) >= _MAX_LAYOUTS:
+                self._known.clear()
+            places = [place for part, count in key for place in self.parts[part][:count]]
+            self._known[key] = Layout(places)
+        return self._known[key]
+
+
+def parts_of(topic: str, joints: Sequence[Places]) -> list[Sequence[Place]]:
+    """Return the places of what a topic's messages have or lack as a whole.
+
+    That is a joint, of innovations an output.
+    """
+    if topic == topics.INNOVATION:
+        return [[place] for one in joints for place in one[topic]]
+    return [one[topic] for one in joints]
 
 
 class EstimateEncoder:
@@ -138,10 +143,9 @@ class EstimateEncoder:
     def __init__(self, prefix: str, joints: Sequence[Places]) -> None:
         self._prefix = prefix
         optional = (*topics.TORQUE_TOPICS, *topics.PARAMETER_TOPICS)
-        there = {name for places in joints for name in optional if places[name]}
-        names = [*topics.TOPICS, *(name for name in optional if name in there)]
-        self._layouts = {n: Layout([place for one in joints for place in one[n]]) for n in names}
-        self._widths = {name: [len(one[name]) for one in joints] for name in names}
+        there = [name for name in optional if any(one[name] for one in joints)]
+        self._widths = {n: [len(one[n]) for one in joints] for n in (*topics.TOPICS, *there)}
+        self._layouts = {n: Layouts(list(filter(None, parts_of(n, joints)))) for n in self._widths}
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -155,34 +159,25 @@ class EstimateEncoder:
             topic: One of `bag.estimate_topics`.
             at: Records with `stamps`, `log_times` and `publish_times` of m messages [ns].
             values: Of each joint in the order of `places_of`, NaN for none, shape (m, width);
-                a joint without any may have fewer.
+                a joint without any may have fewer. A part's first number decides on all of it.
         """
         if topic not in self._layouts:
             return []
-        layout, found = self._layouts[topic], []
-        numbers, there = [], []
-        for given, width in zip(values, self._widths[topic], strict=True):
-            own = np.full((len(at.stamps), width), np.nan)
-            own[:, : given.shape[1]] = given[:, :width]
-            is_there = np.isfinite(own)
-            if topic != topics.INNOVATION and width:
-                # The first number of a joint decides on all of them.
-                is_there = np.repeat(is_there[:, :1], width, axis=1)
-            numbers.append(own)
-            there.append(is_there)
-        together = np.hstack(numbers)
-        for entries, rows in _alike(layout.entries_of(np.hstack(there))):
-            data = layout.encode(at.stamps[rows], together[rows], entries)
-            times = at.log_times[rows], at.publish_times[rows]
-            found.append(MessageSeries(self._prefix + topic, JOINT_STATE, *times, data))
+        layouts, found = self._layouts[topic], []
+        numbers = np.full((len(at.stamps), sum(self._widths[topic])), np.nan)
+        ends = accumulate(self._widths[topic])
+        for given, width, end in zip(values, self._widths[topic], ends, strict=True):
+            own = given[:, :width]
+            numbers[:, end - width : end - width + own.shape[1]] = own
+        sizes = [len(part) for part in layouts.parts]
+        there = np.isfinite(numbers[:, np.cumsum([0, *sizes])[:-1]])
+        # Mostly there is all, which takes less time to see.
+        for pattern in there[:1] if there.all() else np.unique(there, axis=0):
+            if pattern.any():
+                rows = np.flatnonzero((there == pattern).all(axis=1))
+                chosen = np.flatnonzero(pattern).tolist()
+                layout = layouts.of(tuple((part, sizes[part]) for part in chosen))
+                data = layout.encode(at.stamps[rows], numbers[rows][:, np.repeat(pattern, sizes)])
+                times = at.log_times[rows], at.publish_times[rows]
+                found.append(MessageSeries(self._prefix + topic, JOINT_STATE, *times, data))
         return found
-
-
-def _alike(present: NDArray[np.bool_]) -> Iterator[tuple[list[int], NDArray[np.intp]]]:
-    """Yield each set of entries that messages have, and the places of those messages."""
-    if len(present) and present.all():
-        yield list(range(present.shape[1])), np.arange(len(present))
-        return
-    for pattern in np.unique(present, axis=0):
-        if pattern.any():
-            yield np.flatnonzero(pattern).tolist(), np.flatnonzero((present == pattern).all(axis=1))

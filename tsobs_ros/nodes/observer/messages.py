@@ -22,11 +22,11 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import encode_tick
 from tsobs_ros.bag.joint_states import JointStateDecoder
 from tsobs_ros.checks import Array
-from tsobs_ros.design.signals import Place, Signals, positions
+from tsobs_ros.design.signals import Place, Signals
 from tsobs_ros.errors import MessageError
 from tsobs_ros.estimation.records import REASONS, USED, Estimate, RejectReason
-from tsobs_ros.nodes.wire import MAX_LAYOUTS, QUIET, JointStatePublisher
-from tsobs_ros.replay.places import ESTIMATES, places_of
+from tsobs_ros.nodes.wire import QUIET, JointStatePublisher
+from tsobs_ros.replay.places import ESTIMATES, parts_of, places_of
 from tsobs_ros.series import Stamps
 
 NOT_NAMED = -1
@@ -38,6 +38,8 @@ _RESTARTS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # What follows a message's numbers, so that each number of a row has a place, and its places.
 _CONSTANTS = (math.nan, 0.0)
 _NOTHING, _ZERO = -2, -1
+# Of messages, whose names anybody may choose.
+_MAX_LAYOUTS = 256
 
 
 class Batch(NamedTuple):
@@ -69,7 +71,7 @@ class MeasurementReader:
         self._absent_effort = _ZERO if assume_zero_torque else _NOTHING
         self._decode = JointStateDecoder()
         # Messages hardly ever change their names and lengths.
-        self._layout = lru_cache(MAX_LAYOUTS)(self._find)
+        self._layout = lru_cache(_MAX_LAYOUTS)(self._find)
         # Where the outputs, inputs and other inputs of the joints are in a row.
         self._parts: list[list[slice]] = []
         end = 0
@@ -179,14 +181,13 @@ class EstimatePublisher:
             for (joint, own), names in zip(joints.items(), learnt, strict=True)
         ]
         self._outputs = {
-            topic: JointStatePublisher(node, f"~/{topic}", [one[topic] for one in each])
-            for topic in ESTIMATES
+            topic: JointStatePublisher(node, f"~/{topic}", parts_of(topic, each))
+            for topic in (*ESTIMATES, topics.INNOVATION)
             if any(one[topic] for one in each)
         }
-        outputs = [[place] for one in each for place in one[topics.INNOVATION]]
-        self._innovation = JointStatePublisher(node, f"~/{topics.INNOVATION}", outputs)
+        self._innovation = self._outputs.pop(topics.INNOVATION)
         self._restarts = JointStatePublisher(
-            node, f"~/{topics.RESTARTS}", [positions([joint]) for joint in joints], _RESTARTS
+            node, f"~/{topics.RESTARTS}", parts_of(topics.RESTARTS, each), _RESTARTS
         )
         self._ticks = node.create_publisher(
             Int64MultiArray, f"~/{topics.TICKS}", 100, event_callbacks=QUIET
