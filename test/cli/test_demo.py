@@ -79,6 +79,8 @@ def test_a_demo_leaves_a_bag_a_table_and_figures(demo: Demo, tmp_path: Path) -> 
     report = json.loads((output / "report.json").read_text(encoding="utf-8"))
     assert report["bag"] == str(output / "bag")
     assert running(output) == []
+    plant = (output / "log" / "plant_simulator.log").read_text(encoding="utf-8")
+    assert "WARN" not in plant  # it starts as soon as observer and recorder listen
 
     reader = BagReader(output / "bag")
     assert set(reader.topics) == {*RECORDED_TOPICS, *ADAPTIVE_TOPICS}

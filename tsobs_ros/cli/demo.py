@@ -116,7 +116,7 @@ def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
             {
                 "seed": options.seed,
                 "duration": options.duration,
-                "wait_for_subscribers": 3,
+                "wait_for_subscribers": 2,
                 "disturbance.kind": "bias_step" if options.bias else "none",
                 "disturbance.bias_step.amplitude": options.bias,
                 "disturbance.bias_step.start": options.bias_at,
