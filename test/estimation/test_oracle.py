@@ -1,9 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The core against textbook recursions in NumPy: filters, learning, weights, mixture."""
+"""The core against textbook recursions in NumPy: a filter and its learning, weights, mixture."""
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,19 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, expm
 
 from tsobs_ros.core import native
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.estimator import Estimator, SupervisionOptions, certified_estimator
+from tsobs_ros.estimation.estimator import Estimator, certified_estimator
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.estimation.state import State
-from tsobs_ros.model.disturbance import DisturbanceModel, bias, clean, gauss_markov, per_channel
-from tsobs_ros.model.fuzzy import RuleBase, membership
-from tsobs_ros.model.ts_flow import TSFlow
-from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.model.uncertainty import Uncertainty
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+from tsobs_ros.simulation.signals import Sinusoid
 
 Array = NDArray[np.float64]
 LEARNING = {
@@ -33,8 +30,8 @@ LEARNING = {
 BANK = {name: value for name, value, _ in native.bank_constants()}
 BANK |= {"MOVING": 0.3}
 """Constants, but arms need not move as much."""
-GATE = 5.0
-SENSOR = (Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT)
+PARTS = (Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT, Hypothesis.TONE)
+"""Hypotheses with a part of the output that is a state of their own."""
 
 
 def derivative(function: Callable[[Array], Array], point: Array) -> Array:
@@ -46,8 +43,7 @@ def derivative(function: Callable[[Array], Array], point: Array) -> Array:
 class Arm:
     """An arm with any outputs and unknown torques: half a kick, linear flow, half a kick.
 
-    Its steps, as those of the other system, take complex numbers and at most a period; `noise` is
-    what they add to the covariance, and `process` that in a period if nothing bends it.
+    Its steps take complex numbers and at most a period; `noise` is what they add to the covariance.
     """
 
     def __init__(self, file: Path) -> None:
@@ -55,7 +51,6 @@ class Arm:
         request = self.design.arm_request
         self.flow, self.uncertainty = request.flow, request.uncertainty_model
         self._gravity, self._effects = request.arm.gravity_gain, self.uncertainty.directions[:, 0]
-        self.process = request.flow.nominal.noise
         self._linear = cache(request.flow.transition)
         self._torques = np.array([request.flow.motor_torque, request.flow.link_torque])
 
@@ -79,240 +74,90 @@ class Arm:
         return after @ Q @ after.T
 
 
-class Blend:
-    """A T–S system of any size, blended by Gaussian memberships of a state and a signal."""
-
-    def __init__(self, n: int, disturbance: DisturbanceModel, k: int, rules: int) -> None:
-        rng = np.random.default_rng(n)
-        p, self._n, period = disturbance.channel_count, n, 0.02
-        self._A = 0.5 * rng.standard_normal((rules, n, n)) - np.eye(n)
-        self._B = rng.standard_normal((rules, n, 2))
-        self._centres = np.linspace(-1.0, 1.0, rules)
-        self._premise = rng.standard_normal(n) / n
-        memberships = [
-            (membership("gaussian", {"centre": float(c), "width": 0.8}),) for c in self._centres
-        ]
-        model = TSModel(
-            self._A, self._B, rng.standard_normal((p, n)), RuleBase(tuple(memberships)),
-            self._premise[np.newaxis], np.array([[0.7]]),
-        )  # fmt: skip
-        density = np.linspace(0.1, 0.2, n)
-        self.flow = TSFlow(model, disturbance, density, period)
-        self._directions = 0.5 * rng.standard_normal((k, rules, n, n + 2))
-        self.uncertainty = Uncertainty({f"parameter {i}": 0.05 for i in range(k)}, self._directions)
-        self._mean = np.concatenate([self._A.mean(axis=0), self._B.mean(axis=0)], axis=1)
-        self._S, G = disturbance.S, disturbance.G
-        self._W = block_diag(np.diag(density), G @ G.T)
-        self._linear = cache(self._halves)
-        self.process = 2.0 * self._linear(period)[2]
-
-    def _halves(self, T: float) -> tuple[Array, Array, Array]:
-        """Return transition, effect of the inputs and, after Van Loan, noise over half a time."""
-        A = block_diag(self._mean[:, : self._n], self._S)
-        n = len(A)
-        whole = np.zeros((n + 2, n + 2))
-        whole[:n, :n], whole[: self._n, n:] = A, self._mean[:, self._n :]
-        phi = expm(0.5 * T * whole)
-        both = expm(np.block([[-A, self._W], [np.zeros((n, n)), A.T]]) * 0.5 * T)
-        return phi[:n, :n], phi[:n, n:], both[n:, n:].T @ both[:n, n:]
-
-    def _entering(self, x: Array, theta: Array, u: Array) -> Array:
-        z = self._premise @ x[: self._n] + 0.7 * u[2]
-        fired = np.exp(-0.5 * ((z - self._centres) / 0.8) ** 2)
-        entries = np.concatenate([self._A, self._B], axis=2) - self._mean
-        entries = entries + np.tensordot(theta, self._directions, 1)
-        blend = np.tensordot(fired / fired.sum(), entries, 1)
-        rates = blend @ np.concatenate([x[: self._n], u[:2]])
-        return np.concatenate([rates, np.zeros(len(x) - self._n)])
-
-    def _middle(self, x: Array, theta: Array, u: Array, T: float) -> Array:
-        phi, gamma, _ = self._linear(T)
-        return np.asarray(phi @ (x + 0.5 * T * self._entering(x, theta, u)) + gamma @ u[:2])
-
-    def step(self, x: Array, theta: Array, u: Array, T: float) -> Array:
-        phi, gamma, _ = self._linear(T)
-        entering = self._entering(self._middle(x, theta, u, T), theta, u)
-        forced = gamma @ u[:2]
-        return np.asarray(phi @ (phi @ x + forced + T * entering) + forced)
-
-    def noise(self, x: Array, theta: Array, u: Array, T: float) -> Array:
-        phi, _, Q = self._linear(T)
-        slope = derivative(lambda z: self._entering(z, theta, u), self._middle(x, theta, u, T))
-        spread = phi @ (np.eye(len(x)) + T * slope)
-        return spread @ Q @ spread.T + Q
-
-
-System = Arm | Blend
-
-
 class Plan:
     """What all filters of an estimator have in common."""
 
-    def __init__(self, system: System, seed: int, forks: bool = False) -> None:
-        self.system, rng = system, np.random.default_rng(seed)
-        n, p = system.flow.state_count, len(system.flow.output_matrix)
-        root = 0.05 * rng.standard_normal((n, n)) + 0.3 * np.eye(n)
-        self.C, self.T, self.k = system.flow.output_matrix, system.flow.period, 0
-        self.R, self.start = np.diag(np.linspace(0.01, 0.02, p)), root @ root.T
-        self.X = 1.5 * self.start + 0.05 * np.eye(n)
-        if isinstance(system, Arm):
-            self.R, self.X = (
-                system.design.request.measurement_covariance,
-                system.design.covariance_bound,
-            )
-            self.start = 0.9 * self.X
+    def __init__(self, system: Arm) -> None:
+        request = system.design.request
+        self.system, self.C, self.T = system, system.flow.output_matrix, system.flow.period
+        self.R, self.X = request.measurement_covariance, system.design.covariance_bound
         self.S = self.C @ self.X @ self.C.T + self.R
         self.K = self.X @ self.C.T @ np.linalg.inv(self.S)
-        self.plant = len(system.flow.to_physical(np.ones(n)))
-        self.supervised, self.force = forks, 0.0
+        self.k = system.uncertainty.count
 
-    def estimator(self, **options: Any) -> Estimator:
+    def estimator(self, gain_mode: str) -> Estimator:
         made = certified_estimator(
-            self.system.flow, self.R, self.start, self.K, self.X, settle_time=0.1,
-            uncertainty=self.system.uncertainty, **options,
+            self.system.flow, self.R, 0.9 * self.X, self.K, self.X, settle_time=0.1,
+            uncertainty=self.system.uncertainty, gain_mode=gain_mode,
         )  # fmt: skip
         made.learn(self.system.uncertainty, **LEARNING)
         made.model["constants"] = list(BANK.values())
-        if self.supervised:
-            made.supervise(SupervisionOptions(disturbance_limit=1e9))
-        self.k, self.force = self.system.uncertainty.count, float(made.model["force"][0])
         return made
 
 
 class Filter:
-    """One hypothesis: an extended Kalman filter with states of its own behind the design's, and
-    the two-stage learning of parameters.
-    """
+    """An extended Kalman filter, and the two-stage learning of parameters."""
 
-    def __init__(self, plan: Plan, kind: Hypothesis = Hypothesis.AS_DESIGNED) -> None:
-        n, k, p = len(plan.C.T), plan.k, len(plan.C)
-        self.plan, self.kind, self.n, self.score = plan, kind, n, 0.0
-        self.frequency, self.size, self.output = 7.0, 0.1, p - 1
-        self.own = {Hypothesis.FORCE: 1, Hypothesis.TONE: 2}.get(kind, p if kind in SENSOR else 0)
-        std, _ = self._stationary()
-        self.x = np.zeros(n + self.own)
-        self.P = block_diag(plan.start, np.diag(std**2 * np.ones(self.own)))
+    def __init__(self, plan: Plan) -> None:
+        n, k = len(plan.X), plan.k
+        self.plan, self.n = plan, n
+        self.x, self.P = np.zeros(n), 0.9 * plan.X
         self.theta, self.gamma = np.zeros(k), LEARNING["initial_std"] ** 2 * np.eye(k)
-        self.upsilon, self.gram = np.zeros((n + self.own, k)), np.zeros((k, k))
+        self.upsilon, self.gram = np.zeros((n, k)), np.zeros((k, k))
         self.pending, self.anchor = np.zeros(k), np.zeros(k)
         self.significant, self.certified, self.corrected = False, False, False
-        self.learning, self.pass_age, self.passes = 0.0, 0.0, 0
-        self.settling, self.loudness = 0.1, 1.0
-        self.nis, self.colour, self.slow_power = 1.0, 0.0, 0.0
-        self.previous, self.slow = np.zeros(p), np.zeros(p)
+        self.learning, self.pass_age, self.passes, self.settling = 0.0, 0.0, 0, 0.1
 
-    def _stationary(self) -> tuple[Any, float]:
-        """Return 1σ, a number or one an output, and correlation time of the states of its own."""
-        std = np.sqrt(np.diag(self.plan.R))
-        return {
-            Hypothesis.FORCE: (self.plan.force, BANK["FORCE_TIME"]),
-            Hypothesis.COLOURED_NOISE: (BANK["COLOUR_SIZE"] * std, BANK["COLOUR_TIME"]),
-            Hypothesis.DRIFT: (BANK["DRIFT_SIZE"] * std, BANK["DRIFT_TIME"]),
-            Hypothesis.TONE: (self.size, BANK["TONE_TIME"]),
-        }.get(self.kind, (0.0, 1.0))
-
-    @property
-    def C(self) -> Array:
-        """The states to the outputs."""
-        own = np.zeros((len(self.plan.C), self.own))
-        if self.kind in SENSOR:
-            own = np.eye(self.own)
-        elif self.kind is Hypothesis.TONE:
-            own[self.output, 0] = 1.0
-        return np.hstack([self.plan.C, own])
-
-    def expected(self, y: Array, scale: Array) -> tuple[Array, Array, Array]:
+    def expected(self, y: Array) -> tuple[Array, Array, Array]:
         """Return innovations, what is known of their covariance, and of that by the parameters."""
-        C, loud = self.C, BANK["NOISE_FACTOR"] if self.kind is Hypothesis.LOUD else 1.0
-        known = C @ self.P @ C.T + loud * self.plan.R * scale**2
-        if self.certified:
-            known = self.plan.S * np.outer(scale, scale)
+        C = self.plan.C
+        known = self.plan.S if self.certified else C @ self.P @ C.T + self.plan.R
         omega = C @ self.upsilon
         return y - C @ self.x, known, omega @ self.gamma @ omega.T
 
-    def correct(self, y: Array, moving: bool, now: "Sensors", price: float = math.inf) -> float:
-        """Use a sample; return the logarithm of its likelihood."""
-        scale = now.sizes
-        e, known, learnt = self.expected(y, scale)
-        variances, level = (known + learnt).diagonal(), scale**2 * self.plan.S.diagonal()
-        said = -0.5 * e**2 / variances - 0.5 * np.log(variances)
-        there = np.isfinite(y)
-        self.loudness = float(scale[there].max()) if self.plan.supervised else 1.0
-        used = there & (~np.isfinite(price) | (said >= -0.5 * GATE**2 - 0.5 * np.log(level)))
-        least = -price - 0.5 * np.log(level)
-        said = np.where(there, np.maximum(said, least), 0.0)
+    def correct(self, y: Array, moving: bool) -> None:
+        e, known, _ = self.expected(y)
         adapt = moving and self.learning >= LEARNING["start"]
-        if not used.any():
-            return float(said.sum())
-        if self.certified and used.all():
-            omega = self.C @ self.upsilon
+        there = np.isfinite(y)
+        if self.certified and there.all():
+            omega = self.plan.C @ self.upsilon
             self.x = self.x + self.plan.K @ e
             self.upsilon = self.upsilon - self.plan.K @ omega
             for i in range(len(y)):
-                inflation = self.inflation()
-                self._follow(i, e[i], variances[i], now.elapsed[i])
-                self._learn(omega[i], e[i], known[i, i], inflation, adapt)
+                self._learn(omega[i], e[i], known[i, i], adapt)
         else:
             self._leave()
-            for i in np.flatnonzero(used):
-                said[i] = max(self._correct_by(i, y[i], now, adapt), least[i])
+            for i in np.flatnonzero(there):
+                self._correct_by(i, y[i], adapt)
         self.corrected = True
         if adapt:
             self._use_pending()
             self._begin_pass()
-        return float(said.sum())
 
     def _leave(self) -> None:
         """Go on with Riccati gains from the certificate's bound."""
         if self.certified:
             closed = np.eye(self.n) - self.plan.K @ self.plan.C
             after = closed @ self.plan.X @ closed.T + self.plan.K @ self.plan.R @ self.plan.K.T
-            self.P = self.loudness**2 * (after if self.corrected else self.plan.X)
+            self.P = after if self.corrected else self.plan.X
             self.certified = False
 
-    def _correct_by(self, i: int, y: float, now: "Sensors", adapt: bool) -> float:
-        loud = BANK["NOISE_FACTOR"] if self.kind is Hypothesis.LOUD else 1.0
-        c, omega = self.C[i], self.C[i] @ self.upsilon
-        known = c @ self.P @ c + loud * self.plan.R[i, i] * now.sizes[i] ** 2
+    def _correct_by(self, i: int, y: float, adapt: bool) -> None:
+        c, omega = self.plan.C[i], self.plan.C[i] @ self.upsilon
+        known = c @ self.P @ c + self.plan.R[i, i]
         e, K = y - c @ self.x, self.P @ c / known
-        variance = known + omega @ self.gamma @ omega
-        inflation, before = self.inflation(), self.x[self.n :].copy()
+        inflation = self.inflation()
         self.x, self.P = self.x + K * e, self.P - known * np.outer(K, K)
         self.upsilon = self.upsilon - np.outer(K, omega)
-        self._follow(i, e, variance, now.elapsed[i])
-        self._learn(omega, e, known, inflation, adapt)
-        if self.kind is Hypothesis.TONE:
-            spread = self.P[self.n, self.n] + self.P[self.n + 1, self.n + 1]
-            if before @ before > 9.0 * spread:
-                now = self.x[self.n :]
-                turn = (before[1] * now[0] - before[0] * now[1]) / (before @ before)
-                share = turn / (0.1 * BANK["TONE_TIME"] * self.frequency)
-                self.frequency *= 1.0 + float(np.clip(share, -0.01, 0.01))
-        return float(-0.5 * e**2 / variance - 0.5 * np.log(variance))
-
-    def _follow(self, i: int, e: float, variance: float, T: float) -> None:
-        """Average squares, products of neighbours and slow parts of an innovation in sigmas."""
-        if not self.plan.supervised:
-            return
-        p, r = len(self.plan.C), float(np.clip(e / math.sqrt(variance), -GATE, GATE))
-        share = min(T / BANK["SLOW_TIME"], 1.0)
-        self.nis += T / p * (r * r - self.nis)
-        self.colour += T / p * (r * self.previous[i] - self.colour)
-        self.previous[i] = r
-        self.slow[i] += share * (r - self.slow[i])
-        power = self.slow[i] ** 2 * (2.0 - share) / share
-        self.slow_power += T / BANK["POWER_TIME"] / p * (power - self.slow_power)
+        self._learn(omega, e, known, adapt, inflation)
 
     def inflation(self) -> float:
-        wide = 1.0
-        if not self.certified:
-            P = self.P[: self.n, : self.n]
-            wide = max(1.0, float(np.trace(np.linalg.solve(self.plan.X, P))) / self.n)
-        alike = max(self.colour / max(self.nis, 1.0) - 3.0 * math.sqrt(0.5 * self.plan.T), 0.0)
-        noisy = max(self.nis, 1.0) * (1.0 + alike) / (1.0 - alike)
-        return wide * (noisy if self.plan.supervised else 1.0)
+        """Return how much wider the errors are than with the certified gain."""
+        return max(1.0, float(np.trace(np.linalg.solve(self.plan.X, self.P))) / self.n)
 
-    def _learn(self, omega: Array, e: float, known: float, inflation: float, adapt: bool) -> None:
+    def _learn(
+        self, omega: Array, e: float, known: float, adapt: bool, inflation: float = 1.0
+    ) -> None:
         """Take a step of recursive least squares, within the limits."""
         self.gram = self.gram + np.outer(omega, omega) / known
         if adapt:
@@ -348,11 +193,6 @@ class Filter:
             part = min(self.plan.T, left)
             self._step(u, part)
             left -= part
-        if self.kind in (Hypothesis.IMPERFECT, Hypothesis.TONE):
-            power = 1.0 if self.kind is Hypothesis.IMPERFECT else 0.5
-            more = (BANK["IMPERFECTION"] ** power - 1.0) * duration / self.plan.T
-            q = self.plan.plant
-            self.P[:q, :q] += more * self.plan.system.process[:q, :q]
         self.corrected = False
         self.settling = max(0.0, self.settling - duration)
         self.learning += duration
@@ -361,105 +201,43 @@ class Filter:
         for a in range(self.plan.k):
             grown = self.gamma[a, a] + duration * LEARNING["random_walk"]
             self.gamma[a, a] = min(grown, 0.3**2)
-        if not serves and self.kind is Hypothesis.AS_DESIGNED and self.settling <= 0.0:
+        if not serves and self.settling <= 0.0:
             self.certified = bool(np.linalg.eigvalsh(self.plan.X - self.P)[0] >= 0.0)
 
     def _step(self, u: Array, T: float) -> None:
-        system, n = self.plan.system, self.n
-        std, time = self._stationary()
-        turn, fade = self.frequency * T, math.exp(-T / time)
-        own = fade * np.eye(self.own)
-        if self.kind is Hypothesis.TONE:
-            cos, sin = math.cos(turn), math.sin(turn)
-            own = fade * np.array([[cos, sin], [-sin, cos]])
+        system, x, theta = self.plan.system, self.x, self.theta
+        F = derivative(lambda z: system.step(z, theta, u, T), x)
+        effect = derivative(lambda t: system.step(x, t, u, T), theta)
+        self.P = F @ self.P @ F.T + system.noise(x, theta, u, T)
+        self.x, self.upsilon = system.step(x, theta, u, T), F @ self.upsilon + effect
 
-        def driven(z: Array) -> Array:
-            return u + z[n] * np.eye(len(u))[0] if self.kind is Hypothesis.FORCE else u
-
-        def step(z: Array, theta: Array) -> Array:
-            return np.concatenate([system.step(z[:n], theta, driven(z), T), own @ z[n:]])
-
-        x, theta = self.x, self.theta
-        F = derivative(lambda z: step(z, theta), x)
-        effect = derivative(lambda t: step(x, t), theta)
-        noise = system.noise(x[:n], theta, driven(x), T)
-        self.P = F @ self.P @ F.T + block_diag(
-            noise, np.diag(std**2 * (1 - fade**2) * np.ones(self.own))
-        )
-        self.x, self.upsilon = step(x, theta), F @ self.upsilon + effect
-
-    def bound(self, functional: Array, scale: float) -> float:
-        """Return 1σ of a function of the design's states and those of its own."""
-        spread, share = 1.0, functional @ self.upsilon
-        P = block_diag(self.plan.X, np.zeros((self.own, self.own))) if self.certified else self.P
-        if self.plan.supervised:
-            slow = self.slow_power / (BANK["QUIET"] * self.nis)
-            spread = math.sqrt(max(self.nis, 1.0)) * max(slow, 1.0)
-            spread *= max(scale, 1.0) if self.certified else 1.0
+    def bound(self, functional: Array) -> float:
+        """Return 1σ of a function of the states."""
+        P, share = self.plan.X if self.certified else self.P, functional @ self.upsilon
         curved = BANK["CURVED"] * (self.theta + self.pending - self.anchor)
-        own = spread**2 * (functional @ P @ functional) + share @ self.gamma @ share
+        own = functional @ P @ functional + share @ self.gamma @ share
         return math.sqrt(own + (share @ self.pending) ** 2 + (share @ curved) ** 2)
 
 
 class Rest:
-    """Tells whether the plant moves."""
+    """Tells whether the arm moves."""
 
     def __init__(self, plan: Plan) -> None:
-        self.plan, self.mean, self.spread = plan, np.zeros(plan.plant), np.zeros(plan.plant)
+        self.plan, self.mean, self.spread = plan, np.zeros(4), np.zeros(4)
 
-    def moves(self, of: Filter, scale: float) -> bool:
+    def moves(self, of: Filter) -> bool:
         share = min(self.plan.T / 2.0, 1.0) if of.learning >= LEARNING["start"] else 1.0
-        off = of.x[: self.plan.plant] - self.mean
+        off = of.x[:4] - self.mean
         self.mean = self.mean + share * off
         self.spread = (1.0 - share) * (self.spread + share * off**2)
-        least = BANK["MOVING"] ** 2 * scale**2 * self.plan.X.diagonal()[: self.plan.plant]
+        least = BANK["MOVING"] ** 2 * self.plan.X.diagonal()[:4]
         return bool((self.spread > least).any())
 
 
-class Sensors:
-    """Time since their samples, and the size of their noise, by the running median of neighbouring
-    differences.
-    """
-
-    def __init__(self, plan: Plan) -> None:
-        p = len(plan.C)
-        self.plan, self.since, self.scale, self.age = plan, np.zeros(p), np.ones(p), np.zeros(p)
-        self.previous, self.paired = np.zeros(p), np.zeros(p, int)
-
-    @property
-    def sizes(self) -> Array:
-        """The noise's, by the design's."""
-        return np.maximum(self.scale, 1.0)
-
-    @property
-    def elapsed(self) -> Array:
-        """The time that a sample counts for."""
-        return np.clip(self.since, self.plan.T, 1.1 * self.plan.T)
-
-    def listen(self, e: Array) -> None:
-        for i in np.flatnonzero(np.isfinite(e)):
-            std, T = math.sqrt(self.plan.S[i, i]), min(self.since[i], 1.1 * self.plan.T)
-            kind = 2 if abs(e[i]) > self.sizes[i] * GATE * std else 1
-            if self.paired[i] == kind:
-                rate = max(20.0 / (1.0 + 20.0 * self.age[i]), 1.0)
-                step = 1.0 + 0.5 * rate * T
-                larger = abs(e[i] - self.previous[i]) > self.scale[i] * math.sqrt(2) * std * 0.6745
-                self.scale[i] = self.scale[i] * step if larger else max(self.scale[i] / step, 0.5)
-                self.age[i] += T
-            self.previous[i], self.paired[i] = e[i], kind
-
-    def waited(self, y: Array, duration: float) -> None:
-        self.since = np.where(np.isfinite(y), 0.0, self.since) + duration
-
-
-SYSTEMS: dict[str, Callable[[], System]] = {
-    "arm": lambda: Arm(config_path(SHIPPED_DESIGN)),
-    "both encoders": lambda: Arm(Path(__file__).parent / "data" / "both_encoders.design.yaml"),
-    "two outputs of one state": lambda: Blend(1, per_channel([clean(), bias(1e-3)]), 2, 2),
-    "many": lambda: Blend(6, per_channel([bias(1e-3), clean(), gauss_markov(), bias(1e-2)]), 3, 4),
+FILES = {
+    "one encoder": config_path(SHIPPED_DESIGN),
+    "both encoders": Path(__file__).parent / "data" / "both_encoders.design.yaml",
 }
-SLOW = pytest.mark.slow
-PARTS = ("x", "theta", "gamma", "gram", "pending")
 
 
 def check(ours: Any, exact: Any, what: str) -> None:
@@ -469,160 +247,107 @@ def check(ours: Any, exact: Any, what: str) -> None:
 
 
 def compare(core: Any, oracle: Filter, what: str) -> None:
-    """Compare a hypothesis' record with its filter, where the core has room for both."""
-    n, wide = oracle.n, core["x"].shape[0]
-    torque = oracle.kind is Hypothesis.FORCE
-    places = np.r_[:n, n + (not torque) : n + (not torque) + oracle.own]
-    for name in PARTS[1:]:
+    """Compare a hypothesis' record with its filter, where the core has room for more states."""
+    n = oracle.n
+    for name in ("theta", "gamma", "gram", "pending", "settling", "learning"):
         check(core[name], getattr(oracle, name), f"{name} {what}")
-    check(core["x"][places], oracle.x, f"x {what}")
-    check(core["upsilon"][:, places].T, oracle.upsilon, f"upsilon {what}")
+    check(core["x"][:n], oracle.x, f"x {what}")
+    check(core["upsilon"][:, :n].T, oracle.upsilon, f"upsilon {what}")
     assert bool(core["certified"]) == oracle.certified, what
     if not oracle.certified:
-        check(core["covariance"][np.ix_(places, places)], oracle.P, f"covariance {what}")
-    rest = np.setdiff1d(np.arange(wide), places)
-    assert not core["covariance"][rest].any()
-    for name in ("nis", "colour", "slow_power", "previous", "slow", "settling", "learning"):
-        check(core[name], getattr(oracle, name), f"{name} {what}")
+        check(core["covariance"][:n, :n], oracle.P, f"covariance {what}")
+    assert not core["covariance"][n:].any()
 
 
-def drawn(filter: Filter, sizes: Array, rng: np.random.Generator, by: float = 1.0) -> Array:
-    """Return a sample as a filter expects it, or so many times as far."""
-    e, known, learnt = filter.expected(np.zeros(len(sizes)), sizes)
-    return np.asarray(by * np.linalg.cholesky(known + learnt) @ rng.standard_normal(len(e)) - e)
-
-
-@pytest.mark.parametrize(
-    ("name", "gain_mode"),
-    [
-        *((name, "certified") for name in SYSTEMS),
-        ("arm", "riccati"),
-        *(pytest.param(name, "riccati", marks=SLOW) for name in [*SYSTEMS][1:]),
-    ],
-)
+@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("gain_mode", ["certified", "riccati"])
 def test_one_filter_is_that_of_the_formulas(name: str, gain_mode: str) -> None:
-    """Alone: with Riccati gains; and with the hand-over to the certified gain and back."""
-    system = SYSTEMS[name]()
-    plan = Plan(system, 3)
-    observer = plan.estimator(gain_mode=gain_mode)
-    p, m, rng = len(plan.C), system.flow.input_count, np.random.default_rng(5)
-    oracle, rest, sensors, state = Filter(plan), Rest(plan), Sensors(plan), observer.initial()
+    """With Riccati gains; and with the hand-over to the certified gain and back."""
+    system = Arm(FILES[name])
+    plan = Plan(system)
+    observer = plan.estimator(gain_mode)
+    p, rng = len(plan.C), np.random.default_rng(5)
+    oracle, rest, state = Filter(plan), Rest(plan), observer.initial()
     gains = []
     for step in range(75):
-        y = drawn(oracle, np.ones(p), rng, 3.0)  # of what moves enough to be learnt from
+        # Three times as far as it expects, so that it moves enough to be learnt from.
+        e, known, learnt = oracle.expected(np.zeros(p))
+        y = 3.0 * np.linalg.cholesky(known + learnt) @ rng.standard_normal(p) - e
         if step % 30 == 25 and p > 1:
             y[step // 30 % p] = np.nan
-        u, T = 5.0 * rng.standard_normal(m), plan.T * (2.3 if step % 50 == 45 else 1.0)
-        e, known, learnt = oracle.expected(y, np.ones(p))
-        moving = rest.moves(oracle, 1.0)
-        oracle.correct(y, moving, sensors)
+        u, T = 5.0 * rng.standard_normal(1), plan.T * (2.3 if step % 50 == 45 else 1.0)
+        oracle.correct(y, rest.moves(oracle))
         state, correction = observer.correct(state, y)
-        check(correction.innovation, e, "innovation")
+        check(correction.innovation, y + e, "innovation")
         check(correction.innovation_covariance.diagonal(), (known + learnt).diagonal(), "S")
         compare(state.records["hypotheses"][0, 0], oracle, f"after {step}")
         oracle.predict(u, T)
         oracle.certified = oracle.certified and gain_mode == "certified"
         state = observer.predict(state, u, T)
         compare(state.records["hypotheses"][0, 0], oracle, f"before {step + 1}")
-        sensors.waited(y, T)
         gains.append(oracle.certified)
     assert len({*gains}) == (2 if gain_mode == "certified" else 1)
     assert oracle.passes > 0
     assert oracle.theta.any()
-    readout, units = observer.readout(state), system.flow.to_physical(np.ones(plan.plant))
-    unit = np.eye(len(oracle.x))
-    check(readout.state, units * oracle.x[: plan.plant], "state")
-    own = [oracle.bound(unit[i], 1.0) for i in range(plan.plant)]
-    check(readout.state_bound, units * own, "bound")
-    check(readout.disturbance, system.flow.disturbance_map @ oracle.x, "disturbance")
-    own = [oracle.bound(row, 1.0) for row in system.flow.disturbance_map]
-    check(readout.disturbance_bound, own, "bound of the disturbance")
+    readout, units = observer.readout(state), system.flow.to_physical(np.ones(4))
+    unit, disturbances = np.eye(oracle.n)[:4], system.flow.disturbance_map
+    check(readout.state, units * oracle.x[:4], "state")
+    check(readout.state_bound, units * list(map(oracle.bound, unit)), "bound")
+    check(readout.disturbance, disturbances @ oracle.x, "disturbance")
+    check(readout.disturbance_bound, list(map(oracle.bound, disturbances)), "its bound")
     known = oracle.gamma.diagonal() + oracle.pending**2
     known += (BANK["CURVED"] * (oracle.theta + oracle.pending - oracle.anchor)) ** 2
     check(readout.parameter_bound**2, known, "bound of the parameters")
 
 
-def begin(observer: Estimator, filters: list[Filter]) -> State:
-    """Return the initial state with all hypotheses awake, as the filters are."""
-    state, n = observer.initial(), filters[0].n
-    for oracle in filters:
-        state.records["hypotheses"][0, oracle.kind] = state.records["hypotheses"][0, 0]
-        one = state.records["hypotheses"][0, oracle.kind]
-        one["kind"], one["score"], one["output"] = oracle.kind, oracle.score, oracle.output
-        one["frequency"], one["size"] = oracle.frequency, oracle.size
-        first = n + (oracle.kind is not Hypothesis.FORCE)
-        for i in range(oracle.own):
-            one["covariance"][first + i, first + i] = oracle.P[n + i, n + i]
-    state.records["awake"] = 100.0
-    return state
+def alone(state: State, place: int) -> State:
+    """Return the state with one hypothesis only."""
+    other = state.copy()
+    others = other.records["hypotheses"][0]
+    others["live"] = np.arange(len(others)) == place
+    others["score"], other.records["best"] = 0.0, place
+    return other
 
 
-def mixed(
-    filters: list[Filter], value: Callable[[Filter], float], bound: Callable[[Filter], float]
-) -> tuple[float, float]:
-    """Return mean and 1σ of what the filters say, by their weights."""
-    scores = np.array([each.score for each in filters])
-    weights = np.where(scores < -0.8 * BANK["FLOOR"], 0.0, np.exp(scores))
-    weights /= weights.sum()
-    values, bounds = (np.array([say(each) for each in filters]) for say in (value, bound))
-    mean = float(weights @ values)
-    return mean, math.sqrt(weights @ (bounds**2 + (values - mean) ** 2))
+def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
+    """Of the hypotheses that compete for friction and a tone, each as it stands alone."""
+    design = load_design(config_path(SHIPPED_DESIGN))
+    observer, request = design.supervised(0.5), design.request
+    scenario = replace(SCENARIOS["friction"], disturbance=(Sinusoid(0.1, 3.0, 1.0),))
+    run = simulate(scenario, [1], 6.0)
+    (c,), ((variance,),) = request.flow.output_matrix, request.measurement_covariance
+    designed = float(c @ design.covariance_bound @ c + variance)
 
+    def likelihood(one: Any, y: float, noise_scale: float) -> float:
+        """Return the logarithm of that of a sample by a hypothesis, or of an outlier's."""
+        seen = np.append(c, [0.0, one["kind"] in PARTS, 0.0])
+        omega, level = one["upsilon"] @ seen, designed * noise_scale**2
+        loud = BANK["NOISE_FACTOR"] if one["kind"] == Hypothesis.LOUD else 1.0
+        S = seen @ one["covariance"] @ seen + loud * variance * noise_scale**2
+        S = (level if one["certified"] else S) + omega @ one["gamma"] @ omega
+        least = -BANK["OUTLIER_PRICE"] - 0.5 * math.log(level)
+        return max(-0.5 * (y - seen @ one["x"]) ** 2 / S - 0.5 * math.log(S), least)
 
-@pytest.mark.parametrize(
-    "name",
-    ["arm", "both encoders", "many", pytest.param("two outputs of one state", marks=SLOW)],
-)
-def test_the_bank_is_bayes_rule_over_filters(name: str) -> None:
-    """All standing hypotheses awake; no sample is an outlier to the best, so that nothing forks."""
-    system = SYSTEMS[name]()
-    plan = Plan(system, 4, forks=True)
-    observer = plan.estimator()
-    p, m, rng = len(plan.C), system.flow.input_count, np.random.default_rng(6)
-    filters = [Filter(plan, kind) for kind in Hypothesis if plan.force or kind != Hypothesis.FORCE]
-    for each in filters:
-        each.score = -2.0 * (each.kind % 3)
-    state, rest, sensors = begin(observer, filters), Rest(plan), Sensors(plan)
-    led = set()
-    for step in range(55):
-        best = max(filters, key=lambda each: each.score)
-        led.add(best.kind)
-        # As it expects, and then louder.
-        y = np.clip(0.9 * rng.standard_normal(p), -2.0, 2.0)
-        e, known, learnt = best.expected(np.zeros(p), sensors.sizes)
-        y = y * np.sqrt((known + learnt).diagonal()) * (1.0 if step < 25 else 1.7) - e
-        if step % 20 == 15 and p > 1:
-            y[step // 20 % p] = np.nan
-        u, T = 3.0 * rng.standard_normal(m), plan.T * (2.3 if step == 40 else 1.0)
-        sensors.listen(best.expected(y, sensors.sizes)[0])
-        there = np.isfinite(y)
-        moving = rest.moves(best, float(sensors.scale[there].max(initial=1.0)))
-        for each in filters:
-            each.score += each.correct(y, moving, sensors, BANK["OUTLIER_PRICE"])
-        most = max(each.score for each in filters)
-        for each in filters:
-            each.score = max(each.score - most, -BANK["FLOOR"])
-        state, _ = observer.correct(state, y)
-        for each in filters:
-            core = state.records["hypotheses"][0, each.kind]
-            compare(core, each, f"{each.kind.name} after {step}")
-            check(core["score"], each.score, f"score of {each.kind.name} after {step}")
-            check(core["frequency"], each.frequency, "frequency")
-        readout = observer.readout(state)
-        units = system.flow.to_physical(np.ones(plan.plant))
-        for i in range(plan.plant):
-            said = mixed(
-                filters,
-                lambda of, i=i: of.x[i],
-                lambda of, i=i: of.bound(np.eye(len(of.x))[i], sensors.sizes.max()),
-            )
-            check(readout.state[i], units[i] * said[0], f"mean {step}")
-            check(readout.state_bound[i], units[i] * said[1], f"second moment {step}")
-        for each in filters:
-            each.predict(u, T)
-        state = observer.predict(state, u, T)
-        sensors.waited(y, T)
-    check(state.noise_scale, sensors.scale.max(), "scale")
-    assert not state.records["hypotheses"]["live"][0, native.HYPOTHESES - 6 :].any()
-    assert len(led) > 1 or name not in ("arm", "many")
-    assert min(each.score for each in filters) < -8.0
+    state, compared = observer.initial(), set()
+    for (y,), u in zip(run.measurements[0], run.torques[0], strict=True):
+        before = state.records["hypotheses"][0]
+        state, _ = observer.correct(state, [y])
+        after = state.records["hypotheses"][0]
+        live, scale = np.flatnonzero(before["live"]), max(1.0, float(state.noise_scale.item()))
+        if len(live) > 1 and all((before[name] == after[name]).all() for name in ("live", "kind")):
+            scores = [one["score"] + likelihood(one, y, scale) for one in before[live]]
+            check(after["score"][live], np.maximum(scores - max(scores), -BANK["FLOOR"]), "scores")
+            compared |= {*before["kind"][live].tolist()}
+        live = np.flatnonzero(after["live"] & (after["score"] >= -0.8 * BANK["FLOOR"]))
+        weights = np.exp(after["score"][live])
+        weights /= weights.sum()
+        whole, parts = observer.readout(state), [observer.readout(alone(state, i)) for i in live]
+        for name in ("state", "disturbance"):
+            values = np.array([getattr(part, name) for part in parts])
+            bounds = np.array([getattr(part, f"{name}_bound") for part in parts])
+            mean = weights @ values
+            check(getattr(whole, name), mean, name)
+            spread = weights @ (bounds**2 + (values - mean) ** 2)
+            check(getattr(whole, f"{name}_bound") ** 2, spread, f"bound of {name}")
+        state = observer.predict(state, u, request.period)
+    assert compared == {*Hypothesis}
