@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """PO, PIO and EKF against their definitions."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -14,13 +12,9 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import (
     THETA_STD,
     THETA_WANDER,
-    high_gain,
     high_gain_matrix,
-    proportional_integral,
 )
-from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.records import RejectReason
-from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -109,15 +103,6 @@ def test_an_ekf_that_leaves_out_most_samples_starts_its_covariance_again() -> No
     assert bounds[2070:2200].max() > 10.0 * bounds[1999].max()
     assert rows.disturbance[-200:].mean() == pytest.approx(1.0, abs=0.05)
     assert rows[:2000].tobytes() == others[:2000].tobytes()
-
-
-@pytest.mark.parametrize("make", [high_gain, proportional_integral])
-def test_high_gain_observers_follow_the_arm(make: Callable[..., Estimator]) -> None:
-    tracker, count = Tracker(make(ARM, 2.5, PERIOD, 0.028), x_max=0.75), 4000
-    rows = tracker.follow(stamps_of(count), RUN.measurements[0, :count], RUN.torques[0, :count])
-    assert tracker.used == count
-    assert rows.state_bound.shape[1] == rows.disturbance.shape[1] == 0
-    assert np.sqrt(((rows.state - RUN.physical[0, :count])[2000:, 0] ** 2).mean()) < 0.02
 
 
 def test_samples_that_are_followed_ascend() -> None:

@@ -165,25 +165,6 @@ def test_the_bits_of_all_runs_stay() -> None:
     assert digests() == DIGESTS
 
 
-def test_what_the_runs_go_through() -> None:
-    """Else the digests said little."""
-    estimator = estimator_of("supervised arm")
-    states = stepped(estimator)
-    last = states[-17]  # before the numbers that are not finite
-    bases = {Basis(estimator.readout(state).basis) for state in states}
-    assert bases >= {Basis.LEARNT, Basis.GAP}
-    assert any(state.in_gap for state in states)
-    assert any(state.certified for state in states)
-    assert last.outliers > 0
-    assert last.jumps + last.losses > 1
-    assert any(state.pending.any() for state in states)
-    assert max(state.repeats[0] for state in states) >= 10
-    assert any(state.records["hypotheses"]["live"].sum() > 7 for state in states)
-    pendulum = stepped(estimator_of("gyroscope"))[:-16]
-    assert {int(state.certified) for state in pendulum} == {0, 1}
-    assert pendulum[-1].theta.any()
-
-
 def test_whole_runs_are_their_steps_one_by_one(estimator: Estimator) -> None:
     """One call for many runs, a batch and single states: the same bits."""
     y, u = series(estimator)

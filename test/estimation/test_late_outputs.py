@@ -59,16 +59,3 @@ def test_the_first_order_suffices_for_a_period() -> None:
     assert (disturbance < 1.0).all()
     states, _ = errors(late, plain)
     assert states.max() > 2.0
-
-
-def test_an_arm_that_is_elsewhere_is_found_by_late_sensors_too() -> None:
-    design = design_of(PERIOD)
-    run = ts.simulate(design, duration=12.0, seed=1)
-    gap = (run.time < 5.0) | (run.time > 7.0)
-    angle = run.angle.copy()
-    other = ts.simulate(design, duration=12.0, seed=1, initial_state=[-0.3, 0.5, -0.3, 0.0])
-    angle[run.time > 7.0] = other.angle[run.time > 7.0]
-    said = ts.estimate(design, run.time[gap], angle[gap], run.torque[gap])
-    truth = other.state[gap]
-    after = run.time[gap] > 9.0
-    assert np.abs(said.state - truth)[after].max() < 0.05

@@ -2,14 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The path of a torque to the motor: observers take what arrives there, and when it does."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import settings
 
 import tsobs_ros as ts
 from tsobs_ros.checks import Array
@@ -56,30 +54,6 @@ def test_gain_offset_and_delay_are_those_of_the_torques_themselves(
     other = estimates(TorquePath(), 0.8 * ((1.0 - share) * late + share * early) + 0.3, method)
     for name in ("state", "state_bound"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-9, atol=1e-9)
-
-
-def tracker_of(design: Design, stamps: Sequence[int]) -> Tracker:
-    """Return a tracker that was offered samples of the run in this order."""
-    tracker = ts.make_tracker(design)
-    for index in stamps:
-        y, u = np.atleast_1d(RUN.angle[index]), TORQUE[index : index + 1]
-        tracker.offer(Measurement(BEGIN + index * NANOSECONDS, y, u), 10**18)
-    return tracker
-
-
-@PROPERTY
-@given(order=st.permutations(range(40, 60)), periods=st.sampled_from([0.3, 1.5, 6.0]))
-def test_arrival_in_any_order_gives_the_same_bits(order: list[int], periods: float) -> None:
-    design = design_with(TorquePath(0.9, 0.2, periods * PERIOD))
-    one, other = tracker_of(design, range(60)), tracker_of(design, [*range(40), *order])
-    assert one.state == other.state
-    for share in (0.0, 0.4, 3.7):
-        stamp = BEGIN + round((59 + share) * NANOSECONDS)
-        one_row, other_row = one.estimate(stamp), other.estimate(stamp)
-        assert one_row is not None
-        assert other_row is not None
-        assert one_row.state.tobytes() == other_row.state.tobytes()
-        assert one_row.state_bound.tobytes() == other_row.state_bound.tobytes()
 
 
 def test_while_estimates_are_read_torques_go_on_arriving() -> None:

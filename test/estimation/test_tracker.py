@@ -5,6 +5,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -18,6 +19,7 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator, TorqueLimits
 from tsobs_ros.estimation.records import REASONS, Estimate, Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.model.arm import TorquePath
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -34,14 +36,16 @@ JUDGED = (RejectReason.IMPLAUSIBLE_TORQUE, RejectReason.UNKNOWN_INPUT, RejectRea
 
 
 @cache
-def estimator() -> Estimator:
+def estimator(delay: float) -> Estimator:
     """Return the node's observer, which hands over to the certified gain soon."""
-    return DESIGN.supervised(settle_time=0.05)
+    torque = TorquePath(0.9, 0.2, delay) if delay else TorquePath()
+    design = replace(DESIGN, request=replace(DESIGN.arm_request, torque=torque))
+    return design.supervised(settle_time=0.05)
 
 
-def tracker(**options: Any) -> Tracker:
-    """Return a new tracker of an observer."""
-    return Tracker(estimator(), x_max=X_MAX, **options)
+def tracker(delay: float = 0.0, **options: Any) -> Tracker:
+    """Return a new tracker of an observer, of a torque that is late [s] if not 0."""
+    return Tracker(estimator(delay), x_max=X_MAX, **options)
 
 
 RUN = simulate(SCENARIOS["noise"], [4], 3.0)
@@ -135,12 +139,20 @@ JUNK: dict[RejectReason, Callable[[Measurement], Measurement]] = {
 
 
 @PROPERTY
-@given(schedule=schedules(), most=st.sampled_from([1, 12]), data=st.data())
+@given(
+    schedule=schedules(),
+    most=st.sampled_from([1, 12]),
+    delay=st.sampled_from([0.0, 0.0, 0.0015, 0.0075, 0.03]),
+    data=st.data(),
+)
 def test_batches_in_any_order_give_the_estimates_of_arrival_in_order(
-    schedule: tuple[list[Measurement], list[Measurement]], most: int, data: st.DataObject
+    schedule: tuple[list[Measurement], list[Measurement]],
+    most: int,
+    delay: float,
+    data: st.DataObject,
 ) -> None:
     kept, arrived = schedule
-    together, in_order = tracker(), tracker()
+    together, in_order = tracker(delay), tracker(delay)
     expected: Counter[RejectReason] = Counter()
     late = steps = place = 0
     while place < len(arrived):

@@ -80,16 +80,6 @@ def test_too_large_an_uncertainty_is_refused_with_the_rate_it_asks_for() -> None
         design_adaptive_observer(example.system, [0.0608, 0.3], example.xi)
 
 
-def test_rules_without_a_common_matrix_are_refused() -> None:
-    A = np.array([[[-0.1, 1.0], [-10.0, -0.1]], [[-0.1, 10.0], [-1.0, -0.1]]])
-    (_, P, _), reason = check_stability(A, NO_BOUNDS)
-    assert P is None
-    assert "no P serves all 2" in reason
-    (_, P, _), reason = check_stability(example_2().system.A, [0.2, 0.5])
-    assert P is not None
-    assert "a common P exists" in reason
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mcap.writer import CompressionType, IndexType, Writer
 
 from tsobs_ros.bag import BagReader, BagWriter
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
@@ -14,14 +13,6 @@ from tsobs_ros.bag.verification import verify
 from tsobs_ros.replay.source import BagSource
 
 TRUTH = "/ground_truth/joint_states"
-TEXT = f"\n{80 * '='}\n".join(
-    [
-        "std_msgs/Header header\nstring[] name\n"
-        "float64[] position\nfloat64[] velocity\nfloat64[] effort",
-        "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id",
-        "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n",
-    ]
-)
 
 Message = tuple[str, bytes, int]
 
@@ -47,21 +38,6 @@ def write_bag(path: Path, messages: list[Message], size: int = 40, **options: An
     return path
 
 
-def write_mcap(path: Path, messages: list[Message], **options: Any) -> Path:
-    """Write JointStates as somebody else's writer may do."""
-    with path.open("wb") as stream:
-        writer: Any = Writer(stream, 10_000, CompressionType.LZ4, **options)
-        writer.start("ros2", "somebody else")
-        schema = writer.register_schema(JOINT_STATE, "ros2msg", TEXT.encode())
-        ids: dict[str, int] = {}
-        for topic, data, time in messages:
-            if topic not in ids:
-                ids[topic] = writer.register_channel(topic, "cdr", schema, {})
-            writer.add_message(ids[topic], time, data, time - 10)
-        writer.finish()
-    return path
-
-
 @pytest.mark.parametrize("options", [{}, {"rate": 130.0, "window": 32}])
 def test_a_new_bag_has_what_was_recorded(arms, estimate, tmp_path, options) -> None:
     written = with_truth(arms.messages(100))
@@ -84,15 +60,6 @@ def test_live_estimates_are_replaced(arms, estimate, tmp_path) -> None:
 
     live, again = (sorted(BagReader(tmp_path / name).messages()) for name in ("live", "again"))
     assert live == again
-
-
-@pytest.mark.parametrize("options", [{"enable_crcs": False}, {"index_types": IndexType.CHUNK}])
-def test_files_of_other_writers_are_copied(arms, estimate, tmp_path, options) -> None:
-    bag = write_mcap(tmp_path / "bag.mcap", with_truth(arms.messages(100)), **options)
-    estimate(bag, output="new")
-
-    assert verify(tmp_path / "new").holds
-    assert BagReader(tmp_path / "new").topics[TRUTH].count == 100
 
 
 def damaged(path: Path, messages: list[Message], topic: str) -> Path:

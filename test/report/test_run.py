@@ -55,18 +55,6 @@ def test_the_health_of_one_joint_is_read_whoever_else_is_in_it(
     np.testing.assert_array_equal(health.values, troubled.health.values)
 
 
-def test_health_that_version_0_7_recorded_is_left_out(short, messages_of, write_bag) -> None:
-    """It had other codes, and did not say what is claimed."""
-    names = ["noise_scale", "coloured_power", "basis", "learning", "hypothesis", "measurement_age"]
-    topics = messages_of(short)
-    topics["/observer/health"] = [
-        row._replace(names=names, position=[1.0, 0.25, 0.0, 2.0, 0.0, 0.002])
-        for row in topics["/observer/disturbance"]
-    ]
-
-    assert read_run(write_bag(topics)).health is None
-
-
 def test_missing_topics_are_named_and_of_two_arms_one_is_chosen(
     short, messages_of, write_bag, tmp_path
 ) -> None:

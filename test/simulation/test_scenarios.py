@@ -11,18 +11,6 @@ from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 
-def test_every_scenario_lasts_a_minute_at_its_rate() -> None:
-    for name, scenario in SCENARIOS.items():
-        rate = 100 if "half_rate" in name else 200
-        assert (scenario.rate, scenario.sample_count) == (rate, 60 * rate + 1)
-        runs = simulate(scenario, [1, 2], 0.1)
-        count = rate // 10 + 1
-        assert runs.times.tolist() == [k / rate for k in range(count)]
-        assert (runs.states.shape, runs.measurements.shape) == ((2, count, 4), (2, count, 1))
-        if name not in ("rest", "held") and "near_rest" not in name:
-            np.testing.assert_allclose(runs.torques[1, :, 0], np.sin(runs.times))
-
-
 def test_start_and_noise_have_the_stated_statistics() -> None:
     runs = simulate(SCENARIOS["noise"], range(2000), 0.05)
     start = runs.states[:, 0]
