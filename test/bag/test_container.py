@@ -72,6 +72,8 @@ def bytes_of(*parts: McapRecord | bytes) -> bytes:
         ([HEADER], [replace(STATISTICS, chunk_count=1)], "1 chunks, but 0 in the index"),
         ([HEADER], [replace(STATISTICS, chunk_count=1), replace(CHUNK, chunk_length=2**63)],
          "the index states a chunk up to byte"),
+        ([HEADER], [replace(STATISTICS, chunk_count=2), CHUNK, CHUNK],
+         "the index states chunks that overlap"),
         ([HEADER], [STATISTICS, b"\x0d" + bytes(3)], "the file is damaged"),
     ],
 )  # fmt: skip

@@ -128,6 +128,17 @@ def test_what_is_not_there_is_named(bag: Path, tmp_path: Path) -> None:
     (bag / "bag_1.mcap").unlink()
     with pytest.raises(BagReadError, match=r"bag_1\.mcap: cannot read it"):
         BagReader(bag)
+    (tmp_path / "text.mcap").write_text("no bag")
+    with pytest.raises(BagReadError, match=r"text\.mcap: not an MCAP file"):
+        BagReader(tmp_path / "text.mcap")
+    metadata = bag / "metadata.yaml"
+    for text, reason in (
+        (metadata.read_text().replace(": mcap", ": sqlite3"), "'sqlite3' is not supported"),
+        ("a: 1", "not the metadata of a bag: it has no rosbag2_bagfile_information"),
+    ):
+        metadata.write_text(text)
+        with pytest.raises(BagReadError, match=reason):
+            BagReader(bag)
 
 
 @pytest.mark.parametrize(

@@ -132,6 +132,9 @@ def test_messages_outside_of_chunks_are_recovered_up_to_any_cut(tmp_path: Path) 
         assert found == list(range(len(found)))
         # Whether the zeros at the end of the last message are its own is unknown.
         assert len(found) >= sum(end <= cut for end in ends) - 1
+    text = recover(path, tmp_path / "new").text()
+    assert "unchecked 20: no checksum" in text
+    assert "20 UNCHECKED, damage in them is not noticed" in text
 
 
 def make_split(path: Path) -> list[Entry]:

@@ -247,6 +247,7 @@ def file_with(
     ("options", "pattern"),
     [
         ({"schema": ("String", "ros2msg", b"string data\n")}, "'String' is not named as"),
+        ({"schema": (STRING, "ros2xyz", b"")}, "is defined in 'ros2xyz', not in ros2msg"),
         ({"channels": [("/a", "json", 1, CHANNEL)]}, "/a: is encoded in 'json', not in cdr"),
         (
             {"channels": [("/a", "cdr", 7, CHANNEL)]},

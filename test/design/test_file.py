@@ -195,6 +195,7 @@ ARM = [
     (OUTPUTS, [{**OUTPUT, "delay": 0.101}], r"outputs\[0\].delay: .* 20 periods, 0.1 s, got 0.101"),
     (TORQUE, {"gain": 0.0}, "design.torque.gain: expected a finite number above 0, got 0.0"),
     (TORQUE, {"delay": 2.0}, "torque.delay: .* 20 periods, 0.1 s, got 2.0 s"),
+    (OUTPUTS, [], "design.outputs: expected at least one"),
     (LINK, {"link": [{"kind": "arbitrary"}]}, r"torque_disturbance.link\[0\]: expected a torque"),
     (("format",), ..., "format: expected 'tsobs_ros design' or 'tsobs_ros T-S design', got None"),
     (("version",), True, "version: expected 1, got True"),
@@ -210,6 +211,7 @@ ARM = [
 ]
 SYSTEM = [
     (("system", "rules"), ..., "system.rules: missing"),
+    (("system", "rules"), [], "rules: expected at least one"),
     (("system", "premises", "angle"), {}, "system.premises.angle: expected at least one of state"),
     (("system", "rules", 1, "A"), [[1], [2]], r"system.rules\[1\].A: expected shape \(2, 2\), got"),
     (("system", "rules", 0, "if"), {"speed": {"shape": "always"}}, r"\[0\].if: unknown entry 'sp"),

@@ -238,6 +238,9 @@ def test_every_remedy_that_is_suggested_has_a_design(
             lambda: DisturbanceTerm("bias", {"density": "much"}),
             "bias density: expected a finite number, got 'much'",
         ),
+        (lambda: ArmRequest(uncertainty={}, certify_uncertainty=True), "at least one uncertain"),
+        (lambda: Output("link_angle", 1e200), "expected a number with a finite square"),
+        (lambda: DisturbanceTerm("bias", {"size": 1.0}), "size: no parameter of bias"),
         (lambda: DisturbanceTerm("sinusoid"), "frequency: missing, sinusoid has no default"),
     ],
 )

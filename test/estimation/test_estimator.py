@@ -22,6 +22,7 @@ from tsobs_ros.estimation.baselines import high_gain, proportional_integral
 from tsobs_ros.estimation.estimator import Estimator, Rows, SupervisionOptions, certified_estimator
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.state import State
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.disturbance import bias, clean, per_channel
 from tsobs_ros.model.fuzzy import RuleBase, membership
@@ -242,6 +243,8 @@ def test_numbers_of_another_shape_are_named() -> None:
         (lambda: estimator.observe(y[0], 0.0), r"y: expected shape \(runs, samples, 2"),
         (lambda: estimator.observe(y, u), r"u: expected shape \(4, 5, 1\), got \(4, 6, 1\)"),
         (lambda: estimator.observe(y, u[:, :5], -1.0), "period: expected a finite number"),
+        (lambda: estimator.observe(y, u[:, :5], start=batch), r"start: expected a batch of \(4,\)"),
+        (lambda: Tracker(estimator).offer_many([1, 2], y[0, :2], u[0, :1], 9), "measurements: exp"),
     ):
         with pytest.raises(ModelError, match=message):
             call()

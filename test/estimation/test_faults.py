@@ -15,6 +15,7 @@ from tsobs_ros.estimation.baselines import extended_kalman
 from tsobs_ros.estimation.fault_shapes import Fault, FaultKind, shape_of
 from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.health import Level
+from tsobs_ros.estimation.records import NON_FINITE, USED
 from tsobs_ros.estimation.tracker import Outcomes
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
@@ -87,8 +88,10 @@ def test_a_ramp_is_a_drift_with_its_rate() -> None:
 
 def test_loud_innovations_are_noise_of_their_size_if_white_else_unknown() -> None:
     noise = 1.8
-    faults = feed(FaultMonitor([STD]), lambda _: 0.0, 10.0, noise=noise)
+    monitor = FaultMonitor([STD])
+    faults = feed(monitor, lambda _: 0.0, 10.0, noise=noise)
     assert {fault.kind for fault in faults[400:]} == {FaultKind.NOISE}
+    assert monitor.sensors[0].innovation_status().level is Level.WARN
     last = faults[-1]
     assert last.level is Level.WARN
     # Innovations are clipped at five expected deviations.
@@ -112,6 +115,21 @@ def test_samples_that_repeat_are_stuck_within_a_tenth_of_a_second() -> None:
     assert set(later[:100]) == {FaultKind.STUCK}
     assert set(later[120:1900]) == {FaultKind.UNKNOWN}
     assert later[-1] is FaultKind.BIAS
+
+
+def test_an_output_without_numbers_while_another_has_its_own_is_missing() -> None:
+    monitor = FaultMonitor([STD, STD])
+    for k in range(250):
+        stamp, code = SECOND + k * PERIOD, np.array([USED, NON_FINITE if 20 <= k < 50 else USED])
+        numbers = np.zeros((1, 2))
+        outcomes = Outcomes(code[:1], code[np.newaxis], numbers, numbers + STD)
+        monitor.measured([stamp], [[0.001 * k, 0.001 * k]], outcomes, [0, 0])
+        monitor.estimated(stamp, np.zeros(2), np.full(2, BOUND))
+        kinds = [sensor.fault.kind for sensor in monitor.sensors]
+        assert kinds[0] is FaultKind.NONE
+        assert kinds[1] is FaultKind.MISSING or not 40 <= k < 50
+        assert kinds[1] is not FaultKind.MISSING or k >= 40
+    assert FaultKind.MISSING not in kinds
 
 
 @pytest.mark.parametrize(

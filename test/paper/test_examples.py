@@ -138,17 +138,3 @@ def test_example_3_is_the_arm_and_undamped() -> None:
         np.testing.assert_allclose(system.derivative(x, u), rate, atol=1e-12)
     with pytest.raises(ModelError, match="half_width < π"):
         arm_system(ElasticJointArm(), np.pi)
-
-
-def test_disturbances_follow_their_formulas() -> None:
-    times = np.array([1.9, 2.0 + np.pi / 6, 2.99, 3.0])
-    first = example_1().disturbance(times)
-    np.testing.assert_allclose(
-        first[:, 0], [0.0, 0.2, 0.2 * np.sin(2.97) ** 2, 0.2 * np.sin(3) ** 2]
-    )
-    np.testing.assert_allclose(first[:, 1], [0.0, 0.0, 0.0, 0.3])
-    np.testing.assert_allclose(first[3, 2], 0.4 * (np.sin(6.0) ** 2 + np.cos(9.0)))
-    second = example_2().disturbance(times)
-    np.testing.assert_allclose(
-        second[3], [0.2 * np.sin(3.0), 0.0, 0.4 * (np.sin(6.0) + np.cos(9.0))], atol=1e-12
-    )

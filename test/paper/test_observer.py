@@ -43,8 +43,6 @@ M = np.linalg.solve(P, AUG.C_bar.T)
 H1 = np.stack([3.0 * AUG.E_L_inverse[:, 3:], 4.0 * AUG.E_L_inverse[:, 3:]])
 GAMMA = np.stack([np.diag([5.0, 1.0, 2.0]), np.array([[2.0, 0.5, 0], [0.5, 1, 0], [0, 0, 1]])])
 START = np.array([0.1, -0.2, 0.3, 0.05, 0.0, -0.1])
-BOUNDED = AugmentedObserver(AUG, H1, M, GAMMA, xi=0.05)
-STARTS, INPUTS = RANDOM.normal(size=(2, 4, 6)), RANDOM.normal(size=(6, 1))
 # Fits the first sample, [0, 0.3, 0], so that the innovation is zero.
 FITTING = np.concatenate([START[:3], np.array([0.0, 0.3, 0.0]) - AUG.C @ START[:3]])
 
@@ -194,18 +192,6 @@ def test_premises_that_the_method_does_not_measure_are_refused(
         paper_system_observer(replace(request, model=model, names=names))
     of_the_state = replace(request.model, premise=request.model.C[:1], schedule=np.zeros((1, 1)))
     assert paper_system_observer(replace(request, model=of_the_state)).shape.m == 2
-
-
-def test_a_batch_moves_as_its_single_runs_to_the_bit() -> None:
-    y = np.random.default_rng(8).normal(size=(6, 2, 4, 3))
-    batch = BOUNDED.follow(y, INPUTS, 0.05, None, STARTS)
-    for index in np.ndindex(2, 4):
-        place = (slice(None), *index)
-        single = BOUNDED.follow(y[place], INPUTS, 0.05, None, STARTS[index])
-        assert single.Xi.tobytes() == batch.Xi[place].tobytes()
-        np.testing.assert_allclose(single.x_bar, batch.x_bar[place], rtol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(batch.Xi[-1], 2, axis=(-2, -1)), 0.05, rtol=1e-8)
-    assert batch.disturbance.shape == y.shape
 
 
 def test_projection_holds_its_bounds_and_only_when_asked() -> None:

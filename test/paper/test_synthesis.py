@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tsobs_ros.errors import DetectabilityError, ModelError
+from tsobs_ros.errors import DetectabilityError
 from tsobs_ros.paper.analysis import check_stability
 from tsobs_ros.paper.augmentation import check_conditions
 from tsobs_ros.paper.examples import PaperExample, example_1, example_2, example_3
@@ -78,20 +78,3 @@ def test_too_large_an_uncertainty_is_refused_with_the_rate_it_asks_for() -> None
         DetectabilityError, match=r"rule 2 .* not decay faster than α₁ = 0\.6286 1/s"
     ):
         design_adaptive_observer(example.system, [0.0608, 0.3], example.xi)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"Gamma": np.eye(2)}, r"Γ: expected shape \(2, 3, 3\), got \(2, 2\)"),
-        ({"alpha": [0.1, 0.1, 0.1]}, r"alpha: expected shape \(2,\), got \(3,\)"),
-        ({"alpha": [0.1, -0.2]}, r"alpha: expected bounds of at least 0"),
-        ({"L": np.eye(3)}, r"L: expected shape \(6, 3\), got \(3, 3\)"),
-        ({"L": np.zeros((6, 3))}, r"L: expected E_L .* invertible"),
-    ],
-)
-def test_wrong_matrices_are_named(changes, message) -> None:
-    example = example_1()
-    given = {"system": example.system, "alpha": example.alpha, "xi": example.xi}
-    with pytest.raises(ModelError, match=message):
-        design_adaptive_observer(**(given | changes))

@@ -46,20 +46,6 @@ def nominal(arm: ElasticJointArm, x: Vector) -> Vector:
     return arm.to_physical(arm.derivative(arm.from_physical(x), [0.7]))
 
 
-def energy(x: Vector) -> float:
-    """Return kinetic + spring + gravity energy of the default arm [J]."""
-    q1, v1, q2, v2 = x.tolist()
-    kinetic = 0.5 * (ARM.link_inertia * v1**2 + ARM.motor_inertia * v2**2)
-    spring = 0.5 * ARM.stiffness * (q1 - q2) ** 2
-    return float(kinetic + spring + ARM.gravity_torque * 2.0 * np.sin(0.5 * q1) ** 2)
-
-
-@pytest.mark.parametrize("angle", [0.3, 3.0])
-def test_energy_of_the_undriven_arm_stays_over_a_minute(angle: float) -> None:
-    start = np.array([angle, 0.0, 0.0, 0.0])
-    assert abs(energy(moved(ARM, start, 0.0, 60.0)) / energy(start) - 1.0) < 1e-6
-
-
 @pytest.mark.parametrize("rate", [200.0, 300.0])
 def test_agrees_with_a_solver_of_order_eight(rate: float) -> None:
     expected = exact(lambda _, x: nominal(DAMPED, x), 5.0)

@@ -327,19 +327,6 @@ def test_play_frees_the_spring_within_it_and_is_a_torque_that_the_nominal_arm_la
     assert held.physical[1, [1, 3]] == pytest.approx(speeds, rel=0.01)
 
 
-def test_a_torque_disturbance_is_exchanged_on_the_way() -> None:
-    arm = ElasticJointArm(gravity_torque=0.0)
-    rest = replace(QUIET, arm=arm, excitation=NoTorque(), initial_state=(0.0,) * 4)
-    plant = Plant(rest)
-    assert not plant.run(100).physical.any()
-    push = TorqueDisturbance(link=(Pulses(2.0, 0.1, 0.1, 0.0),))
-    plant.exchange(replace(rest, torque_disturbance=push))
-    run = plant.run(200)
-    # What the pulse gave both inertias stays.
-    momentum = run.physical[:, 1] * arm.link_inertia + run.physical[:, 3] * arm.motor_inertia
-    np.testing.assert_allclose(momentum[40:], 0.2, atol=1e-9)
-
-
 def test_mismatch_changes_the_arm_but_not_its_start() -> None:
     scenario = replace(QUIET, mismatch=Mismatch(stiffness=0.2, gravity_torque=-0.1))
     true = ElasticJointArm(stiffness=12.0, gravity_torque=9.0)
