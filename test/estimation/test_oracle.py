@@ -351,3 +351,16 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
             check(getattr(whole, f"{name}_bound") ** 2, spread, f"bound of {name}")
         state = observer.predict(state, u, request.period)
     assert compared == {*Hypothesis}
+
+
+@pytest.mark.parametrize(
+    ("kind", "power"), [(Hypothesis.IMPERFECT, 1.0), (Hypothesis.TONE, 0.5), (Hypothesis.LOUD, 0.0)]
+)
+def test_some_hypotheses_trust_the_model_less(kind: Hypothesis, power: float) -> None:
+    request = load_design(config_path(SHIPPED_DESIGN)).request
+    observer = load_design(config_path(SHIPPED_DESIGN)).supervised(0.5)
+    states = [observer.initial(), observer.initial()]
+    states[1].records["hypotheses"]["kind"][0, 0] = kind
+    spreads = [observer.predict(one, [0.0], request.period).covariance for one in states]
+    more = (BANK["IMPERFECTION"] ** power - 1.0) * request.flow.nominal.noise[:4, :4]
+    check((spreads[1] - spreads[0])[:4, :4], more, "process noise")
