@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Processes end cleanly whatever ends them, at any time, and their shipped parameters fit."""
 
-import re
 import signal
 import sys
 import time
@@ -20,13 +19,11 @@ from tsobs_ros.resources import FIXED_DESIGN, config_path
 
 ROOT = Path(__file__).resolve().parents[2]
 PREAMBLE = f"""
-import ctypes, os, signal, sys, traceback
+import ctypes, os, signal, sys
 sys.path.insert(0, {str(ROOT)!r})
 import rclpy
 from rclpy.node import Node
-from tsobs_ros.errors import NodeError
 from tsobs_ros.nodes import runtime
-from tsobs_ros.nodes.parameters import ManagedParameters as Parameters
 
 class Worker(Node):
     finished = False
@@ -48,45 +45,15 @@ class Worker(Node):
         print("destroyed worker", flush=True)
         super().destroy_node()
 """
-RUN = """
-try:
-    code = runtime.run(Case)
-except KeyError:
-    code = 1
-    traceback.print_exc()
-print(code, end="\\0", flush=True)
-print(end="\\0", file=sys.stderr, flush=True)
-"""
-TICKING, CLOSED, DESTROYED = "ticking\n", "closed worker\n", "destroyed worker\n"
+CLOSED, DESTROYED = "closed worker\n", "destroyed worker\n"
 BUGGY = """
 class Case(Worker):
     finished = {finished}
     def {where}(self):
         super().{where}()
         raise KeyError("bug")
+sys.exit(runtime.run(Case))
 """
-# A process's body, its exit code, what it prints, and its errors.
-ENDS: dict[str, tuple[str, int, str, str]] = {
-    "a finished node": (
-        "class Case(Worker):\n    finished = property(lambda self: self.ticks >= 3)",
-        0, TICKING + CLOSED + DESTROYED, "",
-    ),
-    "a shutdown of the context": (
-        "class Case(Worker):\n    tick = lambda self: rclpy.shutdown()", 0, CLOSED + DESTROYED, "",
-    ),
-    "a known error at the start": (
-        "def Case():\n    raise NodeError('no design:\\n  elastic_joint.yaml is missing')",
-        1, "", "error: no design: elastic_joint.yaml is missing\n",
-    ),
-    "a known error in a close": (
-        "class Case(Worker):\n    finished = True\n"
-        "    def close(self):\n        raise NodeError('the bag cannot be closed')",
-        1, DESTROYED, "error: the bag cannot be closed\n",
-    ),
-    # Each bug has its traceback, and costs no other step.
-    "a bug": (BUGGY.format(where="tick", finished=False), 1, TICKING + CLOSED + DESTROYED, "bug"),
-    "a bug at the end": (BUGGY.format(where="close", finished=True), 1, CLOSED + DESTROYED, "bug"),
-}  # fmt: skip
 SIGNALLED = """
 class Case(Worker):
     def close(self):
@@ -111,16 +78,15 @@ def script(ros_process: Any) -> Callable[[str], Any]:
     return lambda body: ros_process([sys.executable, "-c", PREAMBLE + body])
 
 
-def test_every_end_closes_destroys_and_is_reported_in_a_line(script: Any) -> None:
-    """One after the other in a process, as starting one takes its time."""
-    finished = script("".join(f"{body}\n{RUN}" for body, *_ in ENDS.values())).finish(60.0)
-
-    outs, errs = finished.stdout.split("\0"), finished.stderr.split("\0")
-    assert len(outs) == len(ENDS) + 1
-    for (end, (_, code, out, err)), printed, errors in zip(ENDS.items(), outs, errs, strict=False):
-        assert printed == f"{out}{code}", end
-        bugs = re.findall(r"^KeyError: '(bug)'$", errors, re.MULTILINE)
-        assert err == (bugs[0] if bugs else errors), end
+@pytest.mark.parametrize(("where", "finished"), [("tick", False), ("close", True)])
+def test_a_bug_has_its_traceback_and_costs_no_other_step(
+    script: Any, where: str, finished: bool
+) -> None:
+    done = script(BUGGY.format(where=where, finished=finished)).finish()
+    assert done.exit_code == 1
+    assert done.stdout.endswith(CLOSED + DESTROYED)
+    assert done.stderr.count("Traceback") == 1
+    assert done.stderr.endswith("KeyError: 'bug'\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
@@ -128,25 +94,15 @@ def test_a_signal_ends_it_and_more_change_nothing(script: Any, number: signal.Si
     process = script(SIGNALLED)
     process.wait_for_line("ticking")
     process.signal(number)
-    assert process.finish() == (0, TICKING + CLOSED + DESTROYED, "")
+    assert process.finish() == (0, "ticking\n" + CLOSED + DESTROYED, "")
 
 
 def test_a_teardown_that_hangs_is_ended_after_all_is_closed(script: Any) -> None:
     assert script(HANGS).finish() == (-signal.SIGALRM, CLOSED, "")
 
 
-def test_a_signal_during_the_imports_ends_the_process_at_once(script: Any, tmp_path: Path) -> None:
-    source = "os.kill(os.getpid(), signal.SIGTERM)\nprint('still importing')\ncreate = Worker\n"
-    (tmp_path / "some_node.py").write_text(PREAMBLE + source)
-    program = f"""
-import tsobs_ros.nodes; tsobs_ros.nodes.__path__.append({str(tmp_path)!r})
-from tsobs_ros.executables import run; sys.exit(run('some_node'))
-"""
-    assert script(program).finish() == (0, "", "")
-
-
 TIMEOUT = 60.0
-MEASUREMENTS, _ = TOPICS = ["joint_measurements", "observer/joint_states"]
+TOPICS = ["joint_measurements", "observer/joint_states"]
 Process = Callable[..., Any]
 
 
@@ -192,7 +148,7 @@ def test_the_shipped_parameters_fit_together_and_the_recorder_awaits_nothing_for
         assert "ignored unknown parameters" not in process.output
     recorded = BagReader(bag).topics
     assert {f"/observer/{name}" for name in OF_EVERY_OBSERVER} <= recorded.keys()
-    assert {"/diagnostics", "/ground_truth/joint_states", f"/{MEASUREMENTS}"} <= recorded.keys()
+    assert {"/diagnostics", "/ground_truth/joint_states", "/joint_measurements"} <= recorded.keys()
 
 
 def test_a_lifecycle_manager_drives_a_process_and_its_shutdown_ends_it(
