@@ -59,7 +59,13 @@ def test_a_joint_waits_tracks_coasts_and_is_stale() -> None:
     assert waiting["state"][1:3] == (Level.WARN, "WAITING")
     assert waiting["premise domain"].message == "no estimate yet"
     assert not any("nan" in value for each in waiting.values() for value in each.values.values())
-    last = feed(joints, 40)
+    last = feed(joints, 60)
+    found = statuses(joints, last)
+    assert {name for name, each in found.items() if each.level == Level.OK} == {
+        "state", "measurements", "premise domain", "innovation", "sensor fault", "hypothesis",
+        "parameters", "certificate",
+    }  # fmt: skip
+    assert found["timing"].message == "no ticks"
     for age, phase, level in (
         (100 * MS, "TRACKING", Level.OK),
         (101 * MS, "COASTING", Level.WARN),
@@ -70,22 +76,6 @@ def test_a_joint_waits_tracks_coasts_and_is_stale() -> None:
         assert (state.level, state.message) == (level, phase)
         assert state.values["measurement age [s]"] == f"{age * 1e-9:.4f}"
         assert (joints[0].estimate(last + age) is None) == (phase == "STALE")
-
-
-def test_each_concern_of_one_joint_has_a_status() -> None:
-    joints = joints_of()
-    found = statuses(joints, feed(joints, 60))
-    assert {name: (each.level, each.message) for name, each in found.items()} == {
-        "state": (Level.OK, "TRACKING"),
-        "measurements": (Level.OK, "none rejected in the last minute"),
-        "timing": (Level.STALE, "no ticks"),
-        "premise domain": (Level.OK, "inside the certificate's domain"),
-        "innovation": (Level.OK, found["innovation"].message),
-        "sensor fault": (Level.OK, found["sensor fault"].message),
-        "certificate": Basis.STARTING.judged,
-        "hypothesis": (Level.OK, "arm and sensor behave as designed"),
-        "parameters": (Level.OK, "learning waits until the estimate has settled"),
-    }
 
 
 def test_the_node_is_as_bad_as_its_worst_joint() -> None:
@@ -181,23 +171,20 @@ def test_a_torque_at_the_link_warns_at_once_and_until_it_has_been_small_for_a_wh
     watch = TorqueWatch(["motor", "link"], level=2.0, hold=0.5)
     assert watch.statuses()[0].message == "no estimate yet"
     changes = []
-    for tick, (motor, link, bound) in enumerate(
-        [(9.0, 0.1, 0.5), (9.0, -2.1, 0.5), (9.0, -2.1, 0.8), (9.0, 0.2, 0.5), (0.1, 3.0, 0.5)]
-        + [(0.1, 0.3, 0.5)] * 6
-    ):
+    # The second is beyond the level, but not beyond three bounds.
+    links = [(0.1, 0.5), (-2.1, 0.8), (-2.1, 0.5), (0.2, 0.5), (3.0, 0.5), *[(0.3, 0.5)] * 6]
+    for tick, (link, bound) in enumerate(links):
+        stamp = BEGIN + tick * 100 * MS
+        torque, bounds = np.array([9.0, link]), np.array([bound, bound])
         change = watch.update(
             joint.latest._replace(
-                stamp=BEGIN + tick * 100 * MS,
-                torque_disturbance=np.array([motor, link]),
-                torque_disturbance_bound=np.array([bound, bound]),
+                stamp=stamp, torque_disturbance=torque, torque_disturbance_bound=bounds
             )
         )
         if change is not None:
-            changes.append((tick, change.level, change.message))
-    assert changes == [
-        (1, Level.WARN, "-2.1 N m (1 sigma 0.5) at the link, beyond 2 N m: a contact, a payload?"),
-        (10, Level.OK, "0.3 N m (1 sigma 0.5) at the link"),
-    ]
+            changes.append((tick, change.level))
+            assert f"{link:g} N m (1 sigma 0.5) at the link" in change.message
+    assert changes == [(2, Level.WARN), (10, Level.OK)]
     # It is over, but since the last status it has been.
     assert [watch.statuses()[0].level for _ in range(2)] == [Level.WARN, Level.OK]
 
@@ -205,7 +192,6 @@ def test_a_torque_at_the_link_warns_at_once_and_until_it_has_been_small_for_a_wh
 @pytest.mark.parametrize(
     ("rate", "times", "missed", "level", "achieved"),
     [
-        (200.0, (0.0, 5.0, 10.1, 14.9, 20.0), 0, Level.OK, "200.0"),
         # A late tick that the next one makes good is not missed.
         (1000.0, (0.0, 1.7, 2.0, 3.9, 4.0, 5.0), 0, Level.OK, "1000.0"),
         (1000.0, (0.0, 1.0, 3.2, 4.0), 1, Level.WARN, "750.0"),

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A listener to a simulator under test: starts it, collects what it publishes, talks to it."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import pytest
@@ -34,18 +33,11 @@ class Listener:
     def __init__(self, ros: Any) -> None:
         self.ros = ros
         self.node = ros.node("listener")
-        self.measurements: list[Received] = []
-        self.states: list[Received] = []
-        self.disturbances: list[Received] = []
-        self.torques: list[Received] = []
         self.clock: list[int] = []
-        for topic, qos, kept in (
-            ("joint_measurements", BEST_EFFORT, self.measurements),
-            ("ground_truth/joint_states", RELIABLE, self.states),
-            ("ground_truth/disturbance", RELIABLE, self.disturbances),
-            ("ground_truth/torque_disturbance", RELIABLE, self.torques),
-        ):
-            self.node.create_subscription(JointState, topic, self._keeper(kept), qos)
+        self.measurements = self._kept("joint_measurements", BEST_EFFORT)
+        self.states = self._kept("ground_truth/joint_states")
+        self.disturbances = self._kept("ground_truth/disturbance")
+        self.torques = self._kept("ground_truth/torque_disturbance")
         self.commands = self.node.create_publisher(Float64MultiArray, "joint_torque_command", 10)
 
     def listen_to_clock(self) -> None:
@@ -63,11 +55,8 @@ class Listener:
         wanted = len(kept) + more
         self.ros.spin_until(lambda: len(kept) >= wanted, 20.0, f"the arrival of {more} messages")
 
-    def wait_until(self, predicate: Callable[[], bool], what: str) -> None:
-        self.ros.spin_until(predicate, 20.0, what)
-
     def command(self, *values: float) -> None:
-        self.wait_until(lambda: self.commands.get_subscription_count() == 1, "matching")
+        self.ros.spin_until(self.commands.get_subscription_count, what="matching")
         self.commands.publish(Float64MultiArray(data=list(values)))
 
     def reset(self) -> Any:
@@ -75,10 +64,7 @@ class Listener:
 
     @staticmethod
     def core(count: int, of: str = "measurements", seed: int = 0, **changes: Any) -> list[float]:
-        """Return the angles that a simulator with such parameters must publish, or the true ones.
-
-        The true ones are `of="physical"`.
-        """
+        """Return the angles that a simulator publishes; the true ones are `of="physical"`."""
         (scenario,) = PlantSimulatorParameters(**{"rate": RATE, **changes}).scenarios().values()
         angles: list[float] = getattr(Plant(scenario, seed).run(count), of)[:, 0].tolist()
         return angles
@@ -89,9 +75,15 @@ class Listener:
         index = {angle: place for place, angle in enumerate(angles)}
         return [index[item.message.position[0]] for item in received]
 
-    @staticmethod
-    def _keeper(kept: list[Received]) -> Callable[[Any], None]:
-        return lambda m: kept.append(Received(to_nanoseconds(m.header.stamp), m))
+    def _kept(self, topic: str, qos: QoSProfile = RELIABLE) -> list[Received]:
+        """Subscribe, and return the list of what will arrive."""
+        kept: list[Received] = []
+
+        def keep(message: JointState) -> None:
+            kept.append(Received(to_nanoseconds(message.header.stamp), message))
+
+        self.node.create_subscription(JointState, topic, keep, qos)
+        return kept
 
 
 @pytest.fixture

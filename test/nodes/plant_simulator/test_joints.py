@@ -122,15 +122,16 @@ def test_joints_of_design_files_are_in_the_same_messages(
 
 
 def test_a_joint_is_commanded_and_disturbed_by_itself_while_running(
-    listener: Any, joints: dict[str, Any]
+    ros: Any, listener: Any, joints: dict[str, Any]
 ) -> None:
     node = listener.start(**joints, command_timeout=0.0, torque_limit=5.0)
     listener.wait_for(listener.measurements, 1)
     for values in ((1.0,), (), (1.0, math.nan, 1.0), (math.inf, 1.0, 1.0)):
         listener.command(*values)
     listener.command(9.0, -1.0, 9.0)
-    listener.wait_until(
-        lambda: entry(listener.measurements[-1].message, "shoulder", "effort") == 5.0, "the command"
+    ros.spin_until(
+        lambda: entry(listener.measurements[-1].message, "shoulder", "effort") == 5.0,
+        what="the command",
     )
     message = listener.measurements[-1].message
     assert entry(message, "elbow", "effort") == -1.0
@@ -141,11 +142,17 @@ def test_a_joint_is_commanded_and_disturbed_by_itself_while_running(
     line = "elbow/link_angle: {kind: bias_step, amplitude: 0.3}"
     (accepted,) = node.set_parameters([Parameter("signals", value=[line])])
     assert accepted.successful
-    listener.wait_until(
-        lambda: entry(listener.disturbances[-1].message, "elbow/link_angle") == 0.3, "the fault"
+    ros.spin_until(
+        lambda: entry(listener.disturbances[-1].message, "elbow/link_angle") == 0.3,
+        what="the fault",
     )
     values = {tuple(item.message.position) for item in listener.disturbances}
     assert {sum(map(abs, each)) for each in values} == {0.0, 0.3}
+    # One for all outputs.
+    node.set_parameters([Parameter("disturbance.kind", value="bias_step")])
+    ros.spin_until(
+        lambda: entry(listener.disturbances[-1].message, "shoulder") == 0.1, what="the other fault"
+    )
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,9 @@ from pathlib import Path
 from textwrap import indent
 from typing import Any
 
-from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from staging import start, to_stamp
 
-from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor
@@ -22,70 +20,51 @@ PERIOD = 20_000_000
 SECOND = 1_000_000_000
 
 
-def test_a_command_moves_the_arm_until_its_timeout(listener: Any) -> None:
-    listener.start(command_timeout=0.1)
-    listener.wait_for(listener.measurements, 10)
-    listener.command(2.5)
-    efforts = lambda: [item.message.effort[0] for item in listener.measurements]  # noqa: E731
-    listener.wait_until(lambda: 2.5 in efforts() and efforts()[-1] != 2.5, "the command's timeout")
-    assert efforts().count(2.5) <= 5
-    first = efforts().index(2.5)
-    stamps = [item.stamp for item in listener.measurements if item.message.effort[0] == 2.5]
-    assert stamps[-1] - stamps[0] == 4 * PERIOD or len(stamps) < 5
-    samples = listener.core(5000)
-    # The same arm until the sample that applied the command, another one after it.
-    assert listener.places(listener.measurements[: first + 1], samples)[-1] >= 10
-    assert listener.measurements[-1].message.position[0] not in samples
-
-
-def test_reset_starts_as_fresh_while_stamps_go_on(listener: Any) -> None:
+def test_a_command_moves_the_arm_until_its_timeout_and_a_reset_makes_it_as_new(
+    ros: Any, listener: Any
+) -> None:
     # Time that the node drives itself: the wall clock may stand still for a second on a busy
     # machine, and then the stamps restart.
-    listener.start(seed=5, disturbance__kind="gauss_markov", publish_clock=True)
-    listener.wait_for(listener.measurements, 20)
-    listener.command(4.0)
-    listener.wait_until(
-        lambda: any(item.message.effort[0] == 4.0 for item in listener.measurements),
-        "the command's effect",
-    )
+    listener.start(seed=5, command_timeout=0.1, publish_clock=True)
+    received = listener.measurements
+    listener.wait_for(received, 20)
+    listener.command(2.5)
+    efforts = lambda: [item.message.effort[0] for item in received]  # noqa: E731
+    ros.spin_until(lambda: 2.5 in efforts() and efforts()[-1] != 2.5, what="the command's timeout")
+    first, samples = efforts().index(2.5), listener.core(5000, seed=5)
+    assert efforts()[first:] == [2.5] * 5 + efforts()[first + 5 :]
+    # The same arm until the sample that applied the command, another one after it.
+    assert listener.places(received[: first + 1], samples)[-1] >= 20
+    assert received[-1].message.position[0] not in samples
+
     answer = listener.reset()
-    assert answer.success
-    assert answer.message == "restarted with seed 5"
-    disturbance = PlantSimulatorParameters().disturbance
-    samples = listener.core(5000, seed=5, disturbance=type(disturbance)(kind="gauss_markov"))
+    assert (answer.success, answer.message) == (True, "restarted with seed 5")
     early = set(samples[:15])
     restarted = lambda: [  # noqa: E731
-        place
-        for place in range(20, len(listener.measurements))
-        if listener.measurements[place].message.position[0] in early
-    ]
-    listener.wait_until(lambda: bool(restarted()), "the restart")
-    listener.wait_for(listener.measurements, 20)
-    found = listener.places(listener.measurements[restarted()[0] :], samples)
+        place for place in range(first, len(received))
+        if received[place].message.position[0] in early
+    ]  # fmt: skip
+    ros.spin_until(restarted, what="the restart")
+    listener.wait_for(received, 20)
+    found = listener.places(received[restarted()[0] :], samples)
     assert found == sorted(set(found))
-    steps = {
-        (item.stamp - listener.measurements[0].stamp) % PERIOD for item in listener.measurements
-    }
-    assert steps == {0}
+    assert {(item.stamp - received[0].stamp) % PERIOD for item in received} == {0}
 
 
-def test_duration_finishes_the_node_after_its_last_sample(listener: Any) -> None:
+def test_duration_finishes_the_node_after_its_last_sample(ros: Any, listener: Any) -> None:
     node = listener.start(duration=0.2)
     assert not node.finished
-    listener.wait_until(lambda: node.finished, "the end of the duration")
+    ros.spin_until(lambda: node.finished, what="the end of the duration")
     last = listener.core(11, of="physical")[-1]
-    listener.wait_until(
+    ros.spin_until(
         lambda: bool(listener.states) and listener.states[-1].message.position[0] == last,
-        "the last sample",
+        what="the last sample",
     )
-    listener.reset()
-    assert not node.finished
-    listener.wait_until(lambda: node.finished, "the end after the reset")
 
 
 def test_without_subscribers_it_starts_after_the_timeout(ros: Any) -> None:
     node = start(ros, "plant_simulator", wait_for_subscribers=2, wait_timeout=0.3, duration=0.1)
-    ros.spin_until(lambda: node.finished, 20.0, "a run without subscribers")
+    ros.spin_until(lambda: node.finished, what="a run without subscribers")
 
 
 def test_driven_clock_starts_at_one_second_leads_the_samples_and_stands_still_with_the_arm(
@@ -100,19 +79,17 @@ def test_driven_clock_starts_at_one_second_leads_the_samples_and_stands_still_wi
     assert len(listener.clock) == paused_at
     assert manager.change("activate")
     final = SECOND + 50 * PERIOD
-    listener.wait_until(
-        lambda: bool(listener.clock) and listener.clock[-1] == final, "the last clock"
-    )
+    ros.spin_until(lambda: listener.clock[-1] == final, what="the last clock")
     assert all((time - SECOND) % PERIOD == 0 for time in listener.clock)
     assert {b - a for a, b in itertools.pairwise(listener.clock)} == {PERIOD}
     found = listener.places(listener.measurements, listener.core(51))
     assert [item.stamp for item in listener.measurements] == [SECOND + k * PERIOD for k in found]
 
 
-def test_external_clock_is_followed_and_a_jump_back_restarts(listener: Any) -> None:
+def test_external_clock_is_followed_and_a_jump_back_restarts(ros: Any, listener: Any) -> None:
     clock = listener.node.create_publisher(Clock, "/clock", 10)
     own = listener.start(use_sim_time=True).get_clock()
-    listener.wait_until(lambda: clock.get_subscription_count() == 1, "matching of /clock")
+    ros.spin_until(clock.get_subscription_count, what="matching of /clock")
     samples = listener.core(1000, of="physical")
 
     def advance(first: int, count: int) -> list[Any]:
@@ -120,10 +97,10 @@ def test_external_clock_is_followed_and_a_jump_back_restarts(listener: Any) -> N
         already = len(listener.states)
         for now in range(first, first + count * 48_000_000, 48_000_000):
             clock.publish(Clock(clock=to_stamp(now)))
-            listener.wait_until(lambda now=now: own.now().nanoseconds == now, "the clock")
-        listener.wait_until(
+            ros.spin_until(lambda now=now: own.now().nanoseconds == now, what="the clock")
+        ros.spin_until(
             lambda: bool(listener.states) and 0 <= now - listener.states[-1].stamp < PERIOD,
-            "the last one",
+            what="the last one",
         )
         return listener.states[already:]
 
@@ -158,21 +135,6 @@ def test_after_a_pause_the_arm_goes_on_from_there_with_present_stamps(
     stamps = [item.stamp for item in listener.states]
     assert max(b - a for a, b in itertools.pairwise(stamps)) > SECOND // 5
     assert stamps[-1] > paused_at + SECOND // 5
-
-
-def test_faults_are_injected_by_parameters_while_running(listener: Any) -> None:
-    node = listener.start()
-    listener.wait_for(listener.disturbances, 20)
-    (result,) = node.set_parameters([Parameter("disturbance.kind", value="bias_step")])
-    assert result.successful
-    listener.wait_until(lambda: listener.disturbances[-1].message.position[0] == 0.1, "the bias")
-    (refused,) = node.set_parameters([Parameter("disturbance.kind", value="offset")])
-    assert "got 'offset'" in refused.reason
-    node.set_parameters([Parameter("disturbance.kind", value="none")])
-    listener.wait_until(lambda: listener.disturbances[-1].message.position[0] == 0.0, "the end")
-    assert {item.message.position[0] for item in listener.disturbances} == {0.0, 0.1}
-    # Neither the motion nor the white noise knows of the fault.
-    assert listener.places(listener.states, listener.core(5000, of="physical"))
 
 
 GIVEN = """
