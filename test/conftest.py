@@ -2,11 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fixtures for ROS tests without launch files: isolated nodes, and executables as processes.
 
-``ros`` gives a test its own rclpy context and domain: ``ros.add(node)``, ``ros.node(name)``,
-``ros.spin_until(predicate, timeout, what)``, ``ros.spin_for(seconds)``, ``ros.hear_out(kept)``,
-``ros.context``, ``ros.executor``, ``ros.environment`` (for child processes on the same domain).
-
-``ros_process`` starts an executable of this package, or any command, on that domain::
+``ros`` gives a test its own rclpy context and domain, ``ros_process`` starts an executable of this
+package, or any command, on that domain::
 
     process = ros_process("observer", parameters={"rate": 50.0})
     process.wait_for_line("certificate holds")
@@ -161,7 +158,10 @@ class Ros:
         from rclpy.executors import SingleThreadedExecutor
 
         self.domain_id = domain_id
-        self.environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
+        path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+        self.environment = {
+            **os.environ, "PYTHONPATH": path, "ROS_DOMAIN_ID": str(domain_id)
+        }  # fmt: skip
         self.context = rclpy.Context()
         rclpy.init(args=[], context=self.context, domain_id=domain_id)
         self.executor = SingleThreadedExecutor(context=self.context)
@@ -215,11 +215,8 @@ class Ros:
 
     def shutdown(self) -> None:
         """Tear everything down in order."""
-        for node in self._nodes:
-            getattr(node, "close", lambda: None)()
-        for node in self._nodes:
-            self.executor.remove_node(node)
-            node.destroy_node()
+        for node in [*self._nodes]:
+            self.remove(node)
         self.executor.shutdown()
         self.context.try_shutdown()
 
@@ -294,21 +291,13 @@ class RosProcess(subprocess.Popen[bytes]):
             self.wait()
 
 
-def executable(name: str) -> list[str]:
-    """Find an executable where `ros2 run` looks, else where pip puts it, else in the sources."""
-    ament = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    prefixes = [p for p in ament if (p / "share" / "tsobs_ros").is_dir()] + [Path(sys.prefix)]
-    for folder in [p / "lib" / "tsobs_ros" for p in prefixes] + [Path(sys.prefix) / "bin"]:
-        if (folder / name).is_file():
-            return [str(folder / name)]
-    code = f"import sys; from tsobs_ros.executables import {name}; sys.exit({name}())"
-    return [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}); {code}"]
+COMMAND = [sys.executable, "-m", "tsobs_ros.executables"]
 
 
 @pytest.fixture(scope="session")
-def tsobs() -> list[str]:
-    """The command, for a process of the test's own."""
-    return executable("tsobs")
+def executables() -> list[str]:
+    """A command that runs the executable whose name follows."""
+    return COMMAND
 
 
 @pytest.fixture
@@ -328,7 +317,6 @@ def ros_process(
         params_file: Path | None = None,
         remap: Mapping[str, str] | None = None,
         arguments: Sequence[str] = (),
-        environment: Mapping[str, str] | None = None,
         prefix: Sequence[str] = (),
     ) -> RosProcess:
         of_ros = [] if params_file is None else ["--params-file", str(params_file)]
@@ -336,10 +324,10 @@ def ros_process(
             of_ros += ["-p", f"{name}:={json.dumps(value)}"]  # JSON is YAML
         for old, new in (remap or {}).items():
             of_ros += ["-r", f"{old}:={new}"]
-        base = executable(command) if isinstance(command, str) else command
+        base = [*COMMAND, command] if isinstance(command, str) else command
         process = RosProcess(
             [*prefix, *base, *arguments, *(["--ros-args", *of_ros] if of_ros else [])],
-            {**ros.environment, **(environment or {})},
+            ros.environment,
             tmp_path_factory.mktemp("process"),
         )
         started.append(process)

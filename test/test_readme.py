@@ -144,6 +144,24 @@ class Shell:
         self.robot: ts.ArmRequest | None = None
         self.printed = dict[str, str]()
 
+    def run_page(self, page: Path) -> None:
+        """Run the commands of a page, and give its parameters to their nodes."""
+        for number, block in enumerate(blocks(page)):
+            if block.language == "sh":
+                for command, error in block.commands:
+                    self._capfd.readouterr()
+                    self.run(command, error)
+                    self.printed[command], err = self._capfd.readouterr()
+                    assert "unknown parameters" not in err, err
+                    assert "Traceback" not in err
+                    assert not error or without_folders(error) == without_folders(err)
+            elif block.language == "yaml":
+                Path(f"{number}.yaml").write_text(block.text, encoding="utf-8")
+                (section,) = safe_load(block.text)
+                name = section.strip("/*") or "observer"
+                self.check_node(name, ["--ros-args", "--params-file", f"{number}.yaml"])
+                assert "unknown parameters" not in self._capfd.readouterr().err
+
     def run(self, command: str, error: str) -> None:
         if command.startswith(NOT_RUN):
             return
@@ -236,52 +254,20 @@ def folder(tmp_path: Path, estimated: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return tmp_path
 
 
+@pytest.fixture
+def tools(ros: Any, benchmark: Any, monkeypatch: Any, capfd: Any) -> tuple[Any, ...]:
+    """What a `Shell` takes."""
+    return ros, benchmark, monkeypatch, capfd
+
+
 @pytest.mark.parametrize(
     "page",
     [pytest.param(each, marks=() if each.name == "README.md" else SLOW) for each in COMMAND_PAGES],
     ids=name_of,
 )
-def test_the_commands_of_a_page_run(
-    page: Path,
-    folder: Path,
-    ros: Any,
-    benchmark: Callable[[str], ModuleType],
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_the_commands_of_a_page_run(page: Path, folder: Path, tools: Any) -> None:
     Path("my_arm.design.yaml").unlink()
-    run_page(page, Shell(ros, benchmark, monkeypatch, capfd), capfd)
-
-
-def run_page(page: Path, shell: Shell, capfd: pytest.CaptureFixture[str]) -> None:
-    for number, block in enumerate(blocks(page)):
-        if block.language == "sh":
-            for command, error in block.commands:
-                capfd.readouterr()
-                shell.run(command, error)
-                shell.printed[command], err = capfd.readouterr()
-                assert "unknown parameters" not in err, err
-                assert "Traceback" not in err
-                assert not error or without_folders(error) == without_folders(err)
-        elif block.language == "yaml":
-            Path(f"{number}.yaml").write_text(block.text, encoding="utf-8")
-            (section,) = safe_load(block.text)
-            name = section.strip("/*") or "observer"
-            shell.check_node(name, ["--ros-args", "--params-file", f"{number}.yaml"])
-            assert "unknown parameters" not in capfd.readouterr().err
-
-
-def test_what_runs_otherwise_is_there() -> None:
-    commands = [
-        command
-        for page in PAGES
-        for block in blocks(page)
-        if block.language == "sh"
-        for command, _ in block.commands
-    ]
-    for start in (*SHORTER, *(f"python benchmarks/{each}" for each in BENCHMARKS)):
-        assert any(command.startswith(start) for command in commands), start
-    assert len(commands) > 60, "are blocks still found?"
+    Shell(*tools).run_page(page)
 
 
 def prelude(page: Path) -> dict[str, Any]:
@@ -354,59 +340,35 @@ class LiveShell(Shell):
 
 @LONG
 def test_the_tutorial_runs(
-    folder: Path,
-    ros_process: Callable[..., Any],
-    ros: Any,
-    benchmark: Callable[[str], ModuleType],
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+    folder: Path, ros_process: Callable[..., Any], tools: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All ten steps, with nodes that run, until the observer waits for a robot."""
     Path("my_arm.design.yaml").unlink()
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(ros.domain_id))  # of `tsobs watch`, which runs in here
-    shell = LiveShell(ros_process, ros, benchmark, monkeypatch, capfd)
+    domain = str(tools[0].domain_id)
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)  # of `tsobs watch`, which runs in here
+    shell = LiveShell(ros_process, *tools)
 
-    run_page(TUTORIAL, shell, capfd)
+    shell.run_page(TUTORIAL)
 
     shell.end()
     assert BagReader("first_run").topics["/observer/joint_states"].count > 100
     assert {path.name for path in Path().glob("report.*")} >= {"report.html", "report.png"}
 
 
-QUICK = {
-    "tsobs excite sheet.request.yaml --output motion.csv": (
-        "tsobs excite sheet.request.yaml --output motion.csv --duration 6 --candidates 1"
-    ),
-    "tsobs excite fitted.request.yaml --output motion2.csv --duration 20 --candidates 20": (
-        "cp motion.csv motion2.csv"
-    ),
-}
-"""What runs in place of the page's commands in `make test`."""
-
-
+@SLOW
 @LONG
-@pytest.mark.parametrize("quick", [True, pytest.param(False, marks=SLOW)])
-def test_the_numbers_of_a_robot_are_found(
-    quick: bool,
-    folder: Path,
-    ros: Any,
-    benchmark: Callable[[str], ModuleType],
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    for command, shorter in QUICK.items() if quick else ():
-        monkeypatch.setitem(SHORTER, command, shorter)
+def test_the_numbers_of_a_robot_are_found(folder: Path, tools: Any) -> None:
     shutil.copy(ROOT / "examples" / "hidden_robot.py", folder)
-    shell = Shell(ros, benchmark, monkeypatch, capfd)
+    shell = Shell(*tools)
 
-    run_page(YOUR_ROBOT, shell, capfd)
+    shell.run_page(YOUR_ROBOT)
 
     fitted, robot = ts.load_request("fitted.request.yaml"), shell.robot
     assert isinstance(fitted, ts.ArmRequest)
     assert robot is not None
     for name in ("link_inertia", "motor_inertia", "stiffness", "gravity_torque", "motor_damping"):
         found = getattr(fitted.arm, name)
-        assert found == pytest.approx(getattr(robot.arm, name), rel=0.05 if quick else 0.02), name
+        assert found == pytest.approx(getattr(robot.arm, name), rel=0.02), name
     assert fitted.torque.delay == pytest.approx(robot.torque.delay, abs=5e-4)
     assert Path("fit.html").exists()
     before, after = (

@@ -3,7 +3,6 @@
 """`tsobs demo` from end to end: its processes, a bag, a table and figures, and no litter."""
 
 import json
-import os
 import re
 import signal
 from collections.abc import Callable
@@ -33,17 +32,9 @@ Demo = Callable[..., Any]
 
 @pytest.fixture
 def demo(ros: Any, ros_process: Any) -> Demo:
-    """Start the command; its own children find the package wherever the tests do."""
-
-    def start(*arguments: str) -> Any:
-        path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
-        return ros_process(
-            "tsobs",
-            arguments=["demo", "--domain-id", str(ros.domain_id), *arguments],
-            environment={"PYTHONPATH": path},
-        )
-
-    return start
+    """Start the command."""
+    domain = ["demo", "--domain-id", str(ros.domain_id)]
+    return lambda *arguments: ros_process("tsobs", arguments=[*domain, *arguments])
 
 
 def running(folder: Path) -> list[int]:

@@ -45,14 +45,14 @@ def arm(ros: Any) -> None:
 
 
 def test_a_terminal_shows_an_observer_until_it_is_interrupted(
-    arm: None, ros: Any, tsobs: list[str]
+    arm: None, ros: Any, executables: list[str]
 ) -> None:
     own, other = pty.openpty()
     os.set_blocking(own, False)
     size = {"COLUMNS": "100", "LINES": "40", "TERM": "xterm-256color"}
     process = subprocess.Popen(
-        [*tsobs, "watch"], stdin=other, stdout=other, stderr=other, start_new_session=True,
-        env={**ros.environment, **size},
+        [*executables, "tsobs", "watch"], stdin=other, stdout=other, stderr=other,
+        start_new_session=True, env={**ros.environment, **size},
     )  # fmt: skip
     os.close(other)
     printed = ""

@@ -17,10 +17,8 @@ from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.estimate_topics import TOPICS as OF_EVERY_OBSERVER
 from tsobs_ros.resources import FIXED_DESIGN, config_path
 
-ROOT = Path(__file__).resolve().parents[2]
-PREAMBLE = f"""
+PREAMBLE = """
 import ctypes, os, signal, sys
-sys.path.insert(0, {str(ROOT)!r})
 import rclpy
 from rclpy.node import Node
 from tsobs_ros.nodes import runtime
@@ -30,13 +28,11 @@ class Worker(Node):
 
     def __init__(self):
         super().__init__("worker")
-        self.ticks = 0
-        self.create_timer(0.02, self.tick)
+        self.timer = self.create_timer(0.02, self.tick)
 
     def tick(self):
-        self.ticks += 1
-        if self.ticks == 1:
-            print("ticking", flush=True)
+        print("ticking", flush=True)
+        self.timer.cancel()
 
     def close(self):
         print("closed worker", flush=True)

@@ -3,7 +3,6 @@
 """Players in the test's graph, and a node that listens to them."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -33,16 +32,18 @@ class Listener:
         self.sent: list[int] = []
         self.clock: list[float] = []
 
-    def listen(self, *topics: str, qos: QoSProfile | int = 1000) -> "Listener":
+    def listen(self, *topics: str, qos: QoSProfile | int = 1000) -> None:
         """Subscribe to topics of Strings."""
         for topic in topics:
             self.node.create_subscription(String, topic, self._hear(topic), qos)
-        return self
 
-    def listen_to_clock(self) -> "Listener":
+    def listen_to_clock(self) -> None:
         """Subscribe to /clock."""
-        self.node.create_subscription(Clock, "/clock", self._hear_clock, 1000)
-        return self
+
+        def hear(message: Clock) -> None:
+            self.clock.append((to_nanoseconds(message.clock) - START) * 1e-6)
+
+        self.node.create_subscription(Clock, "/clock", hear, 1000)
 
     def texts(self, topic: str = "/a") -> list[str]:
         """Return what was said on a topic."""
@@ -61,9 +62,6 @@ class Listener:
 
         return hear
 
-    def _hear_clock(self, message: Clock) -> None:
-        self.clock.append((to_nanoseconds(message.clock) - START) * 1e-6)
-
 
 @pytest.fixture
 def listener(ros: Any) -> Listener:
@@ -74,11 +72,7 @@ def listener(ros: Any) -> Listener:
 @pytest.fixture
 def play(ros: Any) -> Callable[..., Player]:
     """Give what starts players in the test's graph."""
-
-    def start_player(path: Path, **parameters: Any) -> Player:
-        return start(ros, "player", **{"bag": str(path), **parameters})
-
-    return start_player
+    return lambda path, **parameters: start(ros, "player", **{"bag": str(path), **parameters})
 
 
 @pytest.fixture

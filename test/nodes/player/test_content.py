@@ -82,9 +82,7 @@ def test_what_was_recorded_played_and_recorded_again_is_the_same(
     ("parameters", "played"),
     [
         ({"topics": ["/a", "b"]}, {"/a", "/b"}),
-        ({"regex": "^/a"}, {"/a", "/ab"}),
-        ({"exclude_topics": ["/a", "/unheard_of"]}, {"/ab", "/b", "/clock"}),
-        ({"exclude_regex": "b", "clock": 10.0}, {"/a"}),
+        ({"exclude_regex": "b", "clock": 10.0}, {"/a", "/clock"}),
     ],
 )
 def test_topics_are_selected(
@@ -93,42 +91,44 @@ def test_topics_are_selected(
     names = ("/a", "/ab", "/b", "/clock")
     bag = write_bag(tmp_path / "bag", [Entry(name, 0, "") for name in names])
     player = play(bag, start_paused=True, **parameters)
-
-    published = {p.topic_name for p in player.publishers if p.topic_name in names}
-    assert published == played | ({"/clock"} if "clock" in parameters else set())
+    assert {p.topic_name for p in player.publishers if p.topic_name in names} == played
 
 
-@pytest.mark.parametrize(
-    ("definition", "reason"),
-    [
-        (MessageDefinition("no_such_msgs/msg/Thing", "int32 x\n", ""),
-         "no_such_msgs/msg/Thing is not installed"),
-        (MessageDefinition("std_msgs/msg/Nothing", "int32 x\n", ""),
-         "the Python module of std_msgs"),
-        (find_definition(STRING)._replace(type_hash="RIHS01_" + "0" * 64),
-         "another definition of std_msgs/msg/String"),
-        (MessageDefinition("std_srvs/srv/Trigger", "", ""), "not playing"),
-    ],
-    ids=["package", "name", "hash", "service"],
-)  # fmt: skip
-def test_what_cannot_be_published_is_left_out_with_a_warning(
-    ros: Any, play: Play, listener: Any, tmp_path: Path, capfd: Any,
-    definition: MessageDefinition, reason: str,
+def test_what_cannot_be_published_is_left_out_with_a_warning_that_commands_no_terminal(
+    play: Play, listener: Any, tmp_path: Path, capfd: Any,
+    hostile: str, check_shown: Callable[[str], None],
 ) -> None:  # fmt: skip
+    changed = find_definition(STRING)._replace(type_hash="RIHS01_" + "0" * 64)
+    strange = {
+        "/package": MessageDefinition("no_such_msgs/msg/Thing", "int32 x\n", ""),
+        "/name": MessageDefinition("std_msgs/msg/Nothing", "int32 x\n", ""),
+        "/changed": changed,
+        "/service": MessageDefinition("std_srvs/srv/Trigger", "", ""),
+        f"/{hostile}": MessageDefinition(STRING, "", ""),
+        "/type": MessageDefinition(f"std_msgs/msg/{hostile}", hostile, ""),
+        "/hash": MessageDefinition(STRING, "", hostile),
+    }
     with BagWriter(tmp_path / "bag") as writer:
-        writer.add_topic("/strange", definition.type, definition=definition)
         writer.add_topic("/a", STRING)
         for k in range(3):
-            writer.write("/strange", b"\0\1\0\0\0\0\0\0", START + k, START)
             writer.write("/a", data_of(f"a{k}"), START + k, START)
+        for topic, definition in strange.items():
+            writer.add_topic(topic, definition.type, definition=definition)
+            writer.write(topic, b"\0\1\0\0\0\0\0\0", START, START)
     listener.listen("/a")
-    player = play(tmp_path / "bag")
-    listener.hear_out(player)
+    listener.hear_out(play(tmp_path / "bag"))
 
     assert listener.texts() == texts(0, 3)
-    (warning,) = [line for line in capfd.readouterr().err.splitlines() if "[WARN]" in line]
-    assert "not playing /strange: " in warning
-    assert reason in warning
+    printed = capfd.readouterr().err
+    check_shown(printed)
+    assert printed.count("not playing") == len(strange)
+    for topic, reason in (
+        ("/package", "no_such_msgs/msg/Thing is not installed"),
+        ("/name", "the Python module of std_msgs"),
+        ("/changed", "another definition of std_msgs/msg/String"),
+    ):
+        (line,) = [each for each in printed.splitlines() if f"not playing {topic}: " in each]
+        assert reason in line
 
 
 BEST_EFFORT = QosProfile(reliability="best_effort")
@@ -140,14 +140,13 @@ RELIABLE = ("reliable", "volatile", 1000)
     ("profiles", "expected"),
     [
         ([], RELIABLE),
-        ([BEST_EFFORT, BEST_EFFORT], ("best_effort", "volatile", 1000)),
         ([BEST_EFFORT, QosProfile()], RELIABLE),
         # Each of them may have latched as many as a default publisher keeps.
         ([LATCHED] * 3, ("reliable", "transient_local", 30)),
         ([replace(LATCHED, history="keep_last", depth=d) for d in (1, 4)],
          ("reliable", "transient_local", 5)),
         ([replace(LATCHED, history="keep_all")], ("reliable", "transient_local", 1000)),
-        ([QosProfile(reliability="system_default", liveliness="manual_by_node")], RELIABLE),
+        ([QosProfile(reliability="system_default")], RELIABLE),
     ],
 )  # fmt: skip
 def test_what_all_publishers_offered_is_offered(
@@ -158,20 +157,13 @@ def test_what_all_publishers_offered_is_offered(
     assert (qos.reliability.name.lower(), qos.durability.name.lower(), qos.depth) == expected
 
 
-@pytest.fixture
-def latched_bag(tmp_path: Path) -> Path:
-    """Give a bag with 3 messages latched at 0, 20 and 60 ms, and a0 … a9, one every 10 ms."""
-    entries = [Entry("/latched", at, f"l{at}") for at in (0, 20, 60)]
-    offers = {
-        "/latched": [QosProfile(history="keep_last", depth=1, durability="transient_local")],
-    }
-    return write_bag(tmp_path / "bag", [*entries, *regular(10)], offers)
-
-
 def test_what_was_latched_before_the_start_is_published_first_even_in_a_pause(
-    ros: Any, play: Play, listener: Any, call: Any, latched_bag: Path
+    ros: Any, play: Play, listener: Any, call: Any, tmp_path: Path
 ) -> None:
-    player = play(latched_bag, start_paused=True, start_offset=0.05)
+    entries = [*regular(10), *(Entry("/latched", at, f"l{at}") for at in (0, 20, 60))]
+    offers = {"/latched": [replace(LATCHED, history="keep_last", depth=1)]}
+    bag = write_bag(tmp_path / "bag", entries, offers)
+    player = play(bag, start_paused=True, start_offset=0.05)
     ros.spin_until(lambda: player.messages == 1, what="the latched message's publication")
     listener.listen("/latched", qos=LATE)  # late subscribers get what is latched, too
     ros.spin_until(lambda: listener.texts("/latched") == ["l20"], what="the latched message")

@@ -49,7 +49,8 @@ def test_a_pause_lasts_until_it_is_over_and_nothing_is_left_out(
 def test_in_a_loop_the_clock_jumps_back_to_the_start(
     ros: Any, play: Play, listener: Any, call: Any, bag: Path
 ) -> None:
-    listener.listen("/a").listen_to_clock()
+    listener.listen("/a")
+    listener.listen_to_clock()
     player = play(bag, start_offset=0.94, loop=True, clock=200.0, rate=0.5, start_paused=True)
     # Only a subscription of /clock that is matched hears every pass of it.
     ros.spin_until(lambda: bool(listener.clock), what="the clock in the pause")

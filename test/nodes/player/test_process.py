@@ -7,13 +7,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from player.bags import START, STRING, data_of, regular, texts, write_bag
+from player.bags import regular, texts, write_bag
 
-from tsobs_ros.bag import BagReader, BagWriter
-from tsobs_ros.bag.definitions import MessageDefinition
+from tsobs_ros.bag import BagReader
 from tsobs_ros.errors import BagReadError
+from tsobs_ros.resources import config_path
 
-CONFIG = Path(__file__).parents[3] / "config" / "player.yaml"
 Process = Callable[..., Any]
 
 
@@ -22,10 +21,11 @@ def test_it_ends_with_the_bag_and_follows_remappings(
 ) -> None:
     # The shipped parameters are the player's whatever its name.
     bag = write_bag(tmp_path / "bag", [*regular(50, 1.0), *regular(50, 1.0, "/b")])
-    listener.listen("/new", "/b").listen_to_clock()
+    listener.listen("/new", "/b")
+    listener.listen_to_clock()
     process = ros_process(
         "player",
-        params_file=CONFIG,
+        params_file=config_path("player.yaml"),
         parameters={"bag": str(bag), "clock": 100.0, "wait_for_subscribers": 2},
         remap={"/a": "/new", "__node": "tape"},
     )
@@ -38,29 +38,6 @@ def test_it_ends_with_the_bag_and_follows_remappings(
     assert listener.texts("/b") == texts(0, 50, "b")
     assert listener.clock[0] == 0.0
     assert "played 100 messages of 2 topics" in finished.stderr
-
-
-def test_names_in_a_bag_do_not_command_the_terminal(
-    play: Any, listener: Any, tmp_path: Path, capfd: Any,
-    hostile: str, check_shown: Callable[[str], None],
-) -> None:  # fmt: skip
-    with BagWriter(tmp_path / "bag") as writer:
-        for topic, type_ in (
-            (f"/{hostile}", STRING),
-            ("/type", f"std_msgs/msg/{hostile}"),
-            ("/package", f"{hostile}/msg/String"),
-            ("/hash", STRING),
-            ("/a", STRING),
-        ):
-            hash_ = hostile if topic == "/hash" else ""
-            writer.add_topic(topic, type_, definition=MessageDefinition(type_, hostile, hash_))
-            writer.write(topic, data_of("a0"), START, START)
-    listener.listen("/a")
-    listener.hear_out(play(writer.path))
-    assert listener.texts() == ["a0"]
-    printed = capfd.readouterr().err
-    check_shown(printed)
-    assert printed.count("not playing") == 4
 
 
 def test_damage_is_an_error_after_all_before_it_has_arrived(

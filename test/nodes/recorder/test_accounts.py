@@ -27,9 +27,7 @@ def full(name: str) -> str:
         ({"topics": ("joints", "/camera/image")}, {"/arm/joints", "/camera/image"}),
         ({"topics": ("/arm/reset/_service_event",)}, {"/arm/reset/_service_event"}),
         ({"regex": "^/arm/.*e"}, {"/arm/torque", "/arm/reset/_service_event"}),
-        ({"regex": "torque", "topics": ("joints",)}, {"/arm/joints", "/arm/torque"}),
         ({"exclude_topics": ("joints",)}, VISIBLE - {"/arm/joints"}),
-        ({"exclude_regex": "^/camera"}, {"/arm/joints", "/arm/torque"}),
         ({"topics": ("joints", "torque"), "exclude_regex": "q"}, {"/arm/joints"}),
     ],
 )

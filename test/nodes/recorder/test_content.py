@@ -20,48 +20,42 @@ from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.metadata import read_metadata
 
 
-def test_times_qos_and_type_hash_are_those_of_the_publisher(ros, recording) -> None:
-    recorder = recording.start(topics=["joints"])
+def test_other_libraries_read_what_was_published_when_and_by_whom(ros, recording) -> None:
+    recorder = recording.start(topics=["joints", "words"], compression="zstd")
     node = ros.node("source")
-    qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-    publisher = node.create_publisher(JointState, "joints", qos)
+    best_effort = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+    awkward = JointState(name=["θ"], position=[0.1] * 7, effort=[float("inf")])
+    messages = [JointState(), awkward, String(data="Größe θ̂ ≤ 1 😀"), String(data="x" * 300_000)]
+    joints = node.create_publisher(JointState, "joints", best_effort)
+    words = node.create_publisher(String, "words", 100)
     ros.spin_until(lambda: recorder.ready, what="the recorder's match")
     before = node.get_clock().now().nanoseconds
-    recording.publish(recorder, publisher, recording.joint_states(50))
+    recording.publish(recorder, joints, messages[:2])
+    recording.publish(recorder, words, messages[2:])
     after = node.get_clock().now().nanoseconds
     (info,) = node.get_publishers_info_by_topic("/joints")
     recorder.close()
 
-    reader = BagReader(recorder.path)
-    messages = list(reader.messages())
-    assert all(before <= m.publish_time <= m.log_time <= after for m in messages)
-    assert [m.publish_time for m in messages] == sorted(m.publish_time for m in messages)
-    assert reader.topics["/joints"].type_hash == str(info.topic_type_hash)
-    (offer,) = reader.topics["/joints"].qos_profiles
-    assert (offer.reliability, offer.durability) == ("best_effort", "volatile")
-    assert reader.metadata is not None
-    assert reader.metadata.topics[0].qos_profiles == (offer,)
-
-
-def test_other_libraries_read_what_was_published(ros, recording) -> None:
-    recorder = recording.start(topics=["joints", "words"], compression="zstd")
-    awkward = JointState(name=["θ"], position=[0.1] * 7, effort=[float("inf")])
-    messages = [JointState(), awkward, String(data="Größe θ̂ ≤ 1 😀"), String(data="x" * 300_000)]
-    for kind, topic in ((JointState, "joints"), (String, "words")):
-        publisher = ros.node(f"source_of_{topic}").create_publisher(kind, topic, 100)
-        recording.publish(recorder, publisher, [m for m in messages if isinstance(m, kind)])
-    recorder.close()
-    with AnyReader([recorder.path]) as reader:
-        rosbags = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()]
+    with AnyReader([recorder.path]) as other:
+        rosbags = [other.deserialize(data, c.msgtype) for c, _, data in other.messages()]
     with (recorder.path / "bag_0.mcap").open("rb") as stream:
         made = make_reader(stream, decoder_factories=[DecoderFactory()], validate_crcs=True)
         mcap = [item.decoded_message for item in made.iter_decoded_messages()]
     for read in (rosbags, mcap):
-        *joints, short, long = read
-        assert [[*each.name, *each.position, *each.effort] for each in joints] == [
+        *states, short, long = read
+        assert [[*each.name, *each.position, *each.effort] for each in states] == [
             [*each.name, *each.position, *each.effort] for each in messages[:2]
         ]
         assert [short.data, long.data] == [each.data for each in messages[2:]]
+
+    reader = BagReader(recorder.path)
+    times = [time for m in reader.messages() for time in (m.publish_time, m.log_time)]
+    assert [before, *times, after] == sorted([before, *times, after])
+    assert reader.topics["/joints"].type_hash == str(info.topic_type_hash)
+    (offer,) = reader.topics["/joints"].qos_profiles
+    assert (offer.reliability, offer.durability) == ("best_effort", "volatile")
+    written = {each.name: each for each in read_metadata(recorder.path).topics}
+    assert written["/joints"].qos_profiles == (offer,)
 
 
 def test_under_simulated_time_messages_wait_for_the_clock(ros, recording) -> None:
@@ -87,19 +81,12 @@ def test_under_simulated_time_messages_wait_for_the_clock(ros, recording) -> Non
 
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-Call = Callable[[str], str]
 
 
 @pytest.fixture
-def call(manage: Callable[[Any], Any]) -> Call:
+def call(manage: Callable[[Any], Any]) -> Callable[[str], str]:
     """Give what calls one of the recorder's services and returns its answer."""
-
-    def call(service: str) -> str:
-        response = manage("/recorder").call(Trigger, service)
-        assert response.success
-        return str(response.message)
-
-    return call
+    return lambda service: str(manage("/recorder").call(Trigger, service).message)
 
 
 def test_what_comes_during_a_pause_is_left_out_but_for_what_is_latched(recording, call) -> None:
