@@ -10,13 +10,9 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
-from tsobs_ros.errors import DesignError, ParameterError, printable
-
-if TYPE_CHECKING:
-    from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.errors import DesignError, printable
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """Where a command adds its parser."""
@@ -85,17 +81,6 @@ def pairs(text: str) -> dict[str, str]:
 def joined(given: list[dict[str, str]]) -> dict[str, str]:
     """Return the pairs of an option that can be repeated."""
     return {name: value for one in given for name, value in one.items()}
-
-
-def load_arm_request(path: Path) -> "ArmRequest":
-    """Return the request in a file, which must be for an arm."""
-    from tsobs_ros.design.file import load_request
-    from tsobs_ros.design.request import ArmRequest
-
-    request = load_request(path)
-    if not isinstance(request, ArmRequest):
-        raise ParameterError(f"{path}: expected a request for an arm, not a T-S system")
-    return request
 
 
 def show(mapping: dict[str, Any], text: str, as_json: bool) -> None:

@@ -4,6 +4,7 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from tsobs_ros.cli.common import (
     Commands,
@@ -11,7 +12,6 @@ from tsobs_ros.cli.common import (
     add_log_options,
     at_least_one,
     keywords,
-    load_arm_request,
     note,
     positive,
     progress,
@@ -81,10 +81,11 @@ def add_parser(commands: Commands) -> None:
 
 def _excite(options: argparse.Namespace) -> int:
     """Find a motion and write it."""
+    from tsobs_ros.design.file import load_request
     from tsobs_ros.identification.excitation import excite
 
     require_new([options.output], force=options.force)
-    request = load_arm_request(options.request)
+    request: Any = load_request(options.request)
     with progress(0, " motions", quiet=options.json) as advance:
         found = excite(request, advance=advance, **keywords(options, excite))
     found.save(options.output, force=options.force)
@@ -97,6 +98,7 @@ def _excite(options: argparse.Namespace) -> int:
 
 def _fit(options: argparse.Namespace) -> int:
     """Fit and write the fitted request."""
+    from tsobs_ros.design.file import load_request
     from tsobs_ros.identification.fit import fit
     from tsobs_ros.identification.result import request_text
     from tsobs_ros.yaml_files import write_yaml
@@ -108,7 +110,7 @@ def _fit(options: argparse.Namespace) -> int:
         from tsobs_ros.report.fit import write_page
 
         require_nameable(report)
-    request = load_arm_request(options.request)
+    request: Any = load_request(options.request)
     with progress(0, " samples", scale=True, quiet=options.json) as advance:
         found = fit(request, *options.logs, advance=advance, **keywords(options, fit))
     names = ", ".join(each.name for each in options.logs)

@@ -3,12 +3,17 @@
 """Health of an estimator as data, which nodes, reports and `tsobs watch` only show."""
 
 import enum
+import math
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, NamedTuple, Self, TypeVar
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from tsobs_ros.errors import ModelError
+from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.settings import check, live_setting
 
 T = TypeVar("T")
@@ -16,6 +21,8 @@ T = TypeVar("T")
 # Distances of measurements in periods of the design that are worth a word. Beyond the one the
 # estimate may never settle below the certified bound; below the other much is wasted.
 _MAX_PERIODS, _MIN_PERIODS = 1.02, 0.7
+# Distances of stamps that make a median.
+_ENOUGH = 7
 
 
 class Level(enum.IntEnum):
@@ -164,6 +171,14 @@ class LastMinute:
         self.growth += grown
         self.growth -= self._past.popleft()
         return grown
+
+
+def rate_of(stamps: ArrayLike) -> float:
+    """Return how many of some stamps [ns] there are a second [Hz], by the median of their
+    distances; NaN of few."""
+    apart = np.diff(np.sort(stamps))
+    apart = apart[apart > 0]
+    return NANOSECONDS / float(np.median(apart)) if len(apart) >= _ENOUGH else math.nan
 
 
 def judge_rate(measured: float, wanted: float) -> tuple[int, str]:

@@ -31,7 +31,7 @@ that they would end the process, are refused.
 import math
 import time
 import traceback
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from typing import Any, Generic, TypeVar
@@ -76,8 +76,8 @@ P = TypeVar("P", bound=ManagedParameters)
 class ManagedNode(LifecycleNode, Generic[P]):
     """A lifecycle node; with the parameter `autostart` it configures and activates itself.
 
-    Subclasses override `configure`, `activate`, `deactivate`, `cleanup`, `check` and `retune` as
-    they need them, and call `start` at the end of their constructor.
+    Subclasses override `configure`, `activate`, `deactivate`, `cleanup` and `retune` as they
+    need them, and call `start` at the end of their constructor.
 
     Args:
         schema: The dataclass of its parameters.
@@ -128,10 +128,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
     def cleanup(self) -> None:
         """Finish what `configure` began; called before anything is released."""
 
-    def check(self, parameters: P) -> None:
-        """Raise a ParameterError if parameters that shall be set do not fit what is configured."""
-
-    def retune(self, parameters: P, names: Collection[str]) -> None:
+    def retune(self, parameters: P) -> None:
         """Take over parameters of which some were set, while the node is configured."""
 
     @property
@@ -337,7 +334,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
     def _check_set(self, proposal: Sequence[Parameter]) -> SetParametersResult:
         try:
-            self.check(updated(self.parameters, proposal))
+            updated(self.parameters, proposal)
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -345,7 +342,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
     def _take_set(self, accepted: Sequence[Parameter]) -> None:
         self.parameters = updated(self.parameters, accepted)
         if self.configured:
-            self.retune(self.parameters, {each.name for each in accepted})
+            self.retune(self.parameters)
 
     def _attempt(self, what: str, step: Callable[[], None]) -> TransitionCallbackReturn:
         """Take a step; log why it failed, unless `start` is going to raise it."""

@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 
 from tsobs_ros.checks import meant
 from tsobs_ros.errors import ParameterError, printable
-from tsobs_ros.settings import Setting, in_yaml, plain, schema_of, setting
+from tsobs_ros.settings import Setting, changed, in_yaml, plain, schema_of, setting
 
 P = TypeVar("P")
 
@@ -149,11 +149,8 @@ def updated(value: P, proposal: Sequence[Parameter]) -> P:
     Raises:
         ParameterError: A value breaks a rule, or they contradict each other.
     """
-    schema = schema_of(type(value))
-    own = [each for each in proposal if each.name in schema.entries]
-    given = {each.name: schema.entries[each.name].converted(each.value) for each in own}
-    built: P = schema.build(schema.values_of(value) | given)
-    return built
+    known = schema_of(type(value)).entries
+    return changed(value, {each.name: each.value for each in proposal if each.name in known})
 
 
 def _type(entry: Setting) -> Parameter.Type:

@@ -101,14 +101,6 @@ class ObserverFeed:
             return {}
         return dict(zip(message.names, getattr(message, field), strict=False))
 
-    def status_of(self, joint: str, concern: str) -> list[Status]:
-        """Return the newest statuses of a joint whose names begin with a concern."""
-        return [
-            status
-            for name, status in self.statuses.items()
-            if name.removeprefix(f"{joint}: ").startswith(concern)
-        ]
-
     def _take_statuses(self, array: DiagnosticArray) -> None:
         found = {
             each.name.removeprefix(self._prefix): Status(

@@ -6,7 +6,6 @@ The messages are those of the observer node, byte for byte; made a window at a t
 tenth of what they cost one by one.
 """
 
-import math
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -40,7 +39,7 @@ from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagWriteError, LogError, ModelError
 from tsobs_ros.estimation.estimator import Rows
-from tsobs_ros.estimation.health import judge_rate
+from tsobs_ros.estimation.health import judge_rate, rate_of
 from tsobs_ros.estimation.records import GATED, HEALTH, NON_FINITE, REASONS, RejectReason
 from tsobs_ros.estimation.tracker import TrackerRun
 from tsobs_ros.methods import ObserverSettings, contender, make_estimator, make_tracker
@@ -51,10 +50,8 @@ from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.loop import WINDOW, Window, Windows
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
 from tsobs_ros.replay.source import BagSource, Records
-from tsobs_ros.series import NANOSECONDS, Spool, Stamps
+from tsobs_ros.series import Spool, Stamps
 
-# So many intervals between measurements show their rate.
-_ENOUGH = 8
 _OF_BAGS = (".mcap", ".yaml", ".db3")
 _STRING = MessageDefinition(STRING, "string data\n", "")
 _TICK_LOG = MessageDefinition(TICK_LOG, TICK_LOG_TEXT, "")
@@ -353,9 +350,7 @@ class Run:
         found, samples = [], self._source.samples
         each = zip(self._source.joints, self.observer.designs, strict=True)
         for joint, (name, design) in enumerate(each):
-            apart = np.diff(samples.stamps[samples.complete[:, joint]])
-            apart = apart[apart > 0]
-            rate = NANOSECONDS / float(np.median(apart)) if len(apart) >= _ENOUGH else math.nan
+            rate = rate_of(samples.stamps[samples.complete[:, joint]])
             off, text = judge_rate(rate, design.request.rate)
             found += [f"warning: {name}: {text}"] if off else []
         return found

@@ -34,7 +34,6 @@ services:
 
 import time
 from collections import deque
-from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -132,7 +131,7 @@ class Observer(ManagedNode[ObserverParameters]):
         """Stop estimating and publishing."""
         self._ticker.stop()
 
-    def retune(self, parameters: ObserverParameters, names: Collection[str]) -> None:
+    def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
         for joint in self._joints:
             joint.retune(parameters)

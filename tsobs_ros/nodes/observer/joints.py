@@ -34,8 +34,6 @@ FAILURES = "numerical failures"
 _ACCEPTED = (*records.CORRECTING, records.GATED)
 # For how many seconds measurements must come at another rate before that is worth a word.
 _LASTING = 3.0
-# Stamps that make a median period.
-_ENOUGH = 8
 # Bounds beyond which a torque is no chance.
 _SIGNIFICANT = 3.0
 
@@ -196,10 +194,10 @@ class ObservedJoint:
         self.newly = self.recent.update({**own, **self.rejected, **self.tracker.events})
         if self.newly[FAILURES]:
             yield Level.ERROR, "numerical failure: an estimate was not finite; restarted"
-        stamps, self._stamps = np.sort(self._stamps), []
-        if len(stamps) < _ENOUGH:
+        rate, self._stamps = health.rate_of(self._stamps), []
+        if math.isnan(rate):
             return
-        self.measured_rate = NANOSECONDS / max(1.0, float(np.median(np.diff(stamps))))
+        self.measured_rate = rate
         before = self._pace.value
         off, text = health.judge_rate(self.measured_rate, self.request.rate)
         self._seconds += 1

@@ -21,7 +21,6 @@ services:
 
 import math
 import time
-from collections.abc import Collection
 from typing import Any
 
 from rclpy.clock import JumpThreshold
@@ -217,7 +216,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._plants = plants_of(self.parameters)
         self._commands.forget()
 
-    def retune(self, parameters: PlantSimulatorParameters, names: Collection[str]) -> None:
+    def retune(self, parameters: PlantSimulatorParameters) -> None:
         """Take changed parameters over from the next sample on."""
         for plant, (joint, scenario) in zip(
             self._plants, parameters.scenarios().items(), strict=True

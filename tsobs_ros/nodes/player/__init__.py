@@ -14,7 +14,7 @@ services, std_srvs/srv/Trigger:
 
 import sys
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +66,6 @@ class Player(ManagedNode[PlayerParameters]):
         if self.get_parameter("use_sim_time").value:
             self.log(Level.WARN, "use_sim_time does not matter: the player makes the time")
         self._reader = reader = BagReader(Path(parameters.bag).expanduser())
-        self._warned = False
         self._start = reader.start_time or 0
         end = reader.end_time or self._start
         start, length = (
@@ -135,10 +134,11 @@ class Player(ManagedNode[PlayerParameters]):
 
     def cleanup(self) -> None:
         """Log what has been played."""
-        self._warn_of_unchecked()
+        if self._reader.unchecked:
+            self.log(Level.WARN, f"{self._reader.path}: {UNCHECKED}")
         self.log(Level.OK, f"played {self.messages} messages of {len(self._counts)} topics")
 
-    def retune(self, parameters: PlayerParameters, names: Collection[str]) -> None:
+    def retune(self, parameters: PlayerParameters) -> None:
         """Play at another rate, with or without a loop."""
         self._playback.set_rate(parameters.rate, time.monotonic_ns())
         self._playback.loop = parameters.loop
@@ -233,13 +233,7 @@ class Player(ManagedNode[PlayerParameters]):
     def _state(self) -> tuple[bool, str]:
         return True, f"{self.doing} at {self.position:.3f} s"
 
-    def _warn_of_unchecked(self) -> None:
-        if self._reader.unchecked and not self._warned:
-            self._warned = True
-            self.log(Level.WARN, f"{self._reader.path}: {UNCHECKED}")
-
     def _statuses(self) -> list[Status]:
-        self._warn_of_unchecked()
         values = {
             "position [s]": f"{self.position:.3f}",
             "rate": f"{self.parameters.rate:g}",

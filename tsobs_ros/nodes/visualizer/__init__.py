@@ -67,7 +67,11 @@ class Visualizer(ManagedNode[VisualizerParameters]):
         for joint in dict.fromkeys(
             name.removesuffix(_LINK) for name in (*states, *truth) if name.endswith(_LINK)
         ):
-            statuses = self._feed.status_of(joint, "sensor fault")
+            statuses = (
+                status
+                for name, status in self._feed.statuses.items()
+                if name.removeprefix(f"{joint}: ").startswith("sensor fault")
+            )
             worst = max(statuses, key=lambda each: each.level, default=None)
             level, fault = (worst.level, worst.message) if worst else (Level.STALE, "?")
             true, estimate, bound = (_angles(each, joint) for each in (truth, states, bounds))
