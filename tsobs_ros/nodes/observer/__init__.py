@@ -227,8 +227,8 @@ class Observer(ManagedNode[ObserverParameters]):
             self._unanswered.clear()
         due = self._publisher.publish_health(now, fresh)
         for place, joint in enumerate(self._joints):
-            for level, text in joint.news(now, fresh.get(place), due):
-                self.log(level, f"{joint.name}: {text}")
+            for event in joint.news(now, fresh.get(place), due):
+                self.log(event.level, f"{joint.name}: {event.text}")
         return bool(estimates)
 
     def _restart(self, why: str) -> None:
