@@ -113,21 +113,6 @@ def test_the_package_keeps_its_import_directions() -> None:
     assert not found, "\n".join(found)
 
 
-@pytest.mark.parametrize(
-    ("path", "source", "message"),
-    [
-        ("model/arm.py", "import tsobs_ros.estimation", "model must not import estimation"),
-        ("bag/writer.py", "def f():\n    from tsobs_ros.nodes import x", "writer.py:2: bag must"),
-        ("bag/writer.py", "import_module('rclpy')", "rclpy belongs to nodes, not bag"),
-        ("plots/line.py", "", "new part 'plots'"),
-    ],
-)
-def test_a_violation_is_found(path: str, source: str, message: str) -> None:
-    (violation,) = violations(Path(path), source)
-
-    assert message in violation
-
-
 def test_the_nodes_of_a_robot_need_numpy_and_a_yaml_reader_alone() -> None:
     """With what rosdep gets from Ubuntu's apt they start, observe and draw."""
     code = (

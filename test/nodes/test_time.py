@@ -41,22 +41,6 @@ def test_estimates_are_the_trackers_bit_for_bit_at_any_rates(
         assert all(list(each.message.name) == names for each in stage.watcher.of(topic))
 
 
-@pytest.mark.parametrize("gap", [300, 1100], ids=lambda gap: f"{gap} ms")
-def test_after_a_gap_of_any_length_it_goes_on(stage: Stage, gap: int) -> None:
-    observer, arm = stage.add(rate=50.0, stale_after=1.0), Arm(BEGIN)
-    stage.step(BEGIN - 20 * MS)
-    newest, again = BEGIN + 495 * MS, BEGIN + (500 + gap) * MS
-    events = good(arm, BEGIN, 0.5) + good(arm, again, 0.5)
-    stage.play(events, again + 500 * MS, 20 * MS)
-
-    assert used(observer) == len(events)
-    assert observer.joints[0].tracker.restarts == (gap > 1000)
-    coasting = [stamp for stamp in stage.watcher.stamps if newest < stamp < again]
-    assert max(coasting) <= newest + NANOSECONDS
-    assert len(coasting) >= min(gap, 1000) // 20 - 1
-    assert replayed(stage.watcher, observer, events)
-
-
 def test_a_clock_that_goes_back_may_be_waited_for_instead(stage: Stage) -> None:
     observer, arm = stage.add(reset_on_backward_jump=False), Arm(BEGIN)
     stage.step(BEGIN - PERIOD)
@@ -91,7 +75,7 @@ def test_a_clock_that_goes_back_restarts_each_time(
 
 
 def test_a_leap_of_the_clock_is_a_gap_and_no_missed_tick(stage: Stage) -> None:
-    observer, wanted = stage.add(), 0
+    observer, sent = stage.add(), list[Event]()
     stage.step(BEGIN)
     missed = int(values(stage.statuses()["observer: timing"])["missed ticks"])
     # Within coast_after, while coasting, to the edge of that, beyond: an hour, a year.
@@ -99,10 +83,11 @@ def test_a_leap_of_the_clock_is_a_gap_and_no_missed_tick(stage: Stage) -> None:
         arm = Arm(stage.now + round(leap * NANOSECONDS))
         events = good(arm, arm.origin, 0.1)
         stage.step(arm.origin + 100 * MS, events)
-        wanted += len(events)
-        assert used(observer) == wanted
+        sent += events
+        assert used(observer) == len(sent)
         assert stage.watcher.stamps[-1] == stage.now
     assert observer.joints[0].tracker.restarts == 3
+    assert replayed(stage.watcher, observer, sent) >= 6
     timing = values(stage.statuses()["observer: timing"])
     assert int(timing["missed ticks"]) - missed < 10_000  # of 6 million
 
