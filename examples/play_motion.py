@@ -15,7 +15,6 @@ import argparse
 import signal
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import rclpy
@@ -25,23 +24,22 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray
 
+from tsobs_ros.errors import TsobsError
+from tsobs_ros.replay.csv_file import read_torques
+
 parser = argparse.ArgumentParser(description="Play a motion on a robot.")
-parser.add_argument("motion", help="file of `tsobs excite`")
+parser.add_argument("motion", help="CSV file with the columns time and torque")
 parser.add_argument("--max-torque", type=float, required=True, help="largest command [N m]")
 parser.add_argument("--scale", type=float, default=1.0, help="factor of the torque; 1/gear ratio")
 parser.add_argument("--topic", default="/effort_controller/commands", help="of the controller")
 options = parser.parse_args()
 
 try:
-    lines = Path(options.motion).read_text(encoding="utf-8").splitlines()
-    titles, *rows = (line for line in lines if not line.startswith("#"))
-    if not titles.startswith("time [s],torque [N m]"):
-        raise ValueError(f"its titles are {titles}")
-    due, torque = np.loadtxt(rows, delimiter=",", usecols=(0, 1), unpack=True)
-    if due[0] != 0.0 or not (np.diff(due) > 0.0).all():
-        raise ValueError("its times do not rise from 0")
-except (OSError, ValueError, IndexError) as error:
-    sys.exit(f"error: {options.motion} is no motion of tsobs excite: {error}")
+    due, torque = read_torques(options.motion)
+except TsobsError as error:
+    sys.exit(f"error: {error}")
+if len(due) < 2:
+    sys.exit(f"error: {options.motion} has one line only")
 torque = torque * options.scale
 if not np.abs(torque).max() <= options.max_torque:
     sys.exit(f"error: {np.abs(torque).max():.4g} N m is above --max-torque {options.max_torque:g}")

@@ -11,8 +11,9 @@ import pytest
 import tsobs_ros as ts
 from tsobs_ros.cli.main import main
 from tsobs_ros.design.request import Output, TorquePath
-from tsobs_ros.errors import ModelError, OutputError
+from tsobs_ros.errors import LogError, ModelError, OutputError
 from tsobs_ros.identification.excitation import Excitation, simulated, trial_arms
+from tsobs_ros.replay.csv_file import read_torques
 from tsobs_ros.resources import config_path
 
 pytestmark = pytest.mark.xdist_group("motion")  # its fixture takes seconds
@@ -136,7 +137,7 @@ def test_a_file_is_written_once(
     output = tmp_path / "motion.csv"
     motion.save(output)
     text = output.read_text()
-    time, torque = np.loadtxt(output, delimiter=",", skiprows=6, usecols=(0, 1), unpack=True)
+    time, torque = read_torques(output)
 
     assert "time [s],torque [N m],expected_link_angle" in text
     assert time[-1] == motion.time[-1]
@@ -163,4 +164,28 @@ def test_the_command_writes_a_motion_that_its_seed_gives_again(
         assert main(["excite", str(request), "--output", str(tmp_path / name), *options]) == 0
         assert '"worst"' in capsys.readouterr().out
     assert (tmp_path / "motion.csv").read_bytes() == (tmp_path / "again.csv").read_bytes()
-    assert (tmp_path / "motion.csv").read_text().splitlines()[-1].startswith("12,")
+    assert read_torques(tmp_path / "motion.csv")[0][-1] == 12.0
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("time,torque\n", "no lines below"),
+        ("time,angle\n0,1\n", "no column is called 'torque'"),
+        ("time,torque [V]\n0,1\n", "unit 'V' of torque is not known"),
+        ("time,torque\n0,1\n0,2\n", "line 3: its time is not after"),
+        ("time,torque\n0,\n", "line 2: expected a time and a finite torque"),
+    ],
+)
+def test_torque_files_of_no_use_are_refused(tmp_path: Path, text: str, match: str) -> None:
+    path = tmp_path / "motion.csv"
+    path.write_text(text)
+    with pytest.raises(LogError, match=f"motion.csv: .*{match}"):
+        read_torques(path)
+
+
+def test_a_torque_file_may_have_other_units_and_begin_later(tmp_path: Path) -> None:
+    path = tmp_path / "motion.csv"
+    path.write_text("time [ms];torque [Nmm]\n10;500\n20;1500\n")
+
+    assert [each.tolist() for each in read_torques(path)] == [[0.0, 0.01], [0.5, 1.5]]

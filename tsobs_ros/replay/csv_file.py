@@ -135,8 +135,10 @@ class CsvFile:
         titles = ", ".join(repr(one.title) for one in self.columns[:20])
         return f"columns: {titles}{', …' if len(self.columns) > 20 else ''}"
 
-    def read(self, time: Column, columns: Sequence[Column]) -> Iterator[tuple[Stamps, Array]]:
-        """Yield times [ns] and values of n lines each, shapes (n,) and (n, columns).
+    def read(
+        self, time: Column, columns: Sequence[Column]
+    ) -> Iterator[tuple[list[int], Stamps, Array]]:
+        """Yield line numbers, times [ns] and values of n lines each, shape (n, columns).
 
         Values are in the usual units, NaN of cells that are empty or a word for it.
 
@@ -150,7 +152,12 @@ class CsvFile:
             stamps = [self._stamp(line, cells, time) for line, cells in block]
             values = [[self._number(line, cells, one) for one in columns] for line, cells in block]
             factors = np.array([one.factor for one in columns])
-            yield np.array(stamps, np.int64), np.reshape(values, (-1, len(columns))) * factors
+            lines = [line for line, _ in block]
+            yield (
+                lines,
+                np.array(stamps, np.int64),
+                np.reshape(values, (-1, len(columns))) * factors,
+            )
 
     def _records(self, needed: int) -> Iterator[tuple[int, list[str]]]:
         """Yield the numbers and the cells of the lines below the titles."""
@@ -227,3 +234,43 @@ class CsvFile:
 def _misread(what: str, line: int, cells: Sequence[str], column: Column) -> LogError:
     got = shown(cells[column.place].strip())
     return LogError(f"line {line}, column {column.title!r}: expected a {what}, got {got}")
+
+
+class TorqueSeries(NamedTuple):
+    """Torques, each held from its time to the next.
+
+    Attributes:
+        time: Since the first one [s], rising, shape (n,).
+        torque: [N m], shape (n,).
+    """
+
+    time: Array
+    torque: Array
+
+
+def read_torques(path: str | Path) -> TorqueSeries:
+    """Return the columns `time` and `torque` of a CSV file, such as that of `tsobs excite`.
+
+    Raises:
+        LogError: The file cannot be read, lacks a column, or has a cell that is no finite number,
+            or times that do not rise; the text names file and line.
+    """
+    with naming_file(Path(path)):
+        file, columns = CsvFile(Path(path)), []
+        for name in ("time", "torque"):
+            if (column := file.find(name)) is None:
+                raise LogError(f"no column is called {name!r}; {file.described}")
+            columns.append(column.in_units_of(name))
+        parts = list(file.read(columns[0], columns[1:]))
+        if not parts:
+            raise LogError("no lines below the header")
+        lines = [line for own, _, _ in parts for line in own]
+        times = np.concatenate([own for _, own, _ in parts])
+        torques = np.concatenate([own[:, 0] for _, _, own in parts])
+        for wrong, text in (
+            ((times == NO_TIME) | ~np.isfinite(torques), "expected a time and a finite torque"),
+            (np.diff(times, prepend=NO_TIME) <= 0, "its time is not after that of the line before"),
+        ):
+            if wrong.any():
+                raise LogError(f"line {lines[int(wrong.argmax())]}: {text}")
+    return TorqueSeries((times - times[0]) / NANOSECONDS, torques)

@@ -185,7 +185,7 @@ class LogSource(BagSource):
         columns = list(self._measured.values())
         lines_type = np.dtype([("stamps", np.int64), ("values", np.float64, (len(columns),))])
         spool = Spool(lines_type)
-        for stamps, values in self._file.read(self._time, columns):
+        for _, stamps, values in self._file.read(self._time, columns):
             spool.add(np.rec.fromarrays([stamps, values], lines_type))
         lines = spool.read()
         there = lines.stamps != NO_TIME
@@ -245,5 +245,5 @@ class LogSource(BagSource):
                         f"sensor: --held-out {quantity}=COLUMN"
                     )
                 found.append(own)
-            values = [part for _, part in self._file.read(self._time, found)]
+            values = [part for _, _, part in self._file.read(self._time, found)]
         return [one.title for one in found], np.concatenate(values)

@@ -8,9 +8,11 @@ from pathlib import Path
 from textwrap import indent
 from typing import Any
 
+import pytest
 from rosgraph_msgs.msg import Clock
 from staging import start, to_stamp
 
+from tsobs_ros.errors import ParameterError
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor
@@ -170,3 +172,34 @@ def test_parameters_describe_arms_sensors_and_torques_that_no_design_foresees(
     assert scenario.payload == Payload(mass=2.0, distance=0.5, start=1.0)
     assert scenario.excitation == Constant(4.5)
     assert scenario.torque_error == (Pulses(50.0, 2.0, 0.01, 4.0),)
+
+
+def test_a_file_s_torques_are_played_and_end_in_none(listener: Any, tmp_path: Path) -> None:
+    file = tmp_path / "motion.csv"
+    file.write_text(
+        "# 50 Hz\ntime [s],torque [N m],angle [rad]\n0,1.5,0\n0.08,-2.0,0\n0.16,0.5,0\n"
+    )
+    listener.start(excitation__kind="file", excitation__file=str(file))
+    listener.wait_for(listener.measurements, 20)
+    efforts = [item.message.effort[0] for item in listener.measurements[:20]]
+    assert efforts == [1.5] * 4 + [-2.0] * 4 + [0.5] + [0.0] * 11
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (None, "cannot read it: No such file"),
+        ("time,torque\n0,1\n0.01,nan\n", "line 3: expected a time and a finite torque"),
+    ],
+)
+def test_a_file_without_torques_is_refused(
+    ros: Any, tmp_path: Path, text: str | None, reason: str
+) -> None:
+    file = tmp_path / "motion.csv"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(ParameterError, match=reason):
+        start(ros, "plant_simulator", excitation__kind="file", excitation__file=str(file))
+    signals = [f"torque: {{kind: file, file: {file}}}"]
+    with pytest.raises(ParameterError, match=reason):
+        start(ros, "plant_simulator", signals=signals)

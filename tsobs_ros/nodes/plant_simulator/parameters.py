@@ -7,7 +7,7 @@ its process noise.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, lru_cache, partial
 from itertools import islice
 from pathlib import Path
@@ -15,13 +15,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from tsobs_ros.checks import finite, shown
+from tsobs_ros.checks import Array, finite, shown
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError, ParameterError, TsobsError
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.nodes.parameters import JointParameters
 from tsobs_ros.plants import request_in, scenario_of
+from tsobs_ros.replay.csv_file import TorqueSeries, read_torques
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode
 from tsobs_ros.settings import live_setting, setting, settings_group
@@ -61,23 +62,58 @@ _EFFORT_ERROR = "effort_error"
 _SHIPPED_STATE = (0.3, 0.0, 0.2, 0.0)
 _FAULTS = [each for each in fields(Sensor) if each.name != "noise_std"]
 """What a sensor has beside the noise that a design knows."""
+# A sample at a line's time gets this line's torque, whatever their last bits are [s].
+_LATE = 1e-6
 
 
-def _request_of(path: str) -> ArmRequest | TSRequest:
-    """Return what a file describes; it is read again after it has changed, not at each set.
+def read_once(reader: Callable[[Path], T], path: str) -> T:
+    """Return what a file has; it is read again after it has changed, and not for each parameter.
 
     Raises:
         ParameterError: It cannot be used: a parameter may be refused for it, but not end a node.
     """
+    file = Path(path)
     try:
-        return _request_in(path, Path(path).stat().st_mtime_ns if Path(path).exists() else 0)
+        found: T = _read(reader, file, file.stat().st_mtime_ns if file.exists() else 0)
     except TsobsError as error:
         raise ParameterError(str(error)) from error
+    return found
 
 
 @lru_cache(maxsize=64)
-def _request_in(path: str, _modified: int) -> ArmRequest | TSRequest:
-    return request_in(path)
+def _read(reader: Callable[[Path], Any], path: Path, _modified: int) -> Any:
+    return reader(path)
+
+
+@dataclass(frozen=True)
+class TorqueFile(Signal, kind="file"):
+    """The torque of a CSV file with columns `time` and `torque`, held from line to line.
+
+    The first line belongs to t = 0; after the last one's time the torque is 0.
+
+    Raises:
+        ModelError: There is no path.
+        ParameterError: The file cannot be used.
+    """
+
+    file: str = ""
+    _series: TorqueSeries = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.file:
+            raise ModelError("file: expected a CSV file of time and torque")
+        object.__setattr__(self, "_series", read_once(read_torques, self.file))
+
+    def _at(self, times: Array) -> Array:
+        series = self._series
+        places = np.searchsorted(series.time, times + _LATE, side="right") - 1
+        is_on = (places >= 0) & (times <= series.time[-1] + _LATE)
+        return np.where(is_on, series.torque[places], 0.0)
+
+
+PLAYED: Mapping[str, type[Signal]] = {**EXCITATIONS, TorqueFile.kind: TorqueFile}
+"""Every kind of signal of an input that the node can play, under its name."""
 
 
 @dataclass(frozen=True)
@@ -105,15 +141,22 @@ class DisturbanceParameters:
 class ExcitationParameters:
     """The torque in the absence of a command."""
 
-    kind: str = live_setting("sine", "Torque signal", choices=tuple(EXCITATIONS))
+    kind: str = live_setting("sine", "Torque signal", choices=tuple(PLAYED))
     constant: Constant = settings_group(Constant)
     sine: Sine = settings_group(Sine)
     multisine: Multisine = settings_group(Multisine)
     square: Square = settings_group(Square)
     chirp: Chirp = settings_group(Chirp)
+    file: str = live_setting(
+        "",
+        "CSV file of the kind file, such as that of tsobs excite: columns time [s] and torque "
+        "[N m], held from line to line; 0 after the last one",
+    )
 
     def build(self) -> Signal:
         """Return the signal of the chosen kind."""
+        if self.kind == TorqueFile.kind:
+            return TorqueFile(self.file)
         chosen: Signal = getattr(self, self.kind, NoTorque())
         return chosen
 
@@ -189,7 +232,9 @@ class PlantSimulatorParameters(JointParameters):
     def requests(self) -> dict[str, ArmRequest | TSRequest]:
         """What describes each joint."""
         shipped = str(config_path(SHIPPED_DESIGN))
-        return {joint: _request_of(path or shipped) for joint, path in self.design_of.items()}
+        return {
+            joint: read_once(request_in, path or shipped) for joint, path in self.design_of.items()
+        }
 
     @property
     def sample_rate(self) -> float:
@@ -285,7 +330,7 @@ class PlantSimulatorParameters(JointParameters):
 def _signals(request: ArmRequest | TSRequest) -> Readers:
     """Return what entries of `signals` may name of a joint."""
     known: dict[str, Callable[[Any], Any]] = {}
-    known |= dict.fromkeys(request.input_names, partial(signal_of, EXCITATIONS))
+    known |= dict.fromkeys(request.input_names, partial(signal_of, PLAYED))
     if isinstance(request, ArmRequest):
         known |= dict.fromkeys([*_TORQUES.values(), _EFFORT_ERROR], partial(signal_of, KINDS))
     # The measured value of an output that is an input, too, is disturbed.
