@@ -19,6 +19,7 @@ from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.signals import BiasStep
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
+folder.mkdir(parents=True, exist_ok=True)
 design = ts.synthesise(ts.load_request(config_path("contact_torque.request.yaml")))
 contact = 0.2 * design.request.arm.gravity_torque
 

@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import tsobs_ros as ts
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
+folder.mkdir(parents=True, exist_ok=True)
 
 # The same can be written as YAML and read by ts.load_request("my_arm.request.yaml").
 request = ts.ArmRequest(
