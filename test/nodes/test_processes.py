@@ -194,3 +194,13 @@ def test_what_cannot_work_is_one_line_and_exit_code_1(ros_process: Process, tmp_
     (line,) = errors(finished.stderr)
     assert line.startswith("error: ")
     assert "edited.yaml: the certificate does not hold" in line
+
+
+def test_a_node_needs_no_folder_for_logs(ros_process: Process, tmp_path: Path) -> None:
+    home = tmp_path / "home"
+    home.write_text("a file, below which nobody makes a folder")
+    prefix = ["env", "-u", "ROS_HOME", "-u", "ROS_LOG_DIR", f"HOME={home}"]
+    process = ros_process("plant_simulator", parameters={"duration": 0.1}, prefix=prefix)
+    finished = process.finish(TIMEOUT)
+    assert finished.exit_code == 0, finished.stderr
+    assert "started" in finished.stdout + finished.stderr

@@ -20,6 +20,7 @@ which loses early SIGTERMs and sometimes raises inside take. The loop reads a fl
 import argparse
 import gc
 import inspect
+import os
 import signal
 import sys
 import threading
@@ -27,6 +28,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from types import ModuleType
 
 import rclpy
@@ -204,8 +206,9 @@ def run(
     if stop is None:
         with StopFlag() as flag:
             return run(create, args, flag)
+    given = [*(sys.argv if args is None else args), *_log_arguments()]
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # rcl could not parse the arguments or the parameter file
         return _report(str(error))
     node: Node | None = None
@@ -224,6 +227,20 @@ def run(
     finally:
         exit_code = _tear_down(node, exit_code)
     return exit_code
+
+
+def _log_arguments() -> list[str]:
+    """Return what lets a node do without a log file if ROS could not make its folder."""
+    try:
+        if not os.environ.get("ROS_LOG_DIR"):
+            home = Path(os.environ.get("ROS_HOME") or Path(os.environ["HOME"], ".ros"))
+            folder = home.expanduser() / "log"
+            folder.mkdir(parents=True, exist_ok=True)
+            if not os.access(folder, os.W_OK):
+                raise PermissionError(folder)
+    except (KeyError, OSError, RuntimeError):
+        return ["--ros-args", "--disable-external-lib-logs"]
+    return []
 
 
 def limit_time_left(seconds: float) -> None:
