@@ -2,17 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chunks copied from bag to bag: every reader gives the same messages in the same order."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import pytest
 from foreign import write_mcap
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.records import Chunk
-from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 
 from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
@@ -55,18 +51,6 @@ def foreign(
     )
 
 
-def write_bag(path: Path, written: list[Entry], **options: Any) -> Path:
-    """Write a bag as the recorder does; after ten messages a chunk ends."""
-    with BagWriter(path, **options) as writer:
-        for topic in TOPICS:
-            writer.add_topic(topic, BYTES, [QosProfile()])
-        for number, (topic, time) in enumerate(written):
-            writer.write(topic, message(number), time, 1000 + number)
-            if number % 10 == 9:
-                writer.flush()
-    return path
-
-
 def copy(source: Path, target: Path, topics: tuple[str, ...], **options: Any) -> Path:
     """Copy as an estimation does, and write some messages of another topic."""
     reader = BagReader(source)
@@ -81,14 +65,6 @@ def copy(source: Path, target: Path, topics: tuple[str, ...], **options: Any) ->
 
 def copied(path: Path) -> list[BagMessage]:
     return [one for one in BagReader(path).messages() if one.topic != "/made"]
-
-
-def chunks_of(path: Path) -> Iterator[bytes]:
-    """Yield the content of the chunks as it is in a file."""
-    with path.open("rb") as stream:
-        for record in StreamReader(stream, emit_chunks=True).records:
-            if isinstance(record, Chunk):
-                yield record.data
 
 
 def check(source: Path, target: Path, topics: tuple[str, ...]) -> None:
@@ -136,34 +112,4 @@ def test_readers_give_what_others_recorded(
         check(file, copy(file, Path(folder) / "new", topics), topics)
 
 
-WRITTEN = [(TOPICS[k % 3], k) for k in range(60)]
-
-
-def stay(source: Path, target: Path) -> tuple[int, int]:
-    """Return how many chunks there are, and how many of these are in the new bag as they are."""
-    files = BagReader(target).files
-    new = {data for file in files for data in chunks_of(file)}
-    old = [data for file in BagReader(source).files for data in chunks_of(file)]
-    return len(old), sum(data in new for data in old)
-
-
 # What is wanted, how it was written, and how many chunks there are and have the same bytes after.
-OURS = {"compression": "zstd"}
-OTHERS: dict[str, tuple[tuple[str, ...], dict[str, Any], tuple[int, int]]] = {
-    "as we write it": (TOPICS, OURS, (6, 6)),
-    "as others write it": (TOPICS, {"chunk_size": 500}, (6, 6)),
-    "schemas with other ids": (TOPICS, {"skipped": 2}, (13, 12)),
-    "messages that nobody wants": (("/a", "/b"), {"chunk_size": 500}, (6, 0)),
-    "no checksums": (TOPICS, {"enable_crcs": False}, (13, 12)),
-}
-
-
-@pytest.mark.parametrize(("topics", "options", "expected"), OTHERS.values(), ids=OTHERS)
-def test_chunks_are_copied_as_they_are_or_the_messages_picked_out(
-    tmp_path: Path, topics: tuple[str, ...], options: dict[str, Any], expected: tuple[int, int]
-) -> None:
-    write = write_bag if options == OURS else foreign
-    file = write(tmp_path / "other.mcap", WRITTEN, **options)
-    new = copy(file, tmp_path / "new", topics)
-    check(file, new, topics)
-    assert stay(file, new) == expected

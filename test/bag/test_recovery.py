@@ -90,21 +90,6 @@ def in_recorded_order(bag: Path) -> list[Entry]:
     return sorted(messages, key=lambda e: e.publish_time)
 
 
-@pytest.mark.parametrize("step", [29, pytest.param(1, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(
-    ("compression", "tail"), [("none", bytes(100)), ("zstd", b"")], ids=["zeros", "cut"]
-)
-def test_a_cut_at_any_byte_loses_only_what_comes_after(
-    compression: str, tail: bytes, step: int
-) -> None:
-    data, entries, chunks = sample(compression)
-    expected = [e[1:] for e in entries]
-    for cut in range(len(data) % step, len(data) + 1, step):
-        found = scanned(data[:cut] + tail)
-        assert len(found) >= PER_CHUNK * sum(end <= cut for _, end in chunks), f"cut at {cut}"
-        assert found == expected[: len(found)], f"cut at byte {cut}"
-
-
 def zero(data: bytes, start: int, end: int) -> bytes:
     return data[:start] + bytes(end - start) + data[end:]
 

@@ -16,9 +16,9 @@ from tsobs_ros.campaign.drawing import Drawn, check, draw_group
 from tsobs_ros.campaign.premises import violated
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import TsobsError
-from tsobs_ros.model.arm import ElasticJointArm, TorquePath
+from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 
@@ -149,15 +149,6 @@ def test_disturbances_with_a_model_in_the_design_are_foreseen() -> None:
     ):
         asked = Campaign(CampaignEntries(scenarios={"only": scenario}), file)
         assert violated(draw(asked, 0).scenario, request) == expected
-
-
-def test_delays_of_the_design_are_those_of_the_plant() -> None:
-    path = TorquePath(0.9, 0.1, 0.007)
-    request = ArmRequest(outputs=[Output("motor_angle", 0.001, delay=0.004)], torque=path)
-    design = Design(request, np.eye(4), np.zeros((4, 1)), SolverReport())
-    drawn = draw(Campaign(CampaignEntries(), DesignFile.of(design)), 0).scenario
-    assert drawn.torque == path
-    assert drawn.outputs[0].delay == 0.004
 
 
 @pytest.mark.parametrize(

@@ -116,19 +116,6 @@ def test_a_node_that_waits_reports_it_once_after_a_second() -> None:
     assert event.text == "TRACKING: measurements arrive on /sensor"
 
 
-def test_flickering_is_reported_at_intervals_with_the_number_of_changes() -> None:
-    play = Play()
-    begin = len(play.events)
-    for _ in range(500):
-        play.goes_on(0.3, age=0.3)
-        play.goes_on(0.3)
-    events = play.events[begin:]
-    assert len(events) <= 5 + 300 / 10 + 1
-    counted = [each for each in events if "changes since the last report" in each.text]
-    assert len(counted) >= len(events) - 6
-    assert counted[-1].text.endswith("(33 changes since the last report)")
-
-
 ESTIMATES = st.builds(
     GOOD._replace,
     noise_scale=st.floats(1.0, 3.0),

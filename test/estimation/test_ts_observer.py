@@ -18,8 +18,6 @@ from tsobs_ros.simulation.plant import Plant, SimulatedOutput, Trajectories
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import BiasStep, Signal, Sine
 
-RUNS = 500
-
 
 @pytest.fixture(scope="module")
 def pendulum() -> Design:
@@ -38,34 +36,6 @@ def simulated(
     scenario = scenario_of(design.request, {"gravity": theta})
     made = replace(scenario, outputs=outputs, inputs=(Sine(2.0, 2.1),), **changes)  # type: ignore
     return Plant(made, range(runs)).run(samples)
-
-
-def test_the_covariance_of_the_errors_stays_below_the_bound_which_is_not_idle(
-    pendulum: Design,
-) -> None:
-    """For samples whose covariance is X the largest eigenvalue of X⁻¹cov(e) tends to
-    (1 + √(3/500))² = 1.16, with a deviation of about 0.04.
-    """
-    rng, X = np.random.default_rng(20260301), pendulum.covariance_bound
-    runs = simulated(pendulum, RUNS, 401, initial_state=(0.8, 0.0))
-    bias = 0.1 * rng.standard_normal(RUNS)
-    walk = math.sqrt(1e-6 * 0.01) * rng.standard_normal((RUNS, 401)).cumsum(axis=1)
-    truth = np.dstack([runs.states, bias[:, np.newaxis] + walk])
-    assert 0.9 < np.abs(truth[..., 0]).max() < 1.2
-    y, observer = runs.measurements + [0.0, 1.0] * truth[..., 2:], pendulum.observer()
-    start = observer.initial((RUNS,)).changed(
-        x=truth[:, 0] + rng.standard_normal((RUNS, 3)) @ np.linalg.cholesky(X).T,
-        settling=np.zeros(RUNS),
-        certified=np.ones(RUNS),
-    )
-    y[:, -1] = np.nan  # the last estimate is as it is just before a sample
-    rows = observer.observe(y, runs.torques, start=start)
-    assert (rows.basis == Basis.CERTIFIED).all()
-    errors = np.hstack([rows.state[:, -1], rows.disturbance[:, -1, 1:]]) - truth[:, -1]
-    covariance, root = errors.T @ errors / RUNS, np.linalg.cholesky(pendulum.P)
-    assert np.linalg.eigvalsh(root.T @ covariance @ root)[-1] < 1.3
-    share = np.sqrt(np.diag(covariance)) / pendulum.bound_std
-    assert ((share > 0.7) & (share < 1.06)).all()
 
 
 def test_adaptation_finds_the_true_parameter(pendulum: Design) -> None:

@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from identified_joint import ARM, WRONG, recorded, request_of
 
 import tsobs_ros as ts
 from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import Output, TorqueDisturbance
 from tsobs_ros.estimation.baselines import extended_kalman
-from tsobs_ros.identification.joint import Joint, Unknowns, delayed, with_values
+from tsobs_ros.identification.joint import Joint, Unknowns, with_values
 from tsobs_ros.identification.likelihood import Likelihood, Recording, innovations
 from tsobs_ros.model.arm import TorquePath
 
@@ -79,35 +77,3 @@ def test_the_gradient_is_that_of_the_cost() -> None:
         up, down = likelihood.cost(at + direction), likelihood.cost(at - direction)
         slope = (up - down) / (2.0 * step)
         assert gradient[place] == pytest.approx(slope, rel=0.05, abs=0.05 * abs(gradient).max())
-
-
-def test_friction_of_the_filter_is_that_of_a_rubbing_arm() -> None:
-    recording = recording_of(request_of(), friction={"motor_coulomb": 0.02})
-    joint = Joint.of(request_of())
-    costs = [
-        np.square(innovations(with_values(joint, {"motor_friction": each}), recording).errors).sum()
-        for each in (0.0, 0.01, 0.02, 0.03)
-    ]
-
-    assert np.argmin(costs) == 2
-
-
-def test_a_filter_starts_again_after_a_gap() -> None:
-    recording = recording_of(request_of())
-    durations = recording.durations.copy()
-    durations[499] = -1.0
-    broken = innovations(Joint.of(request_of()), replace(recording, durations=durations))
-    fresh = innovations(Joint.of(request_of()), recording.part(500, recording.count))
-
-    np.testing.assert_array_equal(broken.errors[500:], fresh.errors)
-
-
-@given(
-    torque=st.lists(st.floats(-5.0, 5.0), min_size=4, max_size=30),
-    periods=st.integers(0, 3),
-)
-def test_a_delay_of_whole_periods_shifts_the_torque(torque: list[float], periods: int) -> None:
-    u, durations = np.array(torque), np.full(len(torque), 0.002)
-    shifted = np.concatenate([np.full(periods, u[0]), u[: len(u) - periods]])
-
-    np.testing.assert_allclose(delayed(u, durations, 0.002 * periods), shifted, atol=1e-9)

@@ -13,7 +13,7 @@ from tsobs_ros.design.file import DesignFile
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, make_runs, run_all
 from tsobs_ros.replay.log import LogSource
-from tsobs_ros.replay.source import BagSource, passes
+from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.comparison import RunScores
 
 DECODE = JointStateDecoder()
@@ -150,17 +150,3 @@ def test_memory_does_not_grow_with_the_recording(arms, write_bag, design, tmp_pa
 def restamped(data: bytes, times: int) -> bytes:
     stamp, names, position, _, effort, _ = DECODE(data)
     return JointStateEncoder(names)(stamp + times * 3 * SECOND, position, (), effort)
-
-
-def test_restarts_are_distinguished_from_stragglers() -> None:
-    first = np.arange(1, 61) * (SECOND // 10)
-
-    for others, begins in (
-        ([], [0]),
-        ([first[:1], first + 6 * SECOND], [0]),
-        ([first, first], [0, 60, 120]),
-        ([[0], first[:50] + 6 * SECOND], [0]),  # a zero stamp is no time at all
-        ([first[56:] - SECOND // 2], [0]),  # merely late
-    ):
-        found = passes(np.concatenate([first, *others]))
-        assert [begin for begin, _ in found] == begins

@@ -67,20 +67,6 @@ def test_a_figure_has_gaps_where_its_series_have_them(troubled, tmp_path, gap: s
         assert (pixels[:, [0, -1]] > 0.9).all(), "something is clipped"
 
 
-def test_a_figure_survives_what_a_bag_of_a_robot_may_lack(simulated, tmp_path) -> None:
-    nothing = np.full(simulated.state.shape, np.nan)
-    lacks = dict.fromkeys(("true_state", "true_disturbance", "innovation"))
-    lost = {"disturbance": nothing[:, :1], "disturbance_bound": nothing[:, :1]}
-    lost |= {"measurements": Series(simulated.stamps[:0], nothing[:0, :2]), "state_bound": nothing}
-    run = replace(simulated, **lacks, **lost)
-
-    shown = picture(run, measure(run))
-    draw_run(shown, tmp_path / "run.png")
-    write_html(shown, tmp_path / "run.html", About())
-
-    assert [len(row) for row in shown.rows] == [1] * 5
-
-
 def test_thinning_keeps_every_extreme_and_gap() -> None:
     times = np.arange(30 * MAX_CURVE + 1, dtype=float)
     values = np.sin(0.001 * times)

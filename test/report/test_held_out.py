@@ -157,16 +157,6 @@ def test_the_truth_held_out_gives_the_errors_against_the_truth(
         assert (held_out["inside"] is None) == (truth["inside"] is None)
 
 
-def test_a_coarse_encoder_has_the_noise_of_its_steps(run, design_file, tmp_path) -> None:
-    step = 0.01
-    log = write_log(tmp_path / "log.csv", run, np.round(link_sensor(run, 0.0) / step) * step)
-
-    (found,) = ts.compare(log, design_file, methods=["certified"], held_out="link_angle")
-
-    assert found.held_out is not None
-    assert step / 4.0 < found.held_out.sensor.std < step / 2.0
-
-
 @pytest.mark.parametrize(
     ("option", "said"),
     [
