@@ -23,6 +23,7 @@ from tsobs_ros.bag.cdr import MessageSeries
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import read_metadata
 from tsobs_ros.bag.recovery import recover
+from tsobs_ros.bag.summary import summarise
 from tsobs_ros.bag.verification import verify
 from tsobs_ros.errors import BagReadError, BagWriteError
 
@@ -205,3 +206,14 @@ def test_a_bag_on_a_full_disk_takes_no_more_and_gives_back_what_was_flushed(
         BagReader(tmp_path / "bag")
     recover(tmp_path / "bag", tmp_path / "recovered")
     assert [m.log_time for m in BagReader(tmp_path / "recovered").messages()] == list(range(8))
+
+
+def test_the_last_time_there_is_and_an_empty_bag_are_shown(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "far") as writer:
+        writer.add_topic("/a", STRING)
+        writer.write("/a", b"", 2**63 - 2, 0)
+    assert "Start:        2262-04-11" in summarise(tmp_path / "far").text()
+    BagWriter(tmp_path / "empty").close()
+    summary = summarise(tmp_path / "empty")
+    assert (summary["messages"], summary["start_ns"], summary["duration_ns"]) == (0, None, 0)
+    assert "Start:        none" in summary.text()

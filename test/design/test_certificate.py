@@ -9,9 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from tsobs_ros.design.certificate import check_certificate
@@ -29,12 +26,6 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 
 Array = NDArray[np.float64]
-
-
-@pytest.fixture(scope="module")
-def decaying() -> Design:
-    """A design with a certified decay rate."""
-    return synthesise(ArmRequest(decay_rate=0.1))
 
 
 @pytest.fixture(scope="module")
@@ -104,28 +95,6 @@ def test_a_late_sample_widens_the_bound_by_no_more_than_its_factor(uncertain: De
             later = vertex.transition @ X @ vertex.transition.T + vertex.noise
             rest = uncertain.late_factor**2 * X - later
             assert np.linalg.eigvalsh(root.T @ rest @ root)[0] > 0.0
-
-
-@settings(max_examples=30)
-@given(
-    states=hnp.arrays(np.float64, (2, 5), elements=st.floats(-1.0, 1.0)),
-    torque=st.floats(-3.0, 3.0),
-)
-def test_errors_of_the_nonlinear_loop_shrink_at_the_certified_rate(
-    decaying: Design, predicted: Any, states: Array, torque: float
-) -> None:
-    """eᵀPe falls by e^{−2ρT} a step for any two trajectories that stay in the domain."""
-    flow, rho, T = decaying.request.flow, decaying.request.decay_rate, decaying.request.period
-    truth, estimate = states * [0.7, 2.0, 8.0, 20.0, 0.3]
-    u, C = np.array([torque]), flow.output_matrix
-    ahead = predicted(flow, truth, u, T)
-    corrected = estimate + decaying.K[:, 0] * float((C @ (truth - estimate))[0])
-    # The premise of the first kick is the corrected estimate, that of the second the predicted.
-    later = predicted(flow, corrected, u, T)
-    assume(max(abs(corrected[0]), abs(ahead[0]), abs(later[0])) <= 0.75)
-    before, after = truth - estimate, ahead - later
-    size = float(before @ decaying.P @ before)
-    assert after @ decaying.P @ after <= math.exp(-2.0 * rho * T) * size * (1.0 + 1e-9) + 1e-12
 
 
 @pytest.mark.parametrize(

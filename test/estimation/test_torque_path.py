@@ -1,8 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The path of a torque to the motor: observers take what arrives there, and when it does."""
+"""Late torques and sensors: observers take what arrives at the motor, and when it does."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import settings
 import tsobs_ros as ts
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output
 from tsobs_ros.estimation.records import Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import METHODS
@@ -103,11 +105,24 @@ def test_limits_are_those_of_the_torque_in_messages() -> None:
     assert {reasons[index] for index in wrong} == {RejectReason.IMPLAUSIBLE_TORQUE}
 
 
-@pytest.mark.parametrize("design", [DESIGN, BOTH], ids=["link angle", "both encoders"])
-def test_an_observer_with_the_path_is_as_accurate_as_one_without_need_of_it(design: Design) -> None:
-    """And one that lacks it is several times worse."""
-    torque = TorquePath(0.9, 0.05 * design.arm_request.arm.reference_torque, 1.5 * PERIOD)
-    true = design_with(torque, design)
+@cache
+def sensors_with(delay: float) -> Design:
+    """Return a design with an encoder on each side, both late."""
+    pytest.importorskip("cvxpy")
+    bias = (DisturbanceTerm("bias", {"density": 1e-6}),)
+    outputs = (Output("motor_angle", 0.001, delay=delay), Output("link_angle", 0.005, bias, delay))
+    return ts.synthesise(ArmRequest(outputs=outputs, uncertainty={}))
+
+
+@pytest.mark.parametrize("late", ["torque", "torque of two encoders", "sensors"])
+def test_an_observer_with_the_path_is_as_accurate_as_one_without_need_of_it(late: str) -> None:
+    """And one that lacks it is several times worse; so it is with sensors that are late."""
+    if late == "sensors":
+        design, true = sensors_with(0.0), sensors_with(PERIOD)
+    else:
+        design = DESIGN if late == "torque" else BOTH
+        offset = 0.05 * design.arm_request.arm.reference_torque
+        true = design_with(TorquePath(0.9, offset, 1.5 * PERIOD), design)
 
     def error(plant: Design, observer: Design) -> Array:
         found = []
@@ -120,3 +135,13 @@ def test_an_observer_with_the_path_is_as_accurate_as_one_without_need_of_it(desi
     plain = error(design, design)
     assert np.exp(np.log(error(true, true) / plain).mean()) < 1.05
     assert (error(true, design) / plain).max() > 5.0
+
+
+def test_of_a_late_sensor_the_velocity_is_part_of_the_output_which_is_worth_little_less() -> None:
+    design, plain = sensors_with(PERIOD), sensors_with(0.0)
+    C, C0 = (each.request.flow.output_matrix for each in (design, plain))
+    np.testing.assert_allclose(C[:, [0, 2, 4]], C0[:, [0, 2, 4]])
+    np.testing.assert_allclose(C[:, [1, 3]], -PERIOD * C0[:, [0, 2]])
+    assert design.certificate.holds
+    assert (design.bound_std >= plain.bound_std * (1.0 - 1e-6)).all()
+    assert (design.bound_std <= 1.1 * plain.bound_std).all()
