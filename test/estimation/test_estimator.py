@@ -11,6 +11,7 @@ import pickle
 from collections.abc import Callable
 from functools import cache
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,20 +20,16 @@ from numpy.typing import NDArray
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import high_gain, proportional_integral
-from tsobs_ros.estimation.estimator import Estimator, Rows, SupervisionOptions, certified_estimator
+from tsobs_ros.estimation.estimator import Estimator, Rows, SupervisionOptions
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.state import State
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.disturbance import bias, clean, per_channel
-from tsobs_ros.model.fuzzy import RuleBase, membership
-from tsobs_ros.model.ts_flow import TSFlow
-from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.model.uncertainty import Uncertainty
 from tsobs_ros.paper.observer import paper_observer
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 Array = NDArray[np.float64]
+SYSTEM = Path(__file__).parents[1] / "design" / "data" / "system.design.yaml"
 ARM, T, STD = ElasticJointArm(), 0.005, 0.02
 SAMPLES = 140
 
@@ -49,33 +46,17 @@ def supervised_arm() -> Estimator:
     return estimator
 
 
-def gyroscope() -> Estimator:
-    """A pendulum of which angle and rate are measured, with a bias, gravity to be learnt."""
-    width = 1.2
-    stiffness = 9.81 * np.array([1.0, np.sin(width) / width])
-    shapes = [membership(name, {"half_width": width}) for name in ("sine_upper", "sine_lower")]
-    A = np.array([[[0.0, 1.0], [-k, -0.2]] for k in stiffness])
-    model = TSModel(A, np.array([[0.0], [1.0]]), np.eye(2), RuleBase(tuple((s,) for s in shapes)),
-                    np.eye(1, 2))  # fmt: skip
-    directions = np.zeros((1, 2, 2, 3))
-    directions[0, :, 1, 0] = -stiffness
-    uncertainty = Uncertainty({"gravity": 0.2}, directions)
-    estimator = certified_estimator(
-        TSFlow(model, per_channel([clean(), bias(1e-6)]), [0.0, 1e-3], T),
-        np.diag([1e-4, 4e-4]),
-        np.diag([0.25, 1.0, 0.01]),
-        np.array([[0.3, 0.0], [0.0, 0.2], [0.0, 0.1]]),
-        np.diag([0.3, 1.0, 0.02]),
-        settle_time=0.2,
-        uncertainty=uncertainty,
-    )
-    estimator.learn(uncertainty, start=0.05, significance=1e-3)
+def pendulum() -> Estimator:
+    """A T–S system: angle and rate are measured, the rate with a bias, gravity is learnt."""
+    design = load_design(SYSTEM)
+    estimator = design.observer(settle_time=0.2, adapt=True)
+    estimator.learn(design.request.uncertainty_model, start=0.05, significance=1e-3)
     return estimator
 
 
 ESTIMATORS: dict[str, Callable[[], Estimator]] = {
     "supervised arm": supervised_arm,
-    "gyroscope": gyroscope,
+    "pendulum": pendulum,
     "proportional": lambda: high_gain(ARM, 20.0, T, STD),
     "proportional-integral": lambda: proportional_integral(ARM, 20.0, T, STD),
     "paper": lambda: paper_observer(ARM, T, STD),
@@ -84,7 +65,7 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 DIGESTS = {
     "supervised arm": "0d3b62e2f9c38f9a",
-    "gyroscope": "81f001f96fe6434b",
+    "pendulum": "97a7fb23a4e28265",
     "proportional": "3bed2344d081223c",
     "proportional-integral": "6e7e29fca59d261d",
     "paper": "c76a1c01f51f83e5",
@@ -113,14 +94,14 @@ def series(estimator: Estimator) -> tuple[Array, Array]:
 def stepped(estimator: Estimator) -> list[State]:
     """Return the states of a run, with a gap, a short step and looks between two samples, and at
     the end numbers that are not finite, or too large, in sample and input."""
-    states, state = [], estimator.initial()
+    states, state, T = [], estimator.initial(), estimator.period
     if estimator.supervised:  # as it would be some seconds later
         bound = estimator.shape.trim("covariance", estimator.model["X"])[0]
         state = state.changed(covariance=bound, settling=0.0, certified=1)
     for k, (y, u) in enumerate(zip(*series(estimator), strict=True)):
         state, _ = estimator.correct(state, y)
         states += [state, estimator.predict(state, u, 0.4 * T, between_samples=True)]
-        state = estimator.predict(state, u, {70: 0.0421, 80: 0.7 * T}.get(k, T))
+        state = estimator.predict(state, u, {70: 8.42 * T, 80: 0.7 * T}.get(k, T))
         states.append(state)
         if k % 10 == 3:
             state = estimator.predict(state, u, T)  # a sample is missing
@@ -232,7 +213,7 @@ def test_a_state_is_not_changed_by_a_step_and_copied_by_its_bytes(estimator: Est
 
 
 def test_numbers_of_another_shape_are_named() -> None:
-    estimator = estimator_of("gyroscope")
+    estimator = estimator_of("pendulum")
     state, batch = estimator.initial(), estimator.initial((3,))
     y, u = np.zeros((4, 5, 2)), np.zeros((4, 6, 1))
     for call, message in (

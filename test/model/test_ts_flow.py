@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The prediction of a T–S system: second order, and its vertices exact."""
+"""The prediction of a T–S system is of second order; what is no system is named."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.disturbance import bias, clean, per_channel
+from tsobs_ros.model.disturbance import clean
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
@@ -18,10 +18,6 @@ from tsobs_ros.model.uncertainty import Direction, system_uncertainty
 
 Array = NDArray[np.float64]
 
-WIDTH = 1.2
-SECTOR = RuleBase(
-    tuple((membership(name, {"half_width": WIDTH}),) for name in ("sine_upper", "sine_lower"))
-)
 RAMPS = RuleBase(
     (
         (membership("linear", {"zero": 1.0, "one": 0.0}),),
@@ -31,19 +27,6 @@ RAMPS = RuleBase(
 BUMPS = RuleBase(
     tuple((membership("gaussian", {"centre": c, "width": 0.8}),) for c in (-1.0, 0.1, 1.3))
 )
-
-
-def pendulum(period: float = 0.01) -> TSFlow:
-    """A pendulum whose angle, the premise, is estimated; a bias on the second output."""
-    stiffness = np.array([9.81, 9.81 * np.sin(WIDTH) / WIDTH])
-    model = TSModel(
-        A=np.array([[[0.0, 1.0], [-k, -0.2]] for k in stiffness]),
-        B=np.array([[0.0], [1.0]]),
-        C=np.eye(2),
-        rule_base=SECTOR,
-        premise=np.array([[1.0, 0.0]]),
-    )
-    return TSFlow(model, per_channel([clean(), bias(1e-6)]), [0.0, 1e-3], period)
 
 
 def tangled(period: float) -> TSFlow:
@@ -93,17 +76,16 @@ def test_wrong_matrices_are_named() -> None:
 
 
 def test_uncertain_directions_fit_the_system_or_are_named() -> None:
-    model = pendulum().model
-    change = np.array([[0.0, 0.0], [-1.0, 0.0]])
+    model, change = tangled(0.1).model, np.eye(3)[[1, 2, 0]]
     known = system_uncertainty(model, {"k": Direction(change, 0.2)})
-    np.testing.assert_array_equal(known.linear, [[change, change]])
+    np.testing.assert_array_equal(known.linear, [[change] * 3])
     assert (known.names, known.limits.tolist(), known.linear_places) == (("k",), [0.2], [0])
     for E, bound, message in (
         (change, 0.0, "uncertainty.k.bound: expected a finite number above 0"),
         (0.0 * change, 0.2, "uncertainty.k.E: expected a matrix other than zero"),
-        (np.eye(3), 0.2, r"uncertainty.k.E: expected shape \(2, 2\)"),
+        (np.eye(2), 0.2, r"uncertainty.k.E: expected shape \(3, 3\)"),
     ):
         with pytest.raises(ModelError, match=message):
             system_uncertainty(model, {"k": Direction(E, bound)})
     with pytest.raises(ModelError, match="process_noise: expected densities of at least 0"):
-        TSFlow(model, per_channel([clean(), clean()]), [0.0, -1.0], 0.1)
+        TSFlow(model, clean(), [0.0, 0.0, -1.0], 0.1)
