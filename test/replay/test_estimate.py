@@ -168,7 +168,8 @@ def test_what_cannot_be_used_is_counted(arms, write_bag, estimate) -> None:
         RejectReason.ZERO_STAMP: 1,
         RejectReason.DUPLICATE: 1,
         RejectReason.FROM_FUTURE: 1,
-        RejectReason.WRONG_JOINT: 3,
+        RejectReason.WRONG_JOINT: 2,
+        RejectReason.MISSING_INPUT: 1,
     }
 
 

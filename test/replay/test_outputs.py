@@ -233,7 +233,7 @@ def test_columns_of_both_sides_are_found(tmp_path, header, options) -> None:
     samples = source.samples
     np.testing.assert_array_equal(samples.y[:, 0], [[0.25, -2.0], [NAN, -1.0], [0.5, NAN]])
     assert samples.u[:, 0, 0].tolist() == [3.0, 4.0, 5.0]
-    assert samples.complete.all()
+    assert not samples.codes.any()
 
 
 def test_a_log_of_two_encoders_is_estimated_as_the_bag_that_it_was_exported_from(

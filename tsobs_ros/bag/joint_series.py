@@ -15,8 +15,6 @@ from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.errors import BagReadError
 
-_MAX_OTHERS = 32
-
 Read = TypeVar("Read")
 
 Times = NDArray[np.int64]
@@ -51,7 +49,6 @@ class JointSeries(NamedTuple):
         publish_times: When they were published, ns since the epoch, shape (n,).
         values: NaN where a message has none, or a joint has fewer, shape (n, joints, places).
         named: Whether a message has any of a joint's entries, shape (n, joints).
-        given: Whether it has a value, NaN or not, shape (n, joints, places).
     """
 
     stamps: Times
@@ -59,33 +56,24 @@ class JointSeries(NamedTuple):
     publish_times: Times
     values: Array
     named: Flags
-    given: Flags
 
 
 class JointReader:
-    """Reads numbers of joints off a topic's messages.
-
-    `other_names` are entries that are not wanted, a few of them at most.
-    """
+    """Reads numbers of joints off a topic's messages."""
 
     def __init__(self, wanted: Wanted) -> None:
         self._wanted = wanted
-        self._names = {name for places in wanted for name, _ in places}
         self._decoder = JointStateDecoder()
-        self.other_names: dict[str, None] = {}
 
     def __call__(self, raw: RawMessages) -> JointSeries:
         """Return messages as numbers; those that are malformed have none."""
         count = len(raw.log_times)
         shape = (count, len(self._wanted), max(map(len, self._wanted), default=0))
         stamps, values = np.zeros(count, np.int64), np.full(shape, np.nan)
-        named, given = np.zeros(shape[:2], np.bool_), np.zeros(shape, np.bool_)
+        named = np.zeros(shape[:2], np.bool_)
         for group in chain.from_iterable(self._decoder.decode_rows(*one) for one in raw.groups):
             rows = group.places
             stamps[rows] = group.stamps
-            for name in group.names:
-                if name not in self._names and len(self.other_names) < _MAX_OTHERS:
-                    self.other_names[name] = None
             for joint, places in enumerate(self._wanted):
                 for at, (name, field) in enumerate(places):
                     if name not in group.names:
@@ -94,8 +82,7 @@ class JointReader:
                     named[rows, joint] = True
                     if place < numbers.shape[1]:
                         values[rows, joint, at] = numbers[:, place]
-                        given[rows, joint, at] = True
-        return JointSeries(stamps, raw.log_times, raw.publish_times, values, named, given)
+        return JointSeries(stamps, raw.log_times, raw.publish_times, values, named)
 
 
 def read_blocks(

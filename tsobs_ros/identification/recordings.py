@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import LogError, ModelError
+from tsobs_ros.estimation.records import USED
 from tsobs_ros.identification.joint import Unknowns, with_values
 from tsobs_ros.identification.likelihood import Likelihood, Recording
 from tsobs_ros.replay.estimate import open_source
@@ -118,7 +119,7 @@ def _of_file(request: ArmRequest, log: str | Path, options: dict[str, Any]) -> _
         raise LogError(f"{log}: joints {', '.join(source.joints)}: name one of them with --joint")
     source.observe([request])
     whole = source.samples
-    keep = (whole.stamps > 0) & whole.complete[:, 0]
+    keep = (whole.stamps > 0) & (whole.codes[:, 0] == USED)
     stamps = whole.stamps[keep]
     # Stamps since the epoch have no digits left below a microsecond as one number.
     times = (stamps - stamps.min(initial=2**62)) / NANOSECONDS

@@ -40,7 +40,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagWriteError, LogError, ModelError
 from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.health import judge_rate, rate_of
-from tsobs_ros.estimation.records import GATED, HEALTH, NON_FINITE, REASONS, RejectReason
+from tsobs_ros.estimation.records import GATED, HEALTH, NON_FINITE, REASONS, USED, RejectReason
 from tsobs_ros.estimation.tracker import TrackerRun
 from tsobs_ros.methods import ObserverSettings, contender, make_estimator, make_tracker
 from tsobs_ros.replay.designs import STRING
@@ -238,17 +238,17 @@ class Run:
             results = list(pool.map(self._run_joint, joints))
         self.done = self._published(results)
         self.estimates += int(self.done.sum())
-        if refused := int(samples.refused.sum()):
-            self.rejected[RejectReason.WRONG_JOINT] += refused
         self.rows, self.innovations = [], []
         for joint, one in enumerate(results):
             one.rows[~(self.done & one.there)] = np.nan
             self.rows.append(self.trackers[joint].estimator.as_rows(one.rows))
             innovations = np.full((len(samples), one.outcomes.innovations.shape[1]), np.nan)
-            innovations[samples.complete[:, joint]] = one.outcomes.innovations
+            innovations[samples.codes[:, joint] == USED] = one.outcomes.innovations
             self.innovations.append(innovations)
             self.used += int(np.isfinite(one.outcomes.innovations).any(axis=1).sum())
-            for code, number in enumerate(np.bincount(one.outcomes.codes).tolist()):
+            refused = samples.codes[samples.codes[:, joint] > USED, joint]
+            codes = np.append(refused, one.outcomes.codes)
+            for code, number in enumerate(np.bincount(codes).tolist()):
                 if number and (reason := REASONS[code]):
                     self.rejected[reason] += number
             for place, code in enumerate((GATED, NON_FINITE)):
@@ -256,7 +256,7 @@ class Run:
 
     def _run_joint(self, joint: int) -> TrackerRun:
         (samples, ticks, _), tracker = self.window, self.trackers[joint]
-        own, shape = samples.complete[:, joint], tracker.estimator.shape
+        own, shape = samples.codes[:, joint] == USED, tracker.estimator.shape
         known = np.append(0, np.cumsum(own))[ticks.known]
         return tracker.run(
             samples.stamps[own],
@@ -350,7 +350,7 @@ class Run:
         found, samples = [], self._source.samples
         each = zip(self._source.joints, self.observer.designs, strict=True)
         for joint, (name, design) in enumerate(each):
-            rate = rate_of(samples.stamps[samples.complete[:, joint]])
+            rate = rate_of(samples.stamps[samples.codes[:, joint] == USED])
             off, text = judge_rate(rate, design.request.rate)
             found += [f"warning: {name}: {text}"] if off else []
         return found

@@ -15,8 +15,6 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import TICK_LOG
 from tsobs_ros.bag.copying import add_topics, copy_chunks
 from tsobs_ros.bag.joint_series import (
-    JointReader,
-    JointSeries,
     RawMessages,
     Times,
     read_blocks,
@@ -27,13 +25,14 @@ from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagReader
 from tsobs_ros.bag.writer import BagWriter
-from tsobs_ros.checks import Flags
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.request import AnyRequest, ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError, MessageError, ModelError
+from tsobs_ros.estimation.records import USED
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
 from tsobs_ros.replay.live import COMPARED, LiveRun
+from tsobs_ros.replay.samples import MISSING, Batch, MeasurementReader
 from tsobs_ros.series import NANOSECONDS, Spool
 
 MEASUREMENTS = "joint_measurements"
@@ -48,6 +47,7 @@ _RESTART_MESSAGES = 10
 _SAME_CLOCK = NANOSECONDS
 _FIRST_MESSAGES = 1000
 _BLOCK = 2**15
+_MAX_OTHERS = 32
 
 
 Records: TypeAlias = Any
@@ -94,9 +94,7 @@ class BagSource:
         samples: The measurements in the order of recording, one record per message, in a temporary
             file. `y` and `u` have NaN for an output that is missing or that a joint does not have,
             and 0 for an input that it does not have; stamps and log times are in ns, those of the
-            epoch; `complete` is whether there are an output and all inputs of a joint, `refused`
-            for how many joints a message is refused that it names, or all if it names none, and
-            `checksums` the CRC-32 of the message.
+            epoch; `codes` are those of `Batch`, and `checksums` the CRC-32 of the message.
         ran: What the observer ran that was recorded.
         same_clock: Whether stamps and log times seem to be of the same clock.
         topic: Name of the measurements' topic.
@@ -296,28 +294,18 @@ class BagSource:
     def _read(self) -> None:
         if not self.joints:
             raise BagReadError(f"{self.path}: no message of {self.topic} names a joint")
-        count, samples = len(self.joints), Spool(self._sample_type)
-        outputs = max(len(one.outputs) for one in self.signals)
-        there = np.zeros((count, outputs), np.bool_)
-        without_input = 0
-        wanted = [
-            *(one.outputs for one in self.signals),
-            *(one.inputs for one in self.signals),
-            *(one.other_inputs for one in self.signals),
-        ]
-        read = JointReader(wanted)
+        samples, without_input = Spool(self._sample_type), 0
+        joints = dict(zip(self.joints, self.signals, strict=True))
+        read = MeasurementReader(joints, self._assume_zero_torque)
         for block in read_blocks(self.reader, [self.topic], _BLOCK, on_damage=self.damaged):
-            measured = read(block[self.topic])
-            given = measured.given[:, :count, :outputs]
-            there |= given.any(axis=0)
-            if not self._assume_zero_torque:
-                inputs = measured.given[:, count:].any(axis=(1, 2))
-                without_input += int((given.any(axis=(1, 2)) & ~inputs).sum())
-            samples.add(self._samples_of(measured, block[self.topic]))
+            batch = read.read_raw(block[self.topic])
+            lack = (batch.codes == MISSING).any(axis=0) & ~(batch.codes == USED).any(axis=0)
+            without_input += int(lack.sum())
+            samples.add(self._samples_of(batch, block[self.topic]))
         self.samples = samples.read()
         if not self.count:
             raise self.damage or BagReadError(f"{self.path}: no message on {self.topic}")
-        self._require_outputs(there, read.other_names)
+        self._require_outputs(read.found())
         apart = self.samples.log_times - self.samples.stamps
         off = max((apart <= -_SAME_CLOCK).sum(), (apart >= _SAME_CLOCK).sum())
         self.same_clock = bool(2 * off < self.count)  # as of the median of the differences
@@ -334,49 +322,38 @@ class BagSource:
                 ("log_times", np.int64),
                 ("y", np.float64, (joints, p)),
                 ("u", np.float64, (joints, m)),
-                ("complete", np.bool_, (joints,)),
-                ("refused", np.int64),
+                ("codes", np.int64, (joints,)),
                 ("checksums", np.int64),
             ]
         )
 
-    def _samples_of(self, series: JointSeries, raw: RawMessages) -> Records:
-        """Return the measurements in messages, of which the wanted numbers are read."""
-        count = len(self.joints)
-        samples: Records = np.recarray(len(series.stamps), self._sample_type)
-        p, m = samples.y.shape[2], samples.u.shape[2]
-        own, other = slice(count, 2 * count), slice(2 * count, None)
-        there: Flags = series.given[:, own, :m] | series.given[:, other, :m]
-        u = series.values[:, own, :m]
-        u = np.where(np.isnan(u), series.values[:, other, :m], u)
-        for joint, one in enumerate(self.signals):
-            zero = [self._assume_zero_torque and place.field == "effort" for place in one.inputs]
-            silent = ~there[:, joint] & np.array([*zero, *[True] * (m - len(zero))])
-            there[:, joint] |= silent
-            u[:, joint][silent] = 0.0
-        samples.stamps, samples.log_times = series.stamps, series.log_times
-        samples.y, samples.u = series.values[:, :count, :p], u
-        samples.complete = series.given[:, :count].any(axis=2) & there.all(axis=2)
-        named: Flags = np.asarray(series.named.reshape(-1, 3, count).any(axis=1))
-        samples.refused = (named & ~samples.complete).sum(axis=1)
-        samples.refused[~named.any(axis=1)] = count
+    def _samples_of(self, batch: Batch, raw: RawMessages) -> Records:
+        """Return the records of samples."""
+        samples: Records = np.zeros(len(batch.stamps), self._sample_type).view(np.recarray)
+        samples.stamps, samples.log_times = batch.stamps, raw.log_times
+        samples.y = np.nan
+        for joint, (y, u) in enumerate(zip(batch.y, batch.u, strict=True)):
+            samples.y[:, joint, : y.shape[1]] = y
+            samples.u[:, joint, : u.shape[1]] = u
+        samples.codes = batch.codes.T
         for places, data in raw.groups:
             samples.checksums[places] = [crc32(row) for row in data]
         return samples
 
-    def _require_outputs(self, there: Flags, others: Iterable[str]) -> None:
+    def _require_outputs(self, there: Sequence[Sequence[bool]]) -> None:
         """Raise `BagReadError` if no message has some output, which none lacks by chance."""
         lacking, seen = list[str](), list[str]()
-        for joint, request, own, known in zip(
-            self.joints, self._requests, self.signals, there, strict=True
-        ):
-            for name, place, given in zip(request.output_names, own.outputs, known, strict=False):
+        each = zip(self.joints, self._requests, self.signals, there, strict=True)
+        for joint, request, own, known in each:
+            for name, place, given in zip(request.output_names, own.outputs, known, strict=True):
                 (seen if given else lacking).append(f"{name} of {joint} ({place.described})")
         if not lacking:
             return
         text = f"no message of {self.topic} has {', '.join(lacking)}"
         if not self.was_observed:
-            has = ", ".join([*seen, *others]) or "none"
+            entries = frozenset().union(*(own.entries for own in self.signals))
+            others = [name for name in self._first_names() if name not in entries]
+            has = ", ".join([*seen, *others[:_MAX_OTHERS]]) or "none"
             raise BagReadError(f"{self.path}: {text}, which the design measures; it has: {has}")
         # The live observer went on with the others.
         self.remarks += (f"warning: {text}",)

@@ -16,6 +16,7 @@ from tsobs_ros.bag.joint_series import JointReader, Wanted, read_blocks, require
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import BagReadError
+from tsobs_ros.estimation.records import USED
 from tsobs_ros.replay.health import CLAIMED
 from tsobs_ros.replay.places import ESTIMATES, places_of
 from tsobs_ros.replay.source import BagSource, passes
@@ -234,7 +235,7 @@ def measured(source: BagSource, place: int) -> Rows:
     for begin in range(0, source.count, BLOCK):
         samples = source.samples[begin : begin + BLOCK]
         y, u = samples.y[:, place, :p], samples.u[:, place, :m]
-        there = samples.complete[:, place] | np.isfinite(y).any(axis=1)
+        there = (samples.codes[:, place] == USED) | np.isfinite(y).any(axis=1)
         spool.add(rows_of(samples, np.hstack([y, u]))[there])
     return spool.read()
 

@@ -20,14 +20,8 @@ from tsobs_ros.design.file import load_request
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation.records import Estimate
-from tsobs_ros.nodes.observer.messages import (
-    MISSING,
-    NOT_NAMED,
-    WRONG,
-    Batch,
-    EstimatePublisher,
-    MeasurementReader,
-)
+from tsobs_ros.nodes.observer.messages import EstimatePublisher
+from tsobs_ros.replay.samples import MISSING, NOT_NAMED, WRONG, Batch, MeasurementReader
 from tsobs_ros.resources import config_path
 
 ARM, SYSTEM = ArmRequest(), load_request(config_path("ts_example.request.yaml"))

@@ -12,9 +12,9 @@ from staging.stage import BEGIN, MS, PERIOD, Arm
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
-from tsobs_ros.nodes.observer.messages import WRONG
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, statuses_of
+from tsobs_ros.replay.samples import WRONG
 from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 

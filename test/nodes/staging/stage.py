@@ -26,8 +26,8 @@ from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.estimation.records import Innovation, Measurement
 from tsobs_ros.methods import make_tracker
 from tsobs_ros.nodes.observer import Observer
-from tsobs_ros.nodes.observer.messages import MeasurementReader
 from tsobs_ros.nodes.wire import DrainedSubscription
+from tsobs_ros.replay.samples import MeasurementReader
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate

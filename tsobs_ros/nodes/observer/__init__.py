@@ -50,11 +50,12 @@ from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.methods import warning
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.observer.joints import NAMES, ObservedJoint, observed_joints
-from tsobs_ros.nodes.observer.messages import EstimatePublisher, MeasurementReader
+from tsobs_ros.nodes.observer.messages import EstimatePublisher
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, statuses_of
 from tsobs_ros.nodes.runtime import Ticker
 from tsobs_ros.nodes.wire import LATCHED, DrainedSubscription
+from tsobs_ros.replay.samples import MeasurementReader
 
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""

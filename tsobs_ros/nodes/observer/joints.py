@@ -19,8 +19,8 @@ from tsobs_ros.estimation.health import Debounce, Level, Phase
 from tsobs_ros.estimation.records import REASONS, USED, Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
-from tsobs_ros.nodes.observer.messages import NOT_NAMED
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
+from tsobs_ros.replay.samples import NOT_NAMED
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import naming
 from tsobs_ros.series import NANOSECONDS, Stamps

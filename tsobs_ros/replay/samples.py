@@ -1,0 +1,190 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Samples of joints in JointStates, of a node or of a bag: outputs, inputs, what is refused.
+
+They are read from the bytes on the wire: rclpy's message objects would cost more than the whole
+estimation.
+"""
+
+import math
+import reprlib
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from itertools import accumulate, chain, pairwise, zip_longest
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from tsobs_ros.bag.joint_states import JointStateDecoder
+from tsobs_ros.checks import Array
+from tsobs_ros.design.signals import Place, Signals
+from tsobs_ros.errors import MessageError
+from tsobs_ros.estimation.records import REASONS, USED, RejectReason
+from tsobs_ros.series import Stamps
+
+if TYPE_CHECKING:
+    from tsobs_ros.bag.joint_series import RawMessages  # which needs a library that nodes lack
+
+NOT_NAMED = -1
+"""Code of a joint that a message does not name."""
+WRONG = REASONS.index(RejectReason.WRONG_JOINT)
+MISSING = REASONS.index(RejectReason.MISSING_INPUT)
+
+# What follows a message's numbers, so that each number of a row has a place, and its places.
+_CONSTANTS = (math.nan, 0.0)
+_NOTHING, _ZERO = -2, -1
+# Of messages, whose names anybody may choose.
+_MAX_LAYOUTS = 256
+
+
+class Batch(NamedTuple):
+    """Messages in the order of their stamps, N of them, with samples of k joints.
+
+    Attributes:
+        order: Their places among those that were read.
+        stamps: [ns]; 0 of a message that cannot be read; shape (N,).
+        y: Measured outputs of each joint, NaN if there is none, k of shape (N, p).
+        u: Inputs of each joint, NaN if there is none, k of shape (N, m).
+        codes: `USED` of samples, else the code of the rejection or `NOT_NAMED`, shape (k, N).
+    """
+
+    order: Sequence[int]
+    stamps: Stamps
+    y: list[Array]
+    u: list[Array]
+    codes: Stamps
+
+
+class MeasurementReader:
+    """Finds the samples of the node's joints in messages of any joints, in any order.
+
+    A sample has an output at least, and all inputs.
+    """
+
+    def __init__(self, joints: Mapping[str, Signals], assume_zero_torque: bool) -> None:
+        self._joints = dict(joints)
+        self._absent_effort = _ZERO if assume_zero_torque else _NOTHING
+        self._decode = JointStateDecoder()
+        # Messages hardly ever change their names and lengths.
+        self._layout = lru_cache(_MAX_LAYOUTS)(self._find)
+        # Where the outputs, inputs and other inputs of the joints are in a row.
+        self._parts: list[list[slice]] = []
+        end = 0
+        for each in joints.values():
+            counts = map(len, (each.outputs, each.inputs, each.other_inputs))
+            ends = list(accumulate(counts, initial=end))
+            self._parts.append([slice(*pair) for pair in pairwise(ends)])
+            end = ends[-1]
+        self._unreadable = [math.nan] * end, (WRONG,) * len(joints)
+        self._found = set[int]()  # the places in a row of which a message has had a number
+
+    def read(self, messages: Sequence[bytes]) -> Batch:
+        """Return the samples in messages, in the order of the messages' stamps.
+
+        Bytes that are no JointState, and messages with none of the joints, are wrong for all.
+        """
+        rows = [self._read(data) for data in messages]
+        order = sorted(range(len(rows)), key=[row[0] for row in rows].__getitem__)
+        stamps, numbers, codes = zip(*[rows[place] for place in order], strict=True)
+        y, u = self._split(np.array(numbers, np.float64))
+        return Batch(order, np.array(stamps, np.int64), y, u, np.array(codes, np.int64).T.copy())
+
+    def read_raw(self, raw: "RawMessages") -> Batch:
+        """Return the samples in messages of a bag, in the order of recording."""
+        count, (nothing, wrong) = len(raw.log_times), self._unreadable
+        stamps, table = np.zeros(count, np.int64), np.full((count, len(nothing)), math.nan)
+        codes = np.full((len(wrong), count), WRONG)
+        for group in chain.from_iterable(self._decode.decode_rows(*one) for one in raw.groups):
+            at, fields = group.places, group[3:]
+            picked, of_joints = self._layout(group.names, *(each.shape[1] for each in fields))
+            stamps[at] = group.stamps
+            if any(code != NOT_NAMED for code in of_joints):
+                constants = np.broadcast_to(_CONSTANTS, (len(at), len(_CONSTANTS)))
+                table[at] = np.hstack([*fields, constants])[:, picked]
+                codes[:, at] = np.array(of_joints)[:, np.newaxis]
+        y, u = self._split(table)
+        return Batch(range(count), stamps, y, u, codes)
+
+    def found(self) -> list[list[bool]]:
+        """Return whether messages have had each output of each joint, be it NaN."""
+        return [
+            [place in self._found for place in range(outputs.start, outputs.stop)]
+            for outputs, _, _ in self._parts
+        ]
+
+    def _split(self, table: Array) -> tuple[list[Array], list[Array]]:
+        """Return the outputs and the inputs of each joint."""
+        y, u = [], []
+        for outputs, inputs, others in self._parts:
+            y.append(np.ascontiguousarray(table[:, outputs]))
+            own = np.ascontiguousarray(table[:, inputs])
+            if others.start < others.stop:
+                own = np.where(np.isnan(own), table[:, others], own)
+            u.append(own)
+        return y, u
+
+    def _read(self, data: bytes) -> tuple[int, Sequence[float], tuple[int, ...]]:
+        try:
+            stamp, names, position, velocity, effort, _ = self._decode(data)
+        except MessageError:
+            return 0, *self._unreadable
+        picked, codes = self._layout(names, len(position), len(velocity), len(effort))
+        if codes.count(NOT_NAMED) == len(codes):
+            return 0, *self._unreadable
+        numbers = position + velocity + effort + _CONSTANTS
+        return stamp, [numbers[place] for place in picked], codes
+
+    def describe(self, data: bytes, joint: str) -> str:
+        """Return what a message contains of a joint, for the log line of its rejection."""
+        try:
+            message = self._decode(data)
+        except MessageError as error:
+            return f"not a JointState: {error}"
+        own, text = self._joints[joint], f"stamp {message.stamp * 1e-9:.3f}"
+        for place in dict.fromkeys(own.outputs + own.inputs):
+            named = zip(message.names, getattr(message, place.field), strict=False)
+            number = next((str(number) for name, number in named if name == place.name), "missing")
+            text += f", {place.described} {number}"
+        # The publisher decides how many names there are, and how long.
+        return f"{text}, names {reprlib.repr(list(message.names))}"
+
+    def _find(
+        self, names: tuple[str, ...], positions: int, velocities: int, efforts: int
+    ) -> tuple[list[int], tuple[int, ...]]:
+        """Return the places of a row in the numbers of messages with these names and lengths.
+
+        The codes of the joints are those of `Batch`. Of a name that comes twice the first counts.
+        """
+        found = {name: place for place, name in reversed(list(enumerate(names)))}
+        parts = {
+            "position": (0, positions),
+            "velocity": (positions, velocities),
+            "effort": (positions + velocities, efforts),
+        }
+
+        def place_of(place: Place) -> int:
+            begin, length = parts[place.field]
+            index = found.get(place.name, length)
+            if index < length:
+                return begin + index
+            return self._absent_effort if place.field == "effort" and not efforts else _NOTHING
+
+        picked, codes = list[int](), []
+        for each in self._joints.values():
+            outputs, inputs, others = (
+                [place_of(place) for place in places]
+                for places in (each.outputs, each.inputs, each.other_inputs)
+            )
+            picked += outputs + inputs + others
+            measured = any(place != _NOTHING for place in outputs)
+            fed = all(
+                {*pair} != {_NOTHING} for pair in zip_longest(inputs, others, fillvalue=_NOTHING)
+            )
+            if measured and fed:
+                codes.append(USED)
+            elif each.entries.isdisjoint(found):
+                codes.append(NOT_NAMED)
+            else:
+                codes.append(MISSING if measured else WRONG)
+        self._found |= {place for place, number in enumerate(picked) if number >= 0}
+        return picked, tuple(codes)
