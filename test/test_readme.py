@@ -376,8 +376,18 @@ def test_the_numbers_of_a_robot_are_found(folder: Path, tools: Any) -> None:
              and "compare" in ran)
         for name in ("unfitted", "robot")
     )  # fmt: skip
-    errors = [float(re.findall(r"held-out sensor \D*(\S+)", text)[0]) for text in (before, after)]
-    assert errors[1] < 0.9 * errors[0]
+    page = YOUR_ROBOT.read_text(encoding="utf-8")
+    for which, text in (("data sheet", before), ("fitted", after)):
+        for shown, printed, scale in (
+            ("root mean square error [mrad]", "held-out sensor +rad", 1e3),
+            ("inside 3σ", "  inside 3σ", 1.0),
+            ("bounds claimed", "  bounds claimed", 1.0),
+        ):
+            (row,) = re.findall(rf"^\| {re.escape(shown)}, {which} (.*)$", page, re.MULTILINE)
+            (found,) = re.findall(rf"^{printed} (.*)$", text, re.MULTILINE)
+            numbers = [scale * float(each) for each in re.findall(r"[\d.]+", found)]
+            expected = [float(each) for each in re.findall(r"[\d.]+", row)]
+            assert numbers == pytest.approx(expected, rel=0.05, abs=0.5), row
     assert "do not fit the design" in before
     assert "do not fit the design" not in after
 
