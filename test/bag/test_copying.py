@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType
 
-from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
+from tsobs_ros.bag import BagReader, BagWriter, QosProfile
 from tsobs_ros.bag.copying import add_topics, copy_chunks
 from tsobs_ros.bag.metadata import profiles_to_yaml
+from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.bag.verification import verify
 
 BYTES = "std_msgs/msg/UInt64"

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType
 
-from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
+from tsobs_ros.bag import BagReader, BagWriter, QosProfile
+from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.bag.recovery import recover
 from tsobs_ros.errors import BagReadError
 

@@ -176,7 +176,9 @@ def test_a_run_is_made_again_as_a_bag_with_the_same_errors(
     assert measured.normalised_rmse == pytest.approx(row["normalised_rmse"][0], rel=1e-9)
     for one in measured.quantities:
         for name in ("rmse", "bound", "inside"):
-            assert getattr(one, name) == pytest.approx(row[f"{one.key}_{name}"][0], rel=1e-9)
+            assert getattr(one, name) == pytest.approx(
+                row[f"{one.quantity.key}_{name}"][0], rel=1e-9
+            )
     with pytest.raises(CampaignError, match="run 3: expected a number from 0 to 2"):
         rerun(asked, 3, tmp_path / "never")
 

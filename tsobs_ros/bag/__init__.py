@@ -10,24 +10,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tsobs_ros.bag.metadata import QosProfile, TopicInfo
-    from tsobs_ros.bag.reader import BagMessage, BagReader, DecodedMessage
-    from tsobs_ros.bag.writer import BagWriter
+    from tsobs_ros.bag.metadata import QosProfile as QosProfile
+    from tsobs_ros.bag.reader import BagReader as BagReader
+    from tsobs_ros.bag.writer import BagWriter as BagWriter
 
-_HOMES = {
-    **dict.fromkeys(("BagMessage", "BagReader", "DecodedMessage"), "reader"),
-    "BagWriter": "writer",
-    **dict.fromkeys(("QosProfile", "TopicInfo"), "metadata"),
-}
-
-__all__ = [
-    "BagMessage",
-    "BagReader",
-    "BagWriter",
-    "DecodedMessage",
-    "QosProfile",
-    "TopicInfo",
-]
+_HOMES = {"BagReader": "reader", "BagWriter": "writer", "QosProfile": "metadata"}
 
 
 def __getattr__(name: str) -> Any:

@@ -201,16 +201,6 @@ class FileMetadata(msgspec.Struct, frozen=True):
         """Return that of a file with messages from and to a log time [ns]."""
         return cls(path, _Time(start), _Duration(end - start), count) if count else cls(path)
 
-    @property
-    def start_ns(self) -> int:
-        """The smallest log time in it, ns since the epoch; `EMPTY_START_NS` without messages."""
-        return self.starting_time.nanoseconds_since_epoch
-
-    @property
-    def duration_ns(self) -> int:
-        """The time from its smallest to its largest log time [ns]."""
-        return self.duration.nanoseconds
-
 
 class _Topic(msgspec.Struct):
     name: str
@@ -256,8 +246,9 @@ class BagMetadata:
     def to_map(self) -> dict[str, Any]:
         """Return the content of the root key, with every key in rosbag2's order."""
         filled = [file for file in self.files if file.message_count]
-        start = min((file.start_ns for file in filled), default=EMPTY_START_NS)
-        end = max((file.start_ns + file.duration_ns for file in filled), default=start)
+        starts = [file.starting_time.nanoseconds_since_epoch for file in filled]
+        ends = [at + file.duration.nanoseconds for at, file in zip(starts, filled, strict=True)]
+        start, end = min(starts, default=EMPTY_START_NS), max(ends, default=EMPTY_START_NS)
         return {
             "version": VERSION,
             "storage_identifier": self.storage_identifier,

@@ -94,7 +94,12 @@ class BagReader:
         self.metadata: BagMetadata | None = None
         self.files: tuple[Path, ...] = (self.path,)
         if self.path.is_dir():
-            self.metadata = self._read_metadata()
+            try:
+                self.metadata = read_metadata(self.path)
+            except BagReadError as error:
+                if any(self.path.glob("*.mcap")):
+                    raise BagReadError(f"{error}; {RECOVER_HINT}") from error
+                raise
             if (storage := self.metadata.storage_identifier) != "mcap":
                 raise self._error(f"storage '{storage}' is not supported, only mcap is")
             self.files = tuple(self.path / Path(f.path).name for f in self.metadata.files)
@@ -109,14 +114,6 @@ class BagReader:
         filled = [s.statistics for s in self.summaries if s.statistics.message_count]
         self.start_time = min((each.message_start_time for each in filled), default=None)
         self.end_time = max((each.message_end_time for each in filled), default=None)
-
-    def _read_metadata(self) -> BagMetadata:
-        try:
-            return read_metadata(self.path)
-        except BagReadError as error:
-            if any(self.path.glob("*.mcap")):
-                raise BagReadError(f"{error}; {RECOVER_HINT}") from error
-            raise
 
     def _error(self, text: str) -> BagReadError:
         return BagReadError(f"{self.path}: {text}")

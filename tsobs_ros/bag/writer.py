@@ -97,11 +97,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._write_metadata(self.metadata())
 
     @property
-    def message_count(self) -> int:
-        """The number of messages written so far."""
-        return self._counts.total()
-
-    @property
     def topics(self) -> tuple[TopicInfo, ...]:
         """The registered topics and how many messages of each are written."""
         return tuple(

@@ -189,7 +189,7 @@ def compute(campaign: Campaign, begin: int, end: int) -> Columns:
             errors = {
                 "normalised_rmse": metrics.normalised_rmse,
                 **{
-                    f"{one.key}_{what}": getattr(one, what)
+                    f"{one.quantity.key}_{what}": getattr(one, what)
                     for one in metrics.quantities
                     for what in ("rmse", "bound", "inside")
                 },

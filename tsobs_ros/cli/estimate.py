@@ -158,7 +158,7 @@ def estimate(
             progress=advance,
             after_window=scores.add if scores is not None else lambda: None,
         )
-    errors = [] if scores is None else scores.errors()
+    errors = [] if scores is None else [one for one, _ in scores.results()]
     remarks += dict.fromkeys(text for run in runs for text in run.warnings())
     mapping, text = _result(source, runs, errors, output, time.monotonic() - begin, remarks)
     show(mapping, text, options.json)

@@ -106,9 +106,9 @@ class Rival(NamedTuple):
         pairs = list(zip(ours.quantities, self.metrics.quantities, strict=True))
         return {
             "method": self.method,
-            "rmse": {theirs.key: theirs.rmse for _, theirs in pairs},
+            "rmse": {theirs.quantity.key: theirs.rmse for _, theirs in pairs},
             "normalised_rmse": self.metrics.normalised_rmse,
-            "ratio": {theirs.key: _ratio(one.rmse, theirs.rmse) for one, theirs in pairs},
+            "ratio": {one.quantity.key: _ratio(one.rmse, theirs.rmse) for one, theirs in pairs},
             "normalised_ratio": _ratio(ours.normalised_rmse, self.metrics.normalised_rmse),
         }
 
@@ -163,7 +163,7 @@ def compare_observers(
 
     Of each joint there may be a sensor that they do not get, to measure them against.
     """
-    return _scores(source, observers, sensors).errors()
+    return [errors for errors, _ in _scores(source, observers, sensors).results()]
 
 
 def _scores(
@@ -208,16 +208,12 @@ class RunScores:
             columns = [ticks.stamps, ticks.log_times, rows[there][self._fields]]
             estimates.add(np.rec.fromarrays(columns, estimates.type))
 
-    def errors(self) -> list[ObserverErrors]:
-        """Return the errors of all observers, joint by joint.
+    def results(self) -> Iterator[tuple[ObserverErrors, RecordedRun | None]]:
+        """Yield, joint by joint, each observer's errors with its run, None without estimates.
 
         Raises:
             LogError: Too few readings of a held-out sensor are between estimates.
         """
-        return [errors for errors, _ in self.results()]
-
-    def results(self) -> Iterator[tuple[ObserverErrors, RecordedRun | None]]:
-        """Yield the errors of each observer with its run, None if it made no estimate."""
         source = self._source
         common = [
             true_parts(source, joint) | {"measurements": measured(source, joint)}

@@ -55,11 +55,6 @@ class QuantityMetrics(NamedTuple):
     ratio: float | None
     inside: float | None
 
-    @property
-    def key(self) -> str:
-        """The quantity's, for programs."""
-        return self.quantity.key
-
     def as_mapping(self) -> dict[str, float | None]:
         """Return the numbers as plain data that JSON can hold."""
         return dict(zip(self._fields[1:], self[1:], strict=True))
@@ -118,13 +113,13 @@ class RunMetrics:
 
     def __getitem__(self, key: str) -> QuantityMetrics:
         """Return the metrics of one quantity, else raise `KeyError`."""
-        return {one.key: one for one in self.quantities}[key]
+        return {one.quantity.key: one for one in self.quantities}[key]
 
     def as_mapping(self) -> dict[str, Any]:
         """Return everything as plain data that JSON can hold."""
         data = {
             **vars(self),
-            "quantities": {one.key: one.as_mapping() for one in self.quantities},
+            "quantities": {one.quantity.key: one.as_mapping() for one in self.quantities},
             "jumps": [one._asdict() for one in self.jumps],
         }
         if len(self.output_nis) <= 1:

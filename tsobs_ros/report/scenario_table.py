@@ -49,15 +49,17 @@ def typical(runs: Runs) -> float | None:
 
 def _mapping(runs: Runs) -> dict[str, Any]:
     """Return the errors of runs as plain data."""
-    quantities = list(zip(*(run.quantities for run in runs), strict=True))
+    quantities = {
+        each[0].quantity.key: each for each in zip(*(run.quantities for run in runs), strict=True)
+    }
     inside = {}
-    for each in quantities:
+    for key, each in quantities.items():
         shares = [one.inside for one in each if one.inside is not None]
         if len(shares) == len(runs):
-            inside[each[0].key] = float(np.mean(shares))
+            inside[key] = float(np.mean(shares))
     return {
         "normalised_rmse": typical(runs),
-        "rmse": {each[0].key: _root_mean([one.rmse for one in each]) for each in quantities},
+        "rmse": {key: _root_mean([one.rmse for one in each]) for key, each in quantities.items()},
         "normalised_rmse_of_runs": [run.normalised_rmse for run in runs],
         **({f"inside_{SIGMAS:g}_sigma": inside} if inside else {}),
     }
