@@ -9,8 +9,6 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 PACKAGE = Path(__file__).resolve().parents[1] / "tsobs_ros"
 
 COMMON = {"checks", "errors", "files", "resources", "schema", "series"}
@@ -113,43 +111,37 @@ def test_the_package_keeps_its_import_directions() -> None:
     assert not found, "\n".join(found)
 
 
+def check_runs(blocked: tuple[str, ...], code: str) -> None:
+    """Run a program without some libraries."""
+    without = f"import sys; sys.modules.update(dict.fromkeys({blocked!r}))\n"
+    done = subprocess.run(
+        [sys.executable, "-c", without + code],
+        cwd=PACKAGE.parent, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+
+
 def test_the_nodes_of_a_robot_need_numpy_and_a_yaml_reader_alone() -> None:
     """With what rosdep gets from Ubuntu's apt they start, observe and draw."""
-    code = (
-        f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r})\n"
-        "sys.modules.update(dict.fromkeys(('scipy', 'msgspec', 'mcap', 'zstandard', 'lz4')))\n"
+    check_runs(
+        ("scipy", "msgspec", "mcap", "zstandard", "lz4", "cvxpy", "matplotlib", "plotly"),
         "import rclpy\n"
         "from tsobs_ros.nodes import observer, plant_simulator, visualizer\n"
         "rclpy.init()\n"
         "nodes = [each.create() for each in (observer, plant_simulator, visualizer)]\n"
         "assert all(each.active for each in nodes)\n"
-        "for each in nodes: each.close()"
+        "for each in nodes: each.close()",
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-
-    assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize(
-    ("blocked", "parts"),
-    [
-        (("cvxpy", "clarabel", "matplotlib", "plotly"), ("nodes",)),
-        (("rclpy", "cvxpy", "clarabel"), ("model", "estimation", "simulation", "bag", "report")),
-        (("rclpy", "cvxpy", "clarabel", "matplotlib", "plotly"), ("cli", "executables")),
-    ],
-    ids=["nodes", "core", "command"],
-)
-def test_parts_import_without_the_extras_they_do_not_need(blocked, parts) -> None:
+def test_parts_without_ros_import_without_the_extras() -> None:
+    parts = ("model", "estimation", "simulation", "bag", "cli", "executables")
     names = [
         ".".join(("tsobs_ros", *path.with_suffix("").parts))
         for path in modules()
         if path.parts[0].removesuffix(".py") in parts
     ]
-    code = (
-        f"import sys; sys.path.insert(0, {str(PACKAGE.parent)!r})\n"
-        f"sys.modules.update(dict.fromkeys({blocked!r}))\n"
-        f"from importlib import import_module\nfor name in {names!r}: import_module(name)"
+    check_runs(
+        ("rclpy", "cvxpy", "clarabel", "matplotlib", "plotly"),
+        f"from importlib import import_module\nfor name in {names!r}: import_module(name)",
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-
-    assert done.returncode == 0, done.stderr

@@ -6,13 +6,10 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-from tsobs_ros.stop import PARENT
 
 COMMAND = [sys.executable, "-m", "tsobs_ros.executables"]
 # Prints as soon as its handlers are in place and when it is half-way through.
@@ -36,21 +33,17 @@ def ended(command: list[str], **options: Any) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-@pytest.mark.parametrize("imports", [1, 2])
-def test_two_signals_during_imports_end_a_command_with_code_1(imports: int, tmp_path: Path) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-c", WITH_IMPORTS_SHOWN.format(output=str(tmp_path / "demo"))],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    for _ in range(imports):
-        assert process.stdout.readline()
-    process.send_signal(signal.SIGINT)
-    process.send_signal(signal.SIGTERM)
-    _, err = process.communicate(timeout=60)
-    assert (process.returncode, "Traceback" in err) == (1, False), err
+@pytest.mark.parametrize("imported", ["numpy", "tsobs_ros.report"])
+def test_two_signals_during_imports_end_a_command_with_code_1(
+    ros_process: Any, imported: str, tmp_path: Path
+) -> None:
+    code = WITH_IMPORTS_SHOWN.format(output=str(tmp_path / "demo"))
+    process = ros_process([sys.executable, "-c", code])
+    process.wait_for_line(rf"^{imported}$")
+    process.signal(signal.SIGINT)
+    process.signal(signal.SIGTERM)
+    finished = process.finish()
+    assert (finished.exit_code, "Traceback" in finished.stderr) == (1, False), finished.stderr
 
 
 @pytest.mark.parametrize("name", ["tsobs", "observer"])
@@ -75,33 +68,3 @@ def test_an_output_that_nothing_can_name_is_refused(
     expected = (1, "", f"error: {shown}: {reason}\n")
     assert ended([*COMMAND, *arguments], cwd=tmp_path) == expected
     assert [each.name for each in tmp_path.iterdir()] == ["self"]
-
-
-def test_a_node_does_not_outlive_the_process_that_needs_it(ros: Any, tmp_path: Path) -> None:
-    log = tmp_path / "log"
-    code = (
-        "import os, subprocess\n"
-        "reading, held = os.pipe()\n"
-        f"node = subprocess.Popen({[*COMMAND, 'observer']!r}, stdout=open({str(log)!r}, 'w'),\n"
-        f"    stderr=subprocess.STDOUT, env={{**os.environ, {PARENT!r}: str(reading)}},\n"
-        "    pass_fds=[reading], start_new_session=True)\n"
-        "print(node.pid, flush=True)\n"
-        "node.wait()\n"
-    )
-    parent = subprocess.Popen(
-        [sys.executable, "-c", code], env=ros.environment, stdout=subprocess.PIPE, text=True
-    )
-    assert parent.stdout is not None
-    node = int(parent.stdout.readline())
-    deadline = time.monotonic() + 60.0
-
-    def wait_for(done: Any, what: str) -> None:
-        while not done():
-            assert time.monotonic() < deadline, f"{what}: {log.read_text()}"
-            ros.spin_for(0.05)
-
-    wait_for(lambda: "WAITING" in log.read_text(), "the node's start")
-    parent.kill()
-    parent.communicate()
-    state = Path(f"/proc/{node}/stat")
-    wait_for(lambda: not state.exists() or state.read_text().split()[2] == "Z", "the node's end")

@@ -16,7 +16,6 @@ import tsobs_ros as ts
 from tsobs_ros.design.record import Design
 from tsobs_ros.report.export import export_bag
 from tsobs_ros.resources import config_path
-from tsobs_ros.simulation.signals import BiasStep
 
 ROOT = Path(__file__).resolve().parents[1]
 LOG = ROOT / "docs" / "examples" / "arm_log.csv"
@@ -68,9 +67,9 @@ def test_a_simulation_is_reproducible_and_in_physical_units(design: Design) -> N
     moved = np.cumsum((run.state[1:, 1::2] + run.state[:-1, 1::2]) / 2 * 0.005, axis=0)
     assert moved == pytest.approx(run.state[1:, 0::2] - run.state[0, 0::2], abs=1e-3)
 
-    for disturbance in ({"bias_step": {"amplitude": 0.2, "start": 0.5}}, (BiasStep(0.2, 0.5),)):
-        disturbed = ts.simulate(duration=1.0, disturbance=disturbance).disturbance
-        assert disturbed.tolist() == [0.0] * 100 + [0.2] * 101
+    step = {"bias_step": {"amplitude": 0.2, "start": 0.5}}
+    disturbed = ts.simulate(duration=1.0, disturbance=step).disturbance
+    assert disturbed.tolist() == [0.0] * 100 + [0.2] * 101
 
 
 def test_a_ts_system_is_simulated_and_estimated_by_its_design() -> None:
@@ -98,11 +97,9 @@ def test_a_ts_system_is_simulated_and_estimated_by_its_design() -> None:
         ({"mismatch": {"mass": 0.1}}, "mismatch: expected some of link_inertia"),
         ({"torque": [1.0, 2.0]}, r"torque: expected shape \(201,\) or \(201, 1\).*got \(2,\)"),
         ({"torque_disturbance": {"elbow": "ramp"}}, "torque_disturbance: expected some of motor"),
-        ({"payload": {"mass": 1.0, "inertia": 0.1}}, "payload: expected some of link_inertia"),
         ({"time": [0.0, np.nan]}, r"time\[1\]: expected finite seconds"),
         ({"time": [], "angle": []}, r"time: expected shape \(n,\) with n > 0, got \(0,\)"),
         ({"angle": [0, 0, 0]}, r"angle: expected shape .* there are 2 times, got \(3,\)"),
-        ({"torque": [0], "time": [0.0, 0.1]}, r"torque: .* there are 2 times, got \(1,\)"),
         ({"angle": ["a", "b"]}, "angle: expected real numbers"),
     ],
 )
@@ -127,11 +124,8 @@ def test_estimates_from_arrays_are_those_of_a_tracker(design: Design) -> None:
         sample = ts.Measurement(stamp, run.angle[row, np.newaxis], run.torque[row, np.newaxis])
         tracker.offer(sample, stamp)
         one = tracker.estimate(stamp)
-        assert estimates.state[row].tolist() == one.state.tolist()
-        assert estimates.state_bound[row].tolist() == one.state_bound.tolist()
-        assert estimates.disturbance[row] == one.disturbance[0]
-        assert estimates.disturbance_bound[row] == one.disturbance_bound[0]
-        assert estimates.parameters[row].tolist() == one.parameters.tolist()
+        for name in ("state", "state_bound", "disturbance", "disturbance_bound", "parameters"):
+            assert np.array_equal(np.ravel(getattr(estimates, name)[row]), getattr(one, name)), name
         assert estimates.certified[row] == (one.basis.name == "CERTIFIED")
     assert (estimates.used, estimates.rejected) == (401, {})
     assert np.isfinite(estimates.innovation).all()

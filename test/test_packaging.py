@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 from zipfile import ZipFile
 
 import pytest
@@ -37,12 +38,18 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return copy
 
 
+def python(*arguments: Any, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run Python with arguments in a folder."""
+    return subprocess.run(
+        [sys.executable, *arguments], cwd=cwd, env={**os.environ, **environment},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
 def build(sources: Path, kind: str, folder: Path) -> ZipFile:
     """Call the build backend the way pip does, without its isolated environment."""
     code = f"from setuptools.build_meta import {kind}; {kind}({str(folder)!r})"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=sources, capture_output=True, text=True, check=False
-    )
+    done = python("-c", code, cwd=sources)
     assert done.returncode == 0, done.stderr
     (path,) = folder.glob("*.whl")
     return ZipFile(path)
@@ -93,12 +100,8 @@ def test_the_folder_of_a_clone_does_not_pass_for_the_package(
     code = (
         f"import site; site.addsitedir({str(tmp_path)!r}); import tsobs_ros as t; print(t.__file__)"
     )
-    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    done = subprocess.run(
-        # Without the package that this Python has.
-        [sys.executable, "-S", "-c", code],
-        cwd=sources.parent, env=environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    # Without the package that this Python has.
+    done = python("-S", "-c", code, cwd=sources.parent, PYTHONPATH="")
 
     assert done.stdout.strip() == str(sources / "tsobs_ros" / "__init__.py"), done.stderr
 
@@ -113,20 +116,14 @@ def test_a_core_that_cannot_be_built_is_one_line_that_says_what_to_install(
         'done\nexec cc "$@"\n'
     )
     script.chmod(0o755)
-    done = subprocess.run(
-        [sys.executable, "setup.py", "-q", "build_ext", "--build-temp", tmp_path, "--force"],
-        cwd=sources,
-        env={**os.environ, "CC": compiler, "PATH": f"{tmp_path}:{os.environ['PATH']}"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = ["setup.py", "-q", "build_ext", "--build-temp", tmp_path, "--force"]
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    done = python(*command, cwd=sources, CC=compiler, PATH=path)
 
     assert done.returncode == 1
     line = done.stderr.splitlines()[-1]
     assert line.startswith("tsobs_ros: building the compiled core failed: ")
-    assert "a C compiler and the headers of Python 3." in line
-    assert line.endswith("e.g. `apt install build-essential python3-dev`")
+    assert "apt install build-essential python3-dev" in line
     assert "Traceback" not in done.stderr
 
 
@@ -139,23 +136,16 @@ def test_a_core_that_is_not_built_from_these_sources_is_not_loaded(
     core = tmp_path / "tsobs_ros" / "core"
 
     def load() -> str:
-        done = subprocess.run(
-            [sys.executable, "-c", "import tsobs_ros; print(tsobs_ros.load_design.__name__)"],
-            cwd=tmp_path, env={**os.environ, "PYTHONPATH": ""}, capture_output=True, text=True,
-        )  # fmt: skip
+        code = "import tsobs_ros; print(tsobs_ros.load_design.__name__)"
+        done = python("-c", code, cwd=tmp_path, PYTHONPATH="")
         return (done.stdout + done.stderr).splitlines()[-1]
 
-    assert load().startswith(
-        "ModuleNotFoundError: tsobs_ros.core.native is not built: in the folder with setup.py, "
-    )
+    assert "tsobs_ros.core.native is not built: in the folder with setup.py, " in load()
     shutil.copy(native.__file__, core)
     assert load() == "load_design"
     (core / "new.h").write_text("/* fewer, more or other sources */\n")
-    assert load().startswith(
-        "ModuleNotFoundError: tsobs_ros.core.native is built from other C sources: in the folder "
-        f"with setup.py, {sys.executable} -m pip install -e ."
-    )
-    for path in core.glob("*.[ch]"):
+    assert "tsobs_ros.core.native is built from other C sources: in the folder " in load()
+    for path in core.glob("*.[ch]"):  # as in a wheel
         path.unlink()
     assert load() == "load_design"
 
@@ -180,7 +170,6 @@ def test_the_readme_installs_what_the_package_requires(wheel: ZipFile) -> None:
         ("mcap", "mcap is not installed: {} -m pip install pyyaml"),
         ("rclpy.node", "rclpy is not installed: source ROS 2 Jazzy, or {} -m pip install 'ros-"),
         ("colour", None),
-        (None, None),
     ],
 )
 def test_a_missing_library_is_advised_on(module: str | None, advice: str | None) -> None:
@@ -191,25 +180,14 @@ def test_a_missing_library_is_advised_on(module: str | None, advice: str | None)
 
 def test_colcon_puts_the_command_on_the_path(sources: Path, tmp_path: Path) -> None:
     """As colcon does, by `setup.py install`; its hook adds the folder `bin` to the path."""
-    done = subprocess.run(
-        [sys.executable, "setup.py", "install_data", "--install-dir", str(tmp_path)],
-        cwd=sources,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python("setup.py", "install_data", "--install-dir", tmp_path, cwd=sources)
     assert done.returncode == 0, done.stderr
     script = tmp_path / "lib" / "tsobs_ros" / "tsobs"
     script.parent.mkdir(parents=True)
     script.write_text('#!/bin/sh\necho "ran with $2"\n')
     script.chmod(0o755)
 
-    ran = subprocess.run(
-        ["tsobs", "verify", "two words"],
-        env={**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"},
-        capture_output=True,
-        text=True,
-        check=True,
+    path = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
+    assert subprocess.check_output(["tsobs", "verify", "two words"], env=path) == (
+        b"ran with two words\n"
     )
-
-    assert ran.stdout == "ran with two words\n"

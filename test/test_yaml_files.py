@@ -36,23 +36,20 @@ MERGES = "m0: &m0 {x: 1}\n" + "".join(
     [
         (LAUGHS, "line 2: aliases are not supported"),
         (MERGES, "line 2: merge keys are not supported"),
-        ("x: 1\n<<: {a: 1}", "line 2: merge keys are not supported"),
         ("a: 1" + ":1" * 500_000, "line 1: a number of 1000001 digits"),
         ("%TAG !a! b\n--- 1", "abbreviations of tags are not supported"),
         ("- 1\n" * 150_000, "line 100000: more than 100000 values"),
         ("a" * 2_000_000, "larger than 1048576 bytes"),
         ("[" * 1_000_000, "line 1: nested deeper than 50 levels|line 1: exceeded maximum nesting"),
-        ("a: " + "[" * 60 + "]" * 60, "line 1: nested deeper than 50 levels"),
         ("a: 1\nb: !!python/object/apply:os.system ['true']", "line 2: could not determine a con"),
-        ("a: 1\nb: [1, 2", "did not find expected|expected"),
         ("a: 2001-13-45", "month must be in 1..12"),
         ("a: " + "9" * 5000, "line 1: a number of 5000 digits"),
         ("a: \x01", "special characters are not allowed|control characters are not allowed"),
         ("--- a\n--- b", "line 2: but found another document|found another document"),
         ("? [1, 2]\n: 3", "line 1: found unhashable key"),
     ],
-    ids=["laughs", "merges", "merge", "base 60", "directive", "many", "large", "brackets", "deep",
-         "tag", "open", "date", "digits", "control", "documents", "key"],
+    ids=["laughs", "merges", "base 60", "directive", "many", "large", "deep", "tag", "date",
+         "digits", "control", "documents", "key"],
 )  # fmt: skip
 def test_what_is_dangerous_or_malformed_is_refused_in_one_line(text: str, problem: str) -> None:
     with pytest.raises(ValueError, match=problem) as caught:

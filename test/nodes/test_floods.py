@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from staging import diagnostics, to_nanoseconds, values
 from staging.stage import PERIOD, Arm
@@ -24,7 +23,6 @@ from tsobs_ros.series import NANOSECONDS
 
 TIMEOUT = 120.0
 COUNT = 10_000
-WRONG = RejectReason.WRONG_JOINT
 BEST_EFFORT = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
 Make = Callable[[Arm, int, int], Any]
 """A message from the arm, the stamp of its newest good one [ns], and its number in the flood."""
@@ -41,16 +39,10 @@ def fresh(message: Callable[[Arm, int, int], dict[str, Any]], early: int = 0) ->
     return make
 
 
-def as_bytes(change: Callable[[bytes], bytes]) -> Make:
-    return lambda arm, newest, _: change(bytes(serialize_message(arm.message(newest))))
-
-
 FLOODS: dict[str, tuple[Make, RejectReason | None]] = {
-    "nan angle": (fresh(lambda *_: {"position": [math.nan]}), RejectReason.NON_FINITE),
     "infinite torque": (fresh(lambda *_: {"effort": [math.inf]}), RejectReason.IMPLAUSIBLE_TORQUE),
-    "foreign joint": (fresh(lambda *_: {"name": ["elbow"]}), WRONG),
-    "truncated bytes": (as_bytes(lambda data: data[:50]), WRONG),
-    "random bytes": (as_bytes(lambda _: b"\x00\x01\x00\x00" + b"\xff" * 60), WRONG),
+    "foreign joint": (fresh(lambda *_: {"name": ["elbow"]}), RejectReason.WRONG_JOINT),
+    "bytes": (lambda *_: b"\x00\x01\x00\x00" + b"\xff" * 60, RejectReason.WRONG_JOINT),
     "clock since boot": (fresh(lambda *_: {}, 3600 * NANOSECONDS), RejectReason.TOO_OLD),
     "outliers in a row": (fresh(lambda _, __, n: {"position": [9.0 + n]}), RejectReason.GATED),
     "descending": (lambda arm, newest, number: arm.message(newest - 20_000 * number), None),

@@ -55,7 +55,7 @@ def test_damage_is_an_error_after_all_before_it_has_arrived(
             whole += 1
     assert 0 < whole < 150
     listener.listen("/a")
-    player = ros_process("player", parameters={"bag": str(bag)})
+    player = ros_process("player", parameters={"bag": str(file)})
     ros.spin_until(lambda: len(listener.heard) >= whole, 30.0, "all before the damage")
     finished = player.finish()
     assert finished.exit_code == 1

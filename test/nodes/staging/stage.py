@@ -40,7 +40,6 @@ TOPIC = "/joint_measurements"
 ESTIMATES = ("joint_states", "error_bound", "disturbance", "disturbance_bound")
 OUTPUTS = (*ESTIMATES, "innovation")
 
-_LONG = 7 * NANOSECONDS
 _SENSOR_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -142,14 +141,7 @@ class Watcher:
 
 
 class Stage:
-    """An observer, a sensor and the time.
-
-    Attributes:
-        now: The simulated time [ns].
-        observer: The observer, once it was started.
-        watcher: The reader of its topics.
-        sensor: The publisher of measurements.
-    """
+    """An observer with the reader of its topics, a sensor, and the simulated time [ns]."""
 
     observer: Observer
     watcher: Watcher
@@ -188,21 +180,14 @@ class Stage:
         return call(self.ros, self.node, kind, name, request)
 
     def play(self, events: Iterable[Event], until: int | None = None, period: int = PERIOD) -> None:
-        """Send events as their time comes, time going on by a period at a time, to `until` [ns].
-
-        Time leaps over a long silence.
-        """
+        """Send events as their time comes, time going on by a period at a time, to `until` [ns]."""
         waiting, place = list(events), 0
         until = waiting[-1].at if until is None else until
-        silent_since = self.now + period
         for now in range(self.now + period, until + period, period):
             first = place
             while place < len(waiting) and waiting[place].at <= now:
                 place += 1
-                silent_since = now
-            upcoming = waiting[place].at if place < len(waiting) else until
-            if not silent_since + _LONG < now < upcoming - period:
-                self.step(now, waiting[first:place])
+            self.step(now, waiting[first:place])
 
     def step(self, now: int, batch: Iterable[Event] = ()) -> None:
         """Send a batch, set the time, and let everybody do what is then due."""
@@ -248,13 +233,8 @@ class Stage:
 def replayed(watcher: Watcher, observer: Observer, sent: Iterable[Event]) -> int:
     """Hold all that was published to what a tracker makes of the same samples, bit for bit.
 
-    Args:
-        watcher: Has what was published since the observer's start.
-        observer: The observer, of one joint.
-        sent: What it has received, in the order of its stamps.
-
-    Returns:
-        The number of estimates that were compared.
+    The observer has one joint, and was sent the events in the order of their stamps since its
+    start. Returns the number of estimates that were compared.
     """
     (joint,) = observer.joints
     settings = observer.parameters.settings
