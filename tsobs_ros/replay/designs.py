@@ -120,9 +120,7 @@ def choose_designs(
             f"--design: expected one file for the joints without their own, got {', '.join(shared)}"
         )
 
-    @cache
-    def load(path: str, text: str | None = None) -> DesignFile:
-        return load_design_file(path, text)
+    load = cache(load_design_file)
 
     def design_of(joint: str, path: str | None) -> DesignFile:
         ran_designs = ran.designs.get(joint, ())

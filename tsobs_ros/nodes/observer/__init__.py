@@ -73,6 +73,9 @@ class Observer(ManagedNode[ObserverParameters]):
 
     Configuring loads the designs and re-checks their certificates, activating starts to estimate,
     each time from nothing. While the node is inactive, what arrives is thrown away.
+
+    Attributes:
+        joints: The joints with their trackers and counts.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -83,7 +86,7 @@ class Observer(ManagedNode[ObserverParameters]):
         """Load the designs and make everything."""
         parameters = self.parameters
         topic = self.resolve_topic_name("joint_measurements")
-        self._joints = observed_joints(parameters, topic)
+        self.joints = observed_joints(parameters, topic)
         self._resets = 0
         self._enabled = True
         self._is_new = True
@@ -92,11 +95,11 @@ class Observer(ManagedNode[ObserverParameters]):
         self._newest = b""
         self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
         # That of the design, as its `rate` is that of the measurements; of several the fastest.
-        own = max(joint.loaded.design.request.rate for joint in self._joints)
+        own = max(joint.loaded.design.request.rate for joint in self.joints)
         self._rate = parameters.rate or min(own, _FASTEST)
         self._meter = TickMeter(self._rate)
 
-        places = {joint.name: joint.signals for joint in self._joints}
+        places = {joint.name: joint.signals for joint in self.joints}
         self._reader = MeasurementReader(places, parameters.assume_zero_torque)
         at_once = parameters.publish_on == "measurement"
         self._measurements = DrainedSubscription(
@@ -107,7 +110,7 @@ class Observer(ManagedNode[ObserverParameters]):
             raw=True,
             on_arrival=self._on_arrival if at_once else None,
         )
-        self._publisher = EstimatePublisher(self, places, [joint.learnt for joint in self._joints])
+        self._publisher = EstimatePublisher(self, places, [joint.learnt for joint in self.joints])
         self._record = self.create_publisher(String, f"~/{topics.DESIGN}", LATCHED)
         self.offer_diagnostics(", ".join(parameters.joints), self._statuses)
         self.offer_triggers({"reset": self._on_reset})
@@ -134,20 +137,15 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
-        for joint in self._joints:
+        for joint in self.joints:
             joint.retune(parameters)
         if self.active:
             self._publish_record()
 
     @property
-    def joints(self) -> tuple[ObservedJoint, ...]:
-        """The joints with their trackers and counts."""
-        return tuple(self._joints)
-
-    @property
     def received(self) -> int:
         """Number of samples of all joints since the start: used + rejected, while enabled."""
-        return sum(joint.received for joint in self._joints)
+        return sum(joint.received for joint in self.joints)
 
     def _on_tick(self) -> None:
         if (now := self._now()) is not None:
@@ -191,7 +189,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._newest = messages[-1]
         batch = self._reader.read(messages)
         innovations = []
-        for joint, y, u, codes in zip(self._joints, batch.y, batch.u, batch.codes, strict=True):
+        for joint, y, u, codes in zip(self.joints, batch.y, batch.u, batch.codes, strict=True):
             innovations.append(joint.offer(batch.stamps, y, u, codes, now))
             for place in np.flatnonzero(codes > 0).tolist() if codes.any() else ():
                 reason = RejectReason(NAMES[codes[place]])
@@ -214,7 +212,7 @@ class Observer(ManagedNode[ObserverParameters]):
         if now <= self._last_output:
             self._publisher.publish_tick(now, estimated=False)
             return False
-        each = ((place, joint.estimate(now)) for place, joint in enumerate(self._joints))
+        each = ((place, joint.estimate(now)) for place, joint in enumerate(self.joints))
         estimates = {place: one for place, one in each if one is not None}
         # One that is held is of an earlier time.
         fresh = {place: one for place, one in estimates.items() if one.stamp == now}
@@ -227,7 +225,7 @@ class Observer(ManagedNode[ObserverParameters]):
                 self._meter.answered(done - arrived)
             self._unanswered.clear()
         due = self._publisher.publish_health(now, fresh)
-        for place, joint in enumerate(self._joints):
+        for place, joint in enumerate(self.joints):
             for event in joint.news(now, fresh.get(place), due):
                 self.log(event.level, f"{joint.name}: {event.text}")
         return bool(estimates)
@@ -236,7 +234,7 @@ class Observer(ManagedNode[ObserverParameters]):
         """Reset everything that is computed from data; the counts are those of a new node."""
         if self.may_log("restart"):
             self.log(Level.WARN, f"restarting: {why}")
-        for joint in self._joints:
+        for joint in self.joints:
             joint.reset()
         self._resets += 1
         self._is_new = True
@@ -247,8 +245,8 @@ class Observer(ManagedNode[ObserverParameters]):
         """Publish what runs, for those who come later too."""
         text = record_text(
             self.resolve_topic_name("joint_measurements"),
-            [joint.name for joint in self._joints],
-            [joint.loaded for joint in self._joints],
+            [joint.name for joint in self.joints],
+            [joint.loaded for joint in self.joints],
             self.parameters.settings.as_parameters(),
         )
         self._record.publish(String(data=text))
@@ -275,12 +273,12 @@ class Observer(ManagedNode[ObserverParameters]):
         if not self.active:
             return [Status("state", Level.WARN, "INACTIVE", {})]
         now = int(self.get_clock().now().nanoseconds)
-        for joint in self._joints:
+        for joint in self.joints:
             for level, text in joint.count():
                 self.log(level, f"{joint.name}: {text}")
             self._report_missing(joint)
         timing = self._meter.status()
-        return statuses_of(self._joints, timing, now, resets=self._resets, enabled=self._enabled)
+        return statuses_of(self.joints, timing, now, resets=self._resets, enabled=self._enabled)
 
     def _report_missing(self, joint: ObservedJoint) -> None:
         """Log the outputs that messages lack."""
@@ -298,11 +296,11 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _log_designs(self) -> None:
         """Log each joint's design, and warn of methods that cannot work."""
-        for joint in self._joints:
+        for joint in self.joints:
             design = f"design {joint.loaded.name} ({joint.loaded.identity})"
             self.log(Level.OK, f"{joint.name}: {design}: certificate holds")
         method = self.parameters.method
-        designs = (joint.loaded.design for joint in self._joints)
+        designs = (joint.loaded.design for joint in self.joints)
         for text in filter(None, dict.fromkeys(warning(design, method) for design in designs)):
             self.log(Level.WARN, text)
 
