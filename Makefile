@@ -29,7 +29,7 @@ SANITIZE_TESTS ?= test/estimation test/model test/simulation
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DELETE_ON_ERROR:
-.PHONY: help demo test quick-tests test-all all-tests sanitize lint format docs links figures clean
+.PHONY: help demo test quick-tests test-all all-tests sanitize fuzz lint format docs links figures clean
 .DEFAULT_GOAL := help
 
 # A version manager's shim may exist and yet fail, so every candidate is run.
@@ -93,6 +93,10 @@ endef
 
 sanitize: $(VENV)/.test ## Test the compiled core with sanitizers (CC=…, SANITIZE_TESTS=…)
 	@$(with_sanitizers) $(BIN)/pytest --capture=sys -p other_build $(SANITIZE_TESTS)
+
+fuzz: $(VENV)/.test ## Feed the compiled core hostile inputs, with sanitizers (CC=…, FUZZ_ARGS=…)
+	@$(with_sanitizers) $(BIN)/python benchmarks/fuzz_core.py \
+	  --note build/sanitize/input $(FUZZ_ARGS)
 
 lint: $(VENV)/.test ## Only lint and check types
 	$(BIN)/ruff check .

@@ -32,6 +32,14 @@ def test_hostile_files_are_read_or_refused(name: str, bench: ModuleType, tmp_pat
     assert set(outcome.results) == {"read", "refused"}, outcome.failures
 
 
+def test_hostile_samples_and_exports_are_refused_or_stepped(
+    benchmark: Callable[[str], ModuleType],
+) -> None:
+    results, _ = benchmark("fuzz_core").fuzz(150, 1, lambda text: None)
+
+    assert {"refused", "opened", "stepped", "stepped, refused in part"} == set(results)
+
+
 @pytest.mark.parametrize(
     ("name", "command"),
     [

@@ -35,10 +35,29 @@ int sizes_are_sound(const int64_t *numbers)
            && (s.hypotheses == 1 || (s.hypotheses == STANDING + FORKS && s.width > s.n));
 }
 
+/* Return whether what is counted from in a state lies within it. */
+static int state_is_sound(const model *m, const state *at)
+{
+    if (*at->best < 0 || *at->best >= m->s.hypotheses
+        || *hypothesis_of(m, at, (long)*at->best).live == 0) {
+        return 0;
+    }
+    for (long i = 0; i < m->s.hypotheses; i++) {
+        const hypothesis h = hypothesis_of(m, at, i);
+        if (*h.kind < 0 || *h.kind >= STANDING || *h.output < 0 || *h.output >= m->s.p
+            || *h.fork < NO_FORK || *h.fork > MOVED
+            || (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
 const char *model_view(double *memory, size_t length, model *view)
 {
     estimator_sizes *s = &view->s;
     flow_sizes sizes;
+    state initial;
     if (length < ESTIMATOR_SIZES || !sizes_are_sound((const int64_t *)(void *)memory)) {
         return "expected a model's record";
     }
@@ -47,14 +66,21 @@ const char *model_view(double *memory, size_t length, model *view)
         return "expected a model's record of another length";
     }
     MODEL_FIELDS(LAYOUT_BIND, s)
+    if (!flow_is_sound(view->flow, (size_t)s->flow_size)) {
+        return "expected a model's record with a flow";
+    }
     sizes = flow_sizes_of(view->flow);
     if (sizes.n != s->n || sizes.k != s->k
         || sizes.m != s->m + (*view->gain_mode == GAIN_OPEN ? 2 * s->p : 0)
-        || flow_size(&sizes) != (size_t)s->flow_size
         || flow_step_size(&sizes) > (size_t)s->scratch) {
         return "expected a model's record with a flow of its sizes";
     }
     view->design_flow = flow_view(view->flow);
+    state_bind(&initial, s, view->initial);
+    if (!(*view->period >= SHORTEST) || (*view->supervised != 0 && s->hypotheses == 1)
+        || !state_is_sound(view, &initial)) {
+        return "expected a model's record of numbers that belong together";
+    }
     return NULL;
 }
 

@@ -12,6 +12,9 @@
 #define MAGIC INT64_C(0x00632d73626f7374)
 #define HEAD (sizeof(exported_head) / 8)
 
+/* Most measurements that a history has room for, as `export_c` accepts. */
+#define MOST_STEPS 1000000
+
 /* Add a number to a checksum (Fowler, Noll and Vo's, by words). */
 static uint64_t add_word(uint64_t sum, uint64_t word)
 {
@@ -85,6 +88,10 @@ const char *exported_open(exported *view, const void *words, size_t bytes)
         return wrong;
     }
     history_bind(&start, NULL, (double *)view->memory);
+    if (*start.max_steps < 1 || *start.max_steps > MOST_STEPS || *start.first != 0
+        || *start.length != 0) {
+        return "no tracker that is new";
+    }
     view->sizes = m.s;
     sizes.s = &view->sizes;
     sizes.slots = *start.max_steps + 2 + SPARE;

@@ -31,6 +31,26 @@ flow flow_view(const double *memory)
     return view;
 }
 
+int flow_is_sound(const double *memory, size_t length)
+{
+    const long most = 1000;
+    flow_sizes s;
+    flow f;
+    if (length < 8) { /* the kind and the sizes */
+        return 0;
+    }
+    s = flow_sizes_of(memory);
+    if (s.n < 1 || s.n > most || s.m < 0 || s.m > most || s.inputs < 0 || s.inputs > s.m || s.k < 0
+        || s.k > most || s.plant < 1 || s.plant > s.n || s.rules < 0 || s.rules > most
+        || s.premises < 0 || s.premises > most || flow_size(&s) != length) {
+        return 0;
+    }
+    f = flow_view(memory);
+    return (*f.kind == KIND_ARM ? s.plant >= 4 && s.inputs >= 1
+                                : *f.kind == KIND_SYSTEM && s.rules >= 1 && s.premises >= 1)
+           && *f.period >= SHORTEST && *f.terms >= 0 && *f.terms <= SERIES_TERMS;
+}
+
 /* --- the linear flow --- */
 
 /* Evaluate `count` polynomials by Horner's rule; each row of `series` has their coefficients. */

@@ -140,6 +140,9 @@ typedef struct {
 
 /* Return the sizes and the view of a record. */
 flow_sizes flow_sizes_of(const double *memory);
+
+/* Return whether some numbers are a record whose sizes and counts belong together. */
+int flow_is_sound(const double *memory, size_t length);
 flow flow_view(const double *memory);
 
 /* Return the linear flow over a step of another length than the nominal one, kept in `work`. */
