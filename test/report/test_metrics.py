@@ -11,7 +11,6 @@ import pytest
 
 from tsobs_ros.report.comparison import (
     ObserverErrors,
-    Rival,
     metrics_cells,
     render_comparison,
 )
@@ -122,23 +121,3 @@ def test_a_diverged_observer_is_called_so_and_stays_plain_data(exact, size) -> N
         assert lines[name] == "diverged"
     assert lines["link velocity"] == "0.00"
     assert "diverged" in metrics_cells(metrics)[1]
-
-
-def test_the_table_says_what_the_metrics_say(simulated) -> None:
-    metrics, worse = measure(simulated), replace(simulated, state=1.5 * simulated.state)
-    rival = Rival("ekf_augmented", measure(worse), worse)
-
-    head, *rows = metrics_cells(metrics, rival.metrics)
-
-    one, other = metrics["motor_velocity"], rival.metrics["motor_velocity"]
-    assert dict(zip(head, rows[3], strict=True)) == {
-        "": "motor velocity",
-        "unit": "rad/s",
-        "RMSE": f"{one.rmse:#.3g}",
-        "bound (1σ)": f"{one.bound:#.3g}",
-        "RMSE/bound": f"{one.ratio:.2f}",
-        "inside 3σ": f"{100.0 * one.inside:.1f} %",
-        "EKF RMSE": f"{other.rmse:#.3g}",
-        "RMSE/EKF": f"{one.rmse / other.rmse:.2f}",
-    }
-    assert rival.as_mapping(metrics)["ratio"]["motor_velocity"] == one.rmse / other.rmse
