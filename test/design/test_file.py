@@ -19,12 +19,10 @@ from hypothesis.extra import numpy as hnp
 
 from tsobs_ros.design.file import (
     load_design,
-    load_design_file,
     load_request,
     parse_design,
     save_design,
 )
-from tsobs_ros.design.published import read_record, record_text
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import (
     ArmRequest,
@@ -290,24 +288,6 @@ def test_what_is_no_file_is_named(tmp_path: Path) -> None:
         path.write_bytes(text)
         with pytest.raises(DesignFileError, match=r"my\.yaml: (not valid|expected a map|larger)"):
             load_design(path)
-
-
-def test_a_record_of_what_an_observer_runs_is_read_back_or_refused() -> None:
-    file = load_design_file(DATA / "arm.design.yaml")
-    text = record_text("/measured", ["elbow", "wrist"], [file, file], {"rate": 200.0})
-    record = read_record(text)
-    assert (record.measurements, record.parameters) == ("/measured", {"rate": 200.0})
-    assert [(one.joints, one.text) for one in record.designs] == [(["elbow", "wrist"], file.text)]
-    for wrong, message in (
-        (
-            text.replace('"version": 1', '"version": 2', 1),
-            "expected format 'tsobs_ros observer'",
-        ),
-        ("{", "no record of an observer"),
-        (" " * (1 << 21), "larger than 1048576 bytes"),
-    ):
-        with pytest.raises(DesignFileError, match=message):
-            read_record(wrong)
 
 
 def test_a_design_has_matrices_of_the_right_shape_and_a_bound(shipped: Design) -> None:

@@ -27,7 +27,7 @@ from tsobs_ros.simulation.plant import (
     TorqueDisturbance,
     Trajectories,
 )
-from tsobs_ros.simulation.scenarios import simulate
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
     BiasStep,
@@ -378,3 +378,21 @@ def test_process_noise_has_the_stated_density() -> None:
 def test_senseless_numbers_are_refused(make: Callable[[], object], complaint: str) -> None:
     with pytest.raises(ModelError, match=complaint):
         make()
+
+
+def test_start_and_noise_have_the_stated_statistics() -> None:
+    runs = simulate(SCENARIOS["noise"], range(2000), 0.05)
+    start = runs.states[:, 0]
+    # 2000 runs: 1σ of a mean is 2.2 % of the spread, of a standard deviation 1.6 %.
+    spread = np.array([0.05, 0.1, 0.5, 0.5])
+    np.testing.assert_allclose((start.mean(axis=0) - [0.3, 0, 2, 0]) / spread, 0.0, atol=0.09)
+    np.testing.assert_allclose(start.std(axis=0), spread, rtol=0.065)
+    np.testing.assert_allclose(np.corrcoef(start.T), np.eye(4), atol=0.09)
+    noise = runs.measurements[..., 0] - runs.states[..., 0]
+    assert noise.std() == pytest.approx(0.028, rel=0.02)
+    assert not runs.disturbances.any()
+
+
+def test_an_arm_is_held_where_it_is() -> None:
+    runs = simulate(replace(SCENARIOS["held"], process_noise=ProcessNoise(0.0, 0.0)), [0], 10.0)
+    assert runs.physical[0, -1] == pytest.approx([0.5, 0.0, 0.5 + np.sin(0.5), 0.0], abs=1e-9)
