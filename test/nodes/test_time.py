@@ -4,14 +4,10 @@
 
 import numpy as np
 import pytest
-from rcl_interfaces.msg import Log
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from staging import values
 from staging.stage import BEGIN, MS, OUTPUTS, PERIOD, Arm, Event, Stage, good, replayed
 
-from tsobs_ros.estimation.records import GATED, IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT
 from tsobs_ros.nodes.observer import Observer
-from tsobs_ros.nodes.observer.joints import NAMES
 from tsobs_ros.series import NANOSECONDS
 
 
@@ -90,37 +86,3 @@ def test_a_leap_of_the_clock_is_a_gap_and_no_missed_tick(stage: Stage) -> None:
     assert replayed(stage.watcher, observer, sent) >= 6
     timing = values(stage.statuses()["observer: timing"])
     assert int(timing["missed ticks"]) - missed < 10_000  # of 6 million
-
-
-def test_thousands_of_rejections_are_a_few_lines_of_log(stage: Stage) -> None:
-    lines: list[str] = []
-    # Latched: it may match the observer only after the first of the lines.
-    latched = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    stage.node.create_subscription(Log, "/rosout", lambda each: lines.append(each.msg), latched)
-    observer, arm = stage.add(rate=50.0), Arm(BEGIN)
-    stage.step(BEGIN - 20 * MS)
-    stage.play(good(arm, BEGIN, 0.1), BEGIN + 100 * MS, 20 * MS)
-    bad = [
-        arm.message(BEGIN, position=[float("nan")]),
-        arm.message(BEGIN, name=["x" * 100_000]),
-        arm.message(BEGIN, effort=[]),
-        arm.message(BEGIN),
-        arm.message(BEGIN - NANOSECONDS),
-        arm.message(BEGIN + 3600 * NANOSECONDS),
-        arm.message(0),
-    ]
-    batch = [Event(0, bad[index % len(bad)]) for index in range(1000)]
-    stage.step(stage.now + 20 * MS, batch)
-    while observer.joints[0].tracker.rejected.total() < len(batch):  # some at each tick
-        stage.step(stage.now + 20 * MS)
-    # Of the others the angles are new, and judged.
-    expected = set(NAMES[1:]) - {NAMES[code] for code in (GATED, IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT)}
-
-    def reasons() -> list[str]:
-        said = [line.partition(" rejected: ")[2] for line in lines]
-        return [line.partition(" (")[0] for line in said if line]
-
-    stage.wait_until(lambda: set(reasons()) >= expected, "the last warning")
-    assert set(reasons()) == expected
-    assert len(reasons()) <= 70  # seven reasons, each again after five seconds
-    assert max(map(len, lines)) < 2000

@@ -103,23 +103,20 @@ def test_arms_stand_where_the_messages_say(publisher: Publisher) -> None:
     assert all(each.lifetime.sec == 1 for each in scene.values())
 
 
-@pytest.mark.parametrize(
-    ("level", "message", "colour"),
-    [
-        (DiagnosticStatus.OK, "none", BLUE),
-        (DiagnosticStatus.WARN, "drift", ORANGE),
-        (b"\x07", "odd", GREY),
-    ],
-)
-def test_an_observer_of_one_arm_shows_the_level_of_its_fault(
-    publisher: Publisher, level: bytes, message: str, colour: tuple[int, ...]
-) -> None:
-    publisher.fault("sensor fault", level, message)
-    scene = publisher.scene_of(
-        lambda each: message in each["label", 0].text, {"a_link": 0.0, "a_motor": 0.0}
-    )
-    assert colour_of(scene["estimate", 0]) == colour_of(scene["label", 0]) == colour
-    assert not {"truth", "bound"} & {kind for kind, _ in scene}
+def test_an_observer_of_one_arm_shows_the_level_of_its_fault(publisher: Publisher) -> None:
+    levels = {
+        "none": (DiagnosticStatus.OK, BLUE),
+        "drift": (DiagnosticStatus.WARN, ORANGE),
+        "odd": (b"\x07", GREY),
+    }
+    for message, (level, colour) in levels.items():
+        publisher.fault("sensor fault", level, message)
+        scene = publisher.scene_of(
+            lambda each, message=message: message in each["label", 0].text,
+            {"a_link": 0.0, "a_motor": 0.0},
+        )
+        assert colour_of(scene["estimate", 0]) == colour_of(scene["label", 0]) == colour
+        assert not {"truth", "bound"} & {kind for kind, _ in scene}
 
 
 def test_a_lost_estimate_leaves_the_truth_and_nothing_else(

@@ -30,7 +30,9 @@ def samples(begin: int, count: int) -> list[Event]:
     return good(ARM, BEGIN + begin * PERIOD, count * PERIOD * 1e-9)
 
 
-def test_every_reason_to_reject_is_counted_and_estimates_go_on(stage: Stage) -> None:
+def test_every_reason_to_reject_is_counted_logged_once_and_estimates_go_on(
+    stage: Stage, capfd: pytest.CaptureFixture[str]
+) -> None:
     observer = stage.add()
     stage.step(BEGIN - PERIOD)
     before = samples(0, 10)
@@ -38,7 +40,7 @@ def test_every_reason_to_reject_is_counted_and_estimates_go_on(stage: Stage) -> 
     nan, now = float("nan"), stage.now
     bad: dict[str, list[dict[str, Any]]] = {
         "non-finite": [{"position": [nan]}, {"position": [-np.inf]}],
-        "wrong joint or shape": [{"name": ["elbow"]}, {"name": []}, {"position": []}],
+        "wrong joint or shape": [{"name": ["x" * 100_000]}, {"name": []}, {"position": []}],
         "missing input": [{"effort": []}],
         "duplicate stamp": [{"stamp": BEGIN + 3 * PERIOD}, {"stamp": BEGIN + 9 * PERIOD}],
         "too old": [{"stamp": 1}, {"stamp": now - 2 * NANOSECONDS}],
@@ -48,29 +50,37 @@ def test_every_reason_to_reject_is_counted_and_estimates_go_on(stage: Stage) -> 
     # Of this one the angle is used.
     dead = Event(now, ARM.message(now + PERIOD, effort=[nan]))
     messages = [ARM.message(**{"stamp": now, **each}) for kind in bad.values() for each in kind]
-    messages.append(dead.message)
+    repeats = 20
+    messages = [dead.message, *messages * repeats]
     stage.step(now + PERIOD, [Event(now, message) for message in messages])
+    while observer.received < 10 + len(messages):  # some at each tick
+        stage.step(stage.now + PERIOD)
 
     status = stage.statuses()["observer: measurements"]
     counts = values(status)
     assert "`joints`" in counts.pop("remedy")
-    rejected = {key.removeprefix("rejected: "): int(n) for key, n in counts.items() if int(n)}
-    assert rejected == {
+    found = {key.removeprefix("rejected: "): int(n) for key, n in counts.items() if int(n)}
+    assert found == {
         "received": 10 + len(messages),
         "used": 10,
         "unknown input": 1,
         "last minute: received": 10 + len(messages),
         "last minute: rejected": len(messages),
-        **{reason: len(kind) for reason, kind in bad.items()},
+        **{reason: repeats * len(kind) for reason, kind in bad.items()},
     }
     assert status.level == DiagnosticStatus.WARN
     assert status.message.endswith("most: wrong joint or shape")
     assert status.hardware_id == JOINT
 
-    after = samples(12, 18)
+    after = samples((stage.now - BEGIN) // PERIOD + 1, 18)
     stage.play(after)
     assert observer.joints[0].tracker.used == 28
     assert replayed(stage.watcher, observer, [*before, dead, *after]) >= 28
+    logged = [line for line in capfd.readouterr().err.splitlines() if " rejected: " in line]
+    reasons = [line.partition(" rejected: ")[2].partition(" (")[0] for line in logged]
+    assert set(reasons) == {*bad, "unknown input"}
+    assert len(reasons) <= 2 * len(set(reasons))  # each again after five seconds
+    assert max(map(len, logged)) < 2000
 
 
 @pytest.mark.parametrize("how", ["enable", "activate"])

@@ -34,7 +34,6 @@ TEXTS = [str(index) for index in range(150)]
     [
         ("there", 0, BagWriteError, "there: exists already"),
         ("file/bag", 0, BagWriteError, "file/bag: cannot create it: .*Not a directory"),
-        ("/proc/bag", 0, BagWriteError, "/proc/bag: cannot create it"),
         ("bag", 10**9, NodeError, "MiB of disk space are free"),
     ],
 )
