@@ -12,17 +12,12 @@ from typing import Any
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rclpy.serialization import serialize_message
 from staging import call
 from staging.stage import Stage
-from std_msgs.msg import String
 
-from tsobs_ros.bag import BagWriter
 from tsobs_ros.design.file import save_design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
-
-SECOND = 1_000_000_000
 
 
 class Manager:
@@ -66,15 +61,6 @@ class Manager:
 def manage(ros: Any) -> Callable[[Any], Manager]:
     """Give what drives a node of the test's graph."""
     return lambda node: Manager(ros, node)
-
-
-@pytest.fixture
-def small_bag(tmp_path: Path) -> Path:
-    """A bag of one message, for a player."""
-    with BagWriter(tmp_path / "small_bag") as writer:
-        writer.add_topic("/chatter", "std_msgs/msg/String")
-        writer.write("/chatter", serialize_message(String(data="hello")), SECOND, SECOND)
-    return writer.path
 
 
 @pytest.fixture(scope="session")

@@ -97,23 +97,23 @@ def test_after_each_flood_the_observer_goes_on_and_a_signal_ends_it_in_the_last(
 
         ros.spin_until(met, TIMEOUT, what)
 
-    process.wait_for_line("certificate holds", TIMEOUT)
-    began = time.monotonic()
-    goes_on(lambda: len(estimated) > 100, "the first estimates")
-    for name, (make, reason) in FLOODS.items():
-        grow = ["received"] if reason is None else ["received", f"rejected: {reason.value}"]
+    def flood(make: Make, grow: list[str]) -> None:
+        """Publish a flood, until it is counted and estimates come at their rate again."""
         limits = {key: counts()[key] + 1000 for key in grow}
         sensor.flood(make)
         end = time.time_ns()
-        goes_on(lambda end=end: estimated[-1] > end, f"an estimate after the flood: {name}")
+        goes_on(lambda: estimated[-1] > end, "an estimate after the flood")
         since = len(estimated)
-        goes_on(lambda since=since: len(estimated) > since + 50, f"its rate after: {name}")
-        goes_on(
-            lambda limits=limits: all(counts()[key] > limits[key] for key in limits),
-            f"the counts of the flood: {name}",
-        )
-        rejected = {key: value for key, value in counts().items() if key.startswith("rejected")}
-        assert counts()["received"] == counts()["used"] + sum(rejected.values()), name
+        goes_on(lambda: len(estimated) > since + 50, "its rate after the flood")
+        goes_on(lambda: all(counts()[key] > limits[key] for key in limits), "the flood's counts")
+        rejected = sum(value for key, value in counts().items() if key.startswith("rejected"))
+        assert counts()["received"] == counts()["used"] + rejected
+
+    process.wait_for_line("certificate holds", TIMEOUT)
+    began = time.monotonic()
+    goes_on(lambda: len(estimated) > 100, "the first estimates")
+    for make, reason in FLOODS.values():
+        flood(make, ["received", *([f"rejected: {reason.value}"] if reason else [])])
     lasted = time.monotonic() - began
 
     process.signal(signal.SIGINT)
