@@ -114,12 +114,7 @@ Message: TypeAlias = tuple[str, str, bytes, int, int]
 class MessageSeries(NamedTuple):
     """Messages of a topic that have the same size, n of them.
 
-    Attributes:
-        topic: The topic.
-        type: Its type.
-        log_times: ns since the epoch, shape (n,).
-        publish_times: ns since the epoch, shape (n,).
-        data: In CDR, shape (n, size).
+    Times are in ns since the epoch, shape (n,); `data` is in CDR, shape (n, size).
     """
 
     topic: str

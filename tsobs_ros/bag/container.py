@@ -205,15 +205,9 @@ class Span(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """The summary of a finished file.
+    """The summary of a finished file: schemas and channels by id, counts and times, chunks.
 
-    Attributes:
-        path: The file.
-        profile: The profile in its header.
-        schemas: Its schemas by id.
-        channels: Its channels by id.
-        statistics: Its counts and times.
-        spans: Its chunks.
+    `profile` is the one in the file's header.
     """
 
     path: Path

@@ -65,13 +65,7 @@ class FileWriter:
         compression: Of the chunks: one of `COMPRESSIONS`.
         chunk_size: Size beyond which a chunk is complete, before compression [bytes].
 
-    Attributes:
-        path: The same.
-        message_count: Number of messages so far.
-        schemas: Those added, by id.
-        channels: Those added, by id.
-        ids: The topics' channels.
-        is_finished: Whether it has its summary.
+    `ids` are the topics' channels. It `is_finished` once it has its summary.
 
     Raises:
         ModuleNotFoundError: The library of the compression is not installed.

@@ -305,11 +305,6 @@ class BagMetadata:
         files, storage = tuple(stated.files), stated.storage_identifier
         return cls(tuple(topics), files, notes, stated.ros_distro, storage)
 
-    @classmethod
-    def from_yaml(cls, text: str) -> "BagMetadata":
-        """Return the metadata that an MCAP file carries."""
-        return cls.from_map(load_yaml(text))
-
 
 def write_metadata(folder: Path, metadata: BagMetadata) -> None:
     """Replace a bag folder's metadata.yaml in one step that a power cut cannot halve.

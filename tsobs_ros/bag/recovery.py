@@ -24,7 +24,7 @@ from tsobs_ros.bag.walker import Damage, FileWalker, Progress
 from tsobs_ros.bag.writer import BagWriter, whole_bag
 from tsobs_ros.errors import BagReadError, BagWriteError, printable
 from tsobs_ros.files import open_regular
-from tsobs_ros.yaml_files import MAX_BYTES
+from tsobs_ros.yaml_files import MAX_BYTES, load_yaml
 
 _SHOWN = 10
 _MAX_DESCRIPTIONS = 2**26
@@ -229,7 +229,7 @@ class _File:
                 self._metadata_room -= len(text)
                 if self._metadata_room >= 0 and self._bag.metadata is None:
                     with suppress(ValueError):
-                        self._bag.metadata = BagMetadata.from_yaml(text)
+                        self._bag.metadata = BagMetadata.from_map(load_yaml(text))
             case Schema():
                 known = self._schemas.get(record.id)
                 if known is None and self._has_room(len(record.data)):

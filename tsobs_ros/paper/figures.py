@@ -10,7 +10,6 @@ from typing import NamedTuple
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tsobs_ros.checks import Array, Flags
@@ -140,7 +139,6 @@ def _draw(
     rows, columns = len(panels), len(panels[0])
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 0.9 + 1.9 * rows), layout="constrained")
-        FigureCanvasAgg(figure)
         figure.suptitle(heading, fontsize=11.0, fontweight="bold", x=0.01, ha="left")
         axes = figure.subplots(rows, columns, squeeze=False)
         for place, panel in zip(axes.flat, chain(*panels), strict=True):

@@ -9,7 +9,6 @@ from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -52,7 +51,6 @@ def _figure(picture: Picture) -> Figure:
     plots = [*pairs, *singles]
     rows = -(-len(plots) // 2)
     figure = Figure(figsize=(_WIDTH, _ROW * rows + _HEAD), layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.add_gridspec(rows, 2)
     made: list[Axes] = []
     for place, plot in enumerate(plots):

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
@@ -41,7 +40,6 @@ def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
     count = len(comparison.rows)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(_WIDTH, _FRAME + _ROW * count), layout="constrained")
-        FigureCanvasAgg(figure)
         axes = figure.subplots()
         places = np.arange(len(comparison.observers)) + 0.5
         heights = 0.72 * (places / len(comparison.observers) - 0.5)
