@@ -47,6 +47,8 @@ def test_the_launch_file_starts_nodes_with_parameters_they_have(ros: Any) -> Non
         parameters = {each.attrib["name"] for each in node.iter("param") if "name" in each.attrib}
         assert all(made.has_parameter(each) for each in parameters), parameters
         made.destroy_node()
+    waits = (each for each in LAUNCH.iter("param") if "wait" in each.get("name", ""))
+    assert [each.attrib["value"] for each in waits] == ["1"]  # nobody but the observer listens
 
 
 def test_the_rviz_setup_shows_the_markers_in_their_frame() -> None:
