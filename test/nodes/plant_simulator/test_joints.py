@@ -164,6 +164,7 @@ def test_a_joint_is_commanded_and_disturbed_by_itself_while_running(
         ("signals", ["elbow/link_torque: {kind: ramp, slope: 1.0}"], r"elbow/link_torque: .*slope"),
         ("signals", ["elbow/link_angle: {dropout: 1.0}"], r"elbow/link_angle: .*dropout"),
         ("joint_mismatch", ["pendulum/g: 0.1"], r"joint_mismatch\[0\]"),
+        ("signals", ["torque: {kind: file, file: no.csv}"], "cannot read it: No such file"),
         ("initial_state", [0.1], r"initial_state: expected 4 \+ 4 \+ 2 numbers"),
     ],
 )

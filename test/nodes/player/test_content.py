@@ -19,7 +19,6 @@ from tsobs_ros.nodes.player.topics import offered_qos
 from tsobs_ros.resources import config_path
 
 Play = Callable[..., Any]
-SHIPPED = ["--ros-args", "--params-file", str(config_path("player.yaml"))]
 
 
 def test_a_split_bag_is_played_in_order_of_log_time(
@@ -196,6 +195,6 @@ def test_a_bag_without_an_end_is_refused_with_the_shipped_parameters(
 ) -> None:
     file = write_bag(tmp_path / "bag", regular(5)) / "bag_0.mcap"
     file.write_bytes(file.read_bytes()[:-100])
-
+    shipped = ["--ros-args", "--params-file", str(config_path("player.yaml"))]
     with pytest.raises(BagReadError, match=r"bag_0.mcap: the file has no end"):
-        play(tmp_path / "bag", options={"cli_args": SHIPPED})
+        play(tmp_path / "bag", options={"cli_args": shipped})

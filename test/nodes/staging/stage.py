@@ -101,26 +101,21 @@ class Watcher:
 
     def __init__(self, node: Any, prefix: str) -> None:
         qos = QoSProfile(depth=5000)
-        self._subscriptions = {
+        self.subscriptions = {
             topic: DrainedSubscription(node, JointState, f"{prefix}/{topic}", qos)
             for topic in (*OUTPUTS, *TORQUE_TOPICS)
         }
         self.published: list[Published] = []
         self.newest: dict[str, int] = {}
 
-    @property
-    def matched(self) -> bool:
-        """Whether all topics that every observer has have a publisher."""
-        return all(self._subscriptions[topic].publisher_count for topic in OUTPUTS)
-
     def close(self) -> None:
         """Stop reading."""
-        for subscription in self._subscriptions.values():
+        for subscription in self.subscriptions.values():
             subscription.destroy()
 
     def read(self) -> None:
         """Take what has been published."""
-        for topic, subscription in self._subscriptions.items():
+        for topic, subscription in self.subscriptions.items():
             for message, _ in subscription.drain():
                 one = Published(topic, to_nanoseconds(message.header.stamp), message)
                 assert all(map(math.isfinite, one.numbers)), one
@@ -162,7 +157,8 @@ class Stage:
         options = {"namespace": namespace, "cli_args": remap}
         given = {"use_sim_time": True, **parameters}
         self.observer = start(self.ros, "observer", options=options, **given)
-        self.wait_until(lambda: self.watcher.matched, "matching of the outputs")
+        outputs = [self.watcher.subscriptions[topic] for topic in OUTPUTS]
+        self.wait_until(lambda: all(each.publisher_count for each in outputs), "the outputs")
         inputs = [self.sensor, *([self._clock] if given["use_sim_time"] else [])]
         self.wait_until(lambda: all(each.get_subscription_count() for each in inputs), "matching")
         if self.now:
