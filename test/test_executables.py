@@ -57,6 +57,22 @@ def test_streams_that_are_full_or_closed_are_errors(name: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("library", "advice"),
+    [("mcap", "-m pip install pyyaml"), ("rclpy", "source ROS 2 Jazzy, or ")],
+)
+def test_a_node_without_a_library_ends_with_the_command_that_installs_it(
+    library: str, advice: str
+) -> None:
+    code = f"import sys; sys.modules[{library!r}] = None\n"
+    code += "from tsobs_ros.executables import run; sys.exit(run('recorder'))"
+    exit_code, out, error = ended([sys.executable, "-c", code])
+    assert (exit_code, out) == (1, "")
+    assert error.startswith(f"error: {library} is not installed: ")
+    assert advice in error
+    assert len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
     ("name", "reason"), [(b"self", "a loop of links"), (b"a\xff", "expected a name in UTF-8")]
 )
 def test_an_output_that_nothing_can_name_is_refused(

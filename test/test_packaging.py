@@ -15,7 +15,7 @@ import pytest
 
 import tsobs_ros
 from tsobs_ros.core import native
-from tsobs_ros.errors import LIBRARIES, missing_library
+from tsobs_ros.errors import LIBRARIES
 
 pytestmark = pytest.mark.slow
 
@@ -161,21 +161,6 @@ def test_the_readme_installs_what_the_package_requires(wheel: ZipFile) -> None:
     manifest = (ROOT / "package.xml").read_text(encoding="utf-8")
     for key in ("numpy", "yaml"):
         assert f"<exec_depend>python3-{key}</exec_depend>" in manifest
-
-
-@pytest.mark.parametrize(
-    ("module", "advice"),
-    [
-        ("cvxpy.error", "cvxpy is not installed: {} -m pip install cvxpy-base clarabel"),
-        ("mcap", "mcap is not installed: {} -m pip install pyyaml"),
-        ("rclpy.node", "rclpy is not installed: source ROS 2 Jazzy, or {} -m pip install 'ros-"),
-        ("colour", None),
-    ],
-)
-def test_a_missing_library_is_advised_on(module: str | None, advice: str | None) -> None:
-    found = missing_library(module)
-
-    assert found is None if advice is None else found.startswith(advice.format(sys.executable))
 
 
 def test_colcon_puts_the_command_on_the_path(sources: Path, tmp_path: Path) -> None:
