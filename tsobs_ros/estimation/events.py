@@ -90,8 +90,7 @@ class EventLog:
     def update(self, estimate: Estimate) -> list[Event]:
         """Return what an estimate gives occasion to report, in the order of its beginning.
 
-        Args:
-            estimate: The next one, about a tenth of a second after the last.
+        Estimates are about a tenth of a second apart.
         """
         stamp, scale = estimate.stamp, estimate.noise_scale
         newest, before = stamp - round(estimate.age * NANOSECONDS), self._newest

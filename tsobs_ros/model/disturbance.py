@@ -55,11 +55,6 @@ class DisturbanceModel:
         """Exosystem states to the disturbance's modelled rate dω/dt, shape (p, q)."""
         return product(self.H, self.S)
 
-    @cached_property
-    def noise_density(self) -> Array:
-        """G Gᵀ, density of the noise on the exosystem's derivative, shape (q, q)."""
-        return product(self.G, self.G.T)
-
     def __add__(self, other: "DisturbanceModel") -> "DisturbanceModel":
         """Return the model of the sum of two independent disturbances on the same channels."""
         if self.channel_count != other.channel_count:

@@ -101,9 +101,7 @@ class Augmentation:
     def min_epsilon(self, alpha: ArrayLike, xi: ArrayLike) -> float:
         """Return ε = max α₁ᵢ/(ξᵢ‖C̄‖), the start of the method's Remark 3.
 
-        Args:
-            alpha: Bounds ‖ΔAᵢ‖ ≤ αᵢ, shape (r,).
-            xi: Bounds ‖Ξᵢ‖ ≤ ξᵢ, shape (r,); zero only if αᵢ is.
+        The bounds are ‖ΔAᵢ‖ ≤ αᵢ and ‖Ξᵢ‖ ≤ ξᵢ, shape (r,).
 
         Raises:
             ModelError: A shape is wrong, a bound is negative, or ξᵢ = 0 with αᵢ > 0.

@@ -254,11 +254,7 @@ def paper_observer(
 ) -> Estimator:
     """Return the method's observer for the arm of its Example 3, with the gains that it prints.
 
-    Args:
-        arm: The arm.
-        period: Nominal sampling period [s].
-        measurement_std: 1σ of a sample [rad], the only known part of an innovation's size.
-        torque: How torques reach the motor.
+    The 1σ of a sample [rad] is the only known part of an innovation's size.
 
     Raises:
         ModelError: The arm is another one; the method prints gains for this one only.
