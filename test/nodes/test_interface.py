@@ -34,8 +34,8 @@ def test_the_shipped_file_has_every_parameter_at_its_default(name: str) -> None:
 
 
 def test_integers_and_empty_lists_are_accepted_for_lists_of_doubles(ros: Any) -> None:
-    node = start(ros, "plant_simulator", rate=100, initial_state=[1, 0, 2, 0])
-    assert (node.parameters.rate, node.parameters.initial_state) == (100.0, (1.0, 0.0, 2.0, 0.0))
+    node = start(ros, "observer", rate=100, torque_warn=[3])
+    assert (node.parameters.rate, node.parameters.torque_warn) == (100.0, (3.0,))
     rate = node.describe_parameter("rate")
     assert rate.read_only
     assert (rate.floating_point_range[0].from_value, rate.type) == (0.0, 3)
@@ -53,13 +53,10 @@ def test_integers_and_empty_lists_are_accepted_for_lists_of_doubles(ros: Any) ->
         ("observer", {"history": 61.0}, "'history': expected .* at most 60.0 s, got 61.0"),
         ("observer", {"adapt": 1}, "'adapt': expected true or false, got 1"),
         ("observer", {"gain_mode": "certain"}, "'gain_mode': expected one of: certified"),
-        (
-            "plant_simulator",
-            {"initial_state": "[1, 2.5]"},
-            "write every number with a decimal point",
-        ),
+        ("observer", {"torque_warn": [1.0, -1.0]}, "each at least 0.0 and at most"),
+        ("observer", {"torque_warn": "[1, 2.5]"}, "write every number with a decimal point"),
         ("observer", {"joints": ["hip", "knee", "hip"]}, "joints: expected names, each once"),
-        ("observer", {"joints": ["a", "b"], "joint_designs": [""]}, "each of the 2 joints"),
+        ("observer", {"joints": ["a", "b", "c"], "torque_warn": [1.0, 2.0]}, "each of the 3 joint"),
         ("plant_simulator", {"initial_state": [0.1, 0.2]}, "initial_state: expected 4"),
         ("plant_simulator", {"mismatch.stiffness": -1.0}, "stiffness: expected"),
         ("plant_simulator", {"excitation.multisine.highest": 0.1}, "multisine highest"),

@@ -57,7 +57,7 @@ def test_a_contact_is_estimated_and_an_encoder_that_stops_is_reported(
             found.append(Event(BEGIN + k * STEP, message))
         return found
 
-    observer = stage.add(rate=RATE, joints=["elbow"], design=str(both_design))
+    observer = stage.add(rate=RATE, joints=["elbow"], design=str(both_design), torque_warn=[2.0])
     stage.step(BEGIN - STEP)
     watcher, tracker = stage.watcher, observer.joints[0].tracker
     before = events(0, 170, 0, 1)
@@ -81,6 +81,7 @@ def test_a_contact_is_estimated_and_an_encoder_that_stops_is_reported(
     assert bias == pytest.approx(BIAS, abs=limit)
     found = stage.statuses()
     status = found["observer: torque disturbance"]
+    assert status.level == DiagnosticStatus.WARN
     assert float(values(status)["link [N m]"]) == pytest.approx(torque[-1], rel=1e-3)
     for output in ("link_angle", "motor_angle"):
         assert found[f"observer: sensor fault of {output}"].level < DiagnosticStatus.ERROR
@@ -99,6 +100,7 @@ def test_a_contact_is_estimated_and_an_encoder_that_stops_is_reported(
     assert replayed(watcher, observer, [*before, *after]) >= 350
     log = capfd.readouterr().err
     for text in (
+        "at the link, beyond 2 N m",
         "motor_angle is missing: expected position of elbow_motor",
         "position of elbow_motor missing, effort of elbow",
     ):

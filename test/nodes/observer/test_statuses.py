@@ -11,7 +11,7 @@ from staging.stage import BEGIN, MS, PERIOD, Arm
 
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.records import Basis, Hypothesis
-from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
+from tsobs_ros.nodes.observer.joints import ObservedJoint, TorqueWatch, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, statuses_of
 from tsobs_ros.replay.samples import WRONG
@@ -162,6 +162,31 @@ def test_what_an_estimate_is_not_worth_is_a_warning_with_its_reason(
     assert found[concern].message.startswith(text)
     if concern != "innovation":
         assert found[concern].values["since"] == "for 3.9 s"
+
+
+def test_a_torque_at_the_link_warns_at_once_and_until_it_has_been_small_for_a_while() -> None:
+    (joint,) = joints_of()
+    feed([joint], 2)
+    assert joint.latest is not None
+    watch = TorqueWatch(["motor", "link"], level=2.0, hold=0.5)
+    assert watch.statuses()[0].message == "no estimate yet"
+    changes = []
+    # The second is beyond the level, but not beyond three bounds.
+    links = [(0.1, 0.5), (-2.1, 0.8), (-2.1, 0.5), (0.2, 0.5), (3.0, 0.5), *[(0.3, 0.5)] * 6]
+    for tick, (link, bound) in enumerate(links):
+        stamp = BEGIN + tick * 100 * MS
+        torque, bounds = np.array([9.0, link]), np.array([bound, bound])
+        change = watch.update(
+            joint.latest._replace(
+                stamp=stamp, torque_disturbance=torque, torque_disturbance_bound=bounds
+            )
+        )
+        if change is not None:
+            changes.append((tick, change.level))
+            assert f"{link:g} N m (1 sigma 0.5) at the link" in change.message
+    assert changes == [(2, Level.WARN), (10, Level.OK)]
+    # It is over, but since the last status it has been.
+    assert [watch.statuses()[0].level for _ in range(2)] == [Level.WARN, Level.OK]
 
 
 @pytest.mark.parametrize(

@@ -226,8 +226,8 @@ class Observer(ManagedNode[ObserverParameters]):
             self._unanswered.clear()
         due = self._publisher.publish_health(now, fresh)
         for place, joint in enumerate(self.joints):
-            for event in joint.news(now, fresh.get(place), due):
-                self.log(event.level, f"{joint.name}: {event.text}")
+            for level, text in joint.news(now, fresh.get(place), due):
+                self.log(level, f"{joint.name}: {text}")
         return bool(estimates)
 
     def _restart(self, why: str) -> None:

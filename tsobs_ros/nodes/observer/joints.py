@@ -4,18 +4,19 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import DesignFile, load_design_file
+from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation import health, records
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import Event, EventLog
 from tsobs_ros.estimation.faults import FaultMonitor
-from tsobs_ros.estimation.health import Debounce, Level, Phase
+from tsobs_ros.estimation.health import Debounce, Level, Phase, Status
 from tsobs_ros.estimation.records import REASONS, USED, Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
@@ -33,6 +34,54 @@ FAILURES = "numerical failures"
 _ACCEPTED = (*records.CORRECTING, records.GATED)
 # For how many seconds measurements must come at another rate before that is worth a word.
 _LASTING = 3.0
+# Bounds beyond which a torque is no chance.
+_SIGNIFICANT = 3.0
+
+
+class TorqueWatch:
+    """Watches the torque disturbance of one joint for a contact.
+
+    The link's is compared with `level` [N m], 0 for never; the motor's if the design has no other.
+    It must be smaller for `hold` [s] before a contact is over. Both may be changed at any time. A
+    contact that is shorter than the time between two statuses is in the next one all the same.
+    """
+
+    def __init__(self, sides: Sequence[str], level: float, hold: float) -> None:
+        self.level, self.hold = level, hold
+        self._sides = tuple(sides)
+        # Values and 1σ bounds of the sides [N m].
+        self._latest: tuple[list[float], list[float]] = [], []
+        self._beyond = Debounce(False)
+        self._touched = False
+
+    def update(self, estimate: Estimate) -> Status | None:
+        """Take in an estimate; return what has changed, None if nothing has."""
+        torques = estimate.torque_disturbance.tolist()
+        if not torques:
+            return None
+        bounds = estimate.torque_disturbance_bound.tolist() or [math.inf] * len(torques)
+        size, bound, was = abs(torques[-1]), bounds[-1], self._beyond.value
+        beyond = 0.0 < self.level <= size and size >= _SIGNIFICANT * bound
+        is_beyond = self._beyond.update(estimate.stamp, beyond, 0.0 if beyond else self.hold)
+        self._latest = torques, bounds
+        self._touched |= is_beyond
+        return None if is_beyond == was else self._status(is_beyond)
+
+    def statuses(self) -> list[Status]:
+        """Return the torques, a warning if there was a contact since the last time."""
+        touched, self._touched = self._touched, self._beyond.value
+        return [self._status(touched)] if self._sides else []
+
+    def _status(self, beyond: bool) -> Status:
+        values = {"warn level [N m]": f"{self.level:g}"} if self.level else {}
+        text = "no estimate yet"
+        for side, torque, bound in zip(self._sides, *self._latest, strict=False):
+            values[f"{side} [N m]"] = f"{torque:.4g}"
+            values[f"{side} bound [N m]"] = f"{bound:.4g}"
+            text = f"{torque:.3g} N m (1 sigma {bound:.2g}) at the {side}"
+        if beyond:
+            text += f", beyond {self.level:g} N m: a contact, a payload?"
+        return Status("torque disturbance", Level.WARN if beyond else Level.OK, text, values)
 
 
 class ObservedJoint:
@@ -83,11 +132,15 @@ class ObservedJoint:
         request, limits = self.request, self._parameters.fault
         stds = np.sqrt(np.diag(request.measurement_covariance)).tolist()
         self.faults = FaultMonitor(stds, limits)
+        sides = request.torque_sides if isinstance(request, ArmRequest) else ()
+        self.torques = TorqueWatch(sides, self._parameters.torque_warn_of[self.name], limits.hold)
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
         self._parameters = parameters
         self.events.coast_after = parameters.coast_after
+        self.torques.level = parameters.torque_warn_of[self.name]
+        self.torques.hold = parameters.fault.hold
         self.faults.limits = parameters.fault
         if self.tracker.estimator.supervised:
             self.tracker.estimator.supervise(parameters.supervision)
@@ -169,11 +222,18 @@ class ObservedJoint:
             self.faults.estimated(now, estimate.disturbance, estimate.disturbance_bound)
         return estimate
 
-    def news(self, now: int, estimate: Estimate | None, due: bool) -> list[Event]:
-        """Return what is to be logged of the estimate for a time [ns]; `due`: as is its health."""
+    def news(self, now: int, estimate: Estimate | None, due: bool) -> Iterator[tuple[Level, str]]:
+        """Yield what is to be logged of the estimate for a time [ns]; `due`: as is its health."""
+        events: Sequence[Event] = ()
         if estimate is None:
-            return self.events.silence(now)
-        return self.events.update(estimate) if due else []
+            events = self.events.silence(now)
+        else:
+            if (contact := self.torques.update(estimate)) is not None:
+                yield contact.level, contact.message
+            if due:
+                events = self.events.update(estimate)
+        for event in events:
+            yield event.level, event.text
 
     def _held(self) -> Estimate | None:
         nothing = np.zeros(0)

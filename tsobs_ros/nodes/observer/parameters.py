@@ -45,6 +45,14 @@ class ObserverParameters(ObserverSettings, JointParameters):
         choices=("silent", "hold"),
     )
     fault: DisturbanceLimits = settings_group(DisturbanceLimits)
+    torque_warn: tuple[float, ...] = live_setting(
+        (),
+        "Torque disturbance from which on each joint's is a warning, 0 for never; a single number: "
+        "of all joints; none: never",
+        unit="N m",
+        minimum=0.0,
+        maximum=1e6,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -54,6 +62,19 @@ class ObserverParameters(ObserverSettings, JointParameters):
                 f"got {self.coast_after}"
             )
         _ = self.design_of
+        if len(self.torque_warn) not in (0, 1, len(self.joints)):
+            raise ParameterError(
+                f"torque_warn: expected a number for each of the {len(self.joints)} joints, a "
+                f"single one or none, got {len(self.torque_warn)}"
+            )
+
+    @property
+    def torque_warn_of(self) -> dict[str, float]:
+        """Torque disturbance for a warning of each joint [N m], 0 for never."""
+        levels = self.torque_warn or (0.0,)
+        if len(levels) == 1:
+            levels *= len(self.joints)
+        return dict(zip(self.joints, levels, strict=True))
 
     @property
     def settings(self) -> ObserverSettings:

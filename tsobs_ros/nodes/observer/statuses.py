@@ -45,7 +45,7 @@ def _joint_statuses(joint: ObservedJoint, now: int) -> list[Status]:
         _domain_status(joint),
         _innovation_status(joint),
         *_fault_statuses(joint, now),
-        *_torque_statuses(joint),
+        *joint.torques.statuses(),
         _certificate_status(joint, now),
     ]
     estimate = joint.latest
@@ -140,20 +140,6 @@ def _fault_statuses(joint: ObservedJoint, now: int) -> list[Status]:
         return found
     names = joint.request.output_names
     return [one._replace(name=f"{one.name} of {n}") for one, n in zip(found, names, strict=True)]
-
-
-def _torque_statuses(joint: ObservedJoint) -> list[Status]:
-    """Return the torques that the design has a model of."""
-    request, estimate = joint.request, joint.latest
-    if not (isinstance(request, ArmRequest) and request.torque_sides):
-        return []
-    text, values = "no estimate yet", dict[str, str]()
-    if estimate is not None:
-        torques, bounds = estimate.torque_disturbance, estimate.torque_disturbance_bound
-        for side, torque, bound in zip(request.torque_sides, torques, bounds, strict=False):
-            values |= {f"{side} [N m]": f"{torque:.4g}", f"{side} bound [N m]": f"{bound:.4g}"}
-            text = f"{torque:.3g} N m (1 sigma {bound:.2g}) at the {side}"
-    return [Status("torque disturbance", Level.OK, text, values)]
 
 
 def _domain_status(joint: ObservedJoint) -> Status:
