@@ -380,7 +380,9 @@ def attack(folder: Path, kind: Callable[[Made, random.Random], bytes], seed: int
     assert new.exists() == (report is not None)
     if report:
         found = in_recorded_order(new)
-        assert report.message_count == len(found) == summarise(new)["messages"]
+        summary, (file,) = summarise(new), report.files
+        assert report.message_count == len(found) == summary["messages"]
+        assert (file.start_ns, file.end_ns) == (summary["start_ns"], summary["end_ns"])
         assert Counter(found) <= Counter(true), "made up or doubled"
         assert verify(new).holds
         with RosbagsReader(new) as rosbags:

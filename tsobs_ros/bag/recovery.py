@@ -44,6 +44,8 @@ class FileRecovery:
         dropped: The number of messages found and not kept, by reason.
         missing: The number of messages that the file states, but does not hold, by topic.
         damage: The parts that are lost.
+        start_ns: The smallest log time kept, ns since the epoch; None without messages.
+        end_ns: The largest log time kept, ns since the epoch; None without messages.
         error: The reason why it was not read at all; empty if it was.
     """
 
@@ -55,6 +57,8 @@ class FileRecovery:
     dropped: Counter[str] = field(default_factory=Counter)
     missing: Counter[str] = field(default_factory=Counter)
     damage: list[Damage] = field(default_factory=list)
+    start_ns: int | None = None
+    end_ns: int | None = None
     error: str = ""
 
     @property
@@ -70,6 +74,9 @@ class FileRecovery:
         kept = f"{self.kept.total()} messages kept"
         lines = [f"{self.name}: {self.bytes_read} bytes, {state}: {kept}"]
         lines += [f"  kept {count} of {topic}" for topic, count in sorted(self.kept.items())]
+        if self.start_ns is not None and self.end_ns is not None:
+            duration = (self.end_ns - self.start_ns) * 1e-9
+            lines.append(f"  from {self.start_ns} ns to {self.end_ns} ns ({duration:.3f} s)")
         if self.unchecked:
             lines.append(f"  unchecked {self.unchecked}: no checksum covers these messages")
         lines += [f"  lost {count} of {topic}" for topic, count in self.missing.items()]
@@ -215,6 +222,10 @@ class _File:
             else:
                 yield topic, data, log_time, publish_time
                 account.kept[topic] += 1
+                if account.start_ns is None or log_time < account.start_ns:
+                    account.start_ns = log_time
+                if account.end_ns is None or log_time > account.end_ns:
+                    account.end_ns = log_time
 
     def _describe(self, record: McapRecord | None) -> None:
         match record:
