@@ -54,11 +54,7 @@ class Augmentation:
     """
 
     def __init__(self, system: TSModel, free_matrix: ArrayLike | None = None) -> None:
-        """Augment a system.
-
-        Args:
-            system: The T–S system.
-            free_matrix: L, shape (n + p, p); [0; I] by default.
+        """Augment a system by a free matrix L, shape (n + p, p); [0; I] by default.
 
         Raises:
             ModelError: L has another shape, or E_L is singular.
