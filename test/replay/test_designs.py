@@ -93,6 +93,8 @@ def test_another_design_is_used_if_it_is_meant(live: str, tmp_path: Path, capsys
 
     assert estimate(live, "--design", f"knee={SHIPPED}") == 1
     assert "no such joint; joints: elbow, wrist" in capsys.readouterr().err
+    assert estimate(live, "--design", f"elbow={FIXED}", SHIPPED, FIXED) == 1
+    assert "expected one file for the joints without their own" in capsys.readouterr().err
     assert estimate(live, *options) == 0
     assert f"design {SHIPPED} ({load_design_file(SHIPPED).identity})" in capsys.readouterr().out
 
