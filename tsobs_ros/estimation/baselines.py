@@ -66,7 +66,13 @@ def high_gain(
 ) -> Estimator:
     """Return the proportional high-gain observer (PO), or with an integral the PIO.
 
-    The PIO measures the angle's integral in its place. θ is in rad/s, the 1σ of a sample in rad.
+    Args:
+        arm: The physical model.
+        theta: θ [rad/s].
+        period: Nominal sampling period [s].
+        measurement_std: 1σ of a sample [rad], the only known part of an innovation's size.
+        torque: How torques reach the motor.
+        integral: Whether the integral of the measurement is measured in its place.
 
     Raises:
         ModelError: A number is not finite and above zero.

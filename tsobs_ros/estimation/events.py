@@ -90,7 +90,8 @@ class EventLog:
     def update(self, estimate: Estimate) -> list[Event]:
         """Return what an estimate gives occasion to report, in the order of its beginning.
 
-        Estimates are about a tenth of a second apart.
+        Args:
+            estimate: The next one, about a tenth of a second after the last.
         """
         stamp, scale = estimate.stamp, estimate.noise_scale
         newest, before = stamp - round(estimate.age * NANOSECONDS), self._newest

@@ -136,8 +136,13 @@ def new_model(
 ) -> Record:
     """Return a model record, shape (1,), with sizes, flow and period; the rest is zero.
 
-    An auxiliary one has states of an unknown torque and of parts of the outputs, and other
-    hypotheses than the design.
+    Args:
+        shape: Sizes of the estimator.
+        period: Nominal sampling period [s].
+        flow: The record of the prediction model.
+        auxiliary: Whether there are states of an unknown torque and of parts of the outputs, and
+            other hypotheses than the design.
+        torque: How torques reach the motor of an arm.
     """
     n, plant, p, m, k, t = shape
     # Torques on their way: one message per output and period, and some more as stamps jitter.

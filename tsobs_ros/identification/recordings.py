@@ -55,6 +55,11 @@ def read(
 ) -> tuple[ArmRequest, list[Recording], list[str]]:
     """Return the request with the recordings' rate, the checked recordings, and remarks.
 
+    Args:
+        request: What its numbers are taken for.
+        logs: Paths of CSV logs or bags, or arrays.
+        **options: Of `open_source`.
+
     Raises:
         LogError: A recording is of no use; the text names it and says why, in one line.
         BagReadError: A bag cannot be read.

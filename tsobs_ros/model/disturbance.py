@@ -55,6 +55,11 @@ class DisturbanceModel:
         """Exosystem states to the disturbance's modelled rate dω/dt, shape (p, q)."""
         return product(self.H, self.S)
 
+    @cached_property
+    def noise_density(self) -> Array:
+        """G Gᵀ, density of the noise on the exosystem's derivative, shape (q, q)."""
+        return product(self.G, self.G.T)
+
     def __add__(self, other: "DisturbanceModel") -> "DisturbanceModel":
         """Return the model of the sum of two independent disturbances on the same channels."""
         if self.channel_count != other.channel_count:
@@ -86,7 +91,12 @@ def arbitrary() -> DisturbanceModel:
 
 
 def bias(density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
-    """Return a constant that may wander: a random walk; density [rad²/s], 1σ [rad]."""
+    """Return a constant that may wander: a random walk.
+
+    Args:
+        density: Growth of its variance [rad²/s].
+        initial_std: 1σ before any measurement [rad].
+    """
     return _exosystem("bias", [[0.0]], {"density": density}, {"initial_std": initial_std})
 
 
@@ -101,8 +111,10 @@ def gauss_markov(std: float = 0.1, time_constant: float = 20.0) -> DisturbanceMo
 def sinusoid(frequency: float, density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
     """Return a tone of a known frequency and slowly wandering amplitude and phase.
 
-    The frequency is in rad/s; density [rad²/s] and initial 1σ [rad] are those of each of its two
-    states.
+    Args:
+        frequency: ω₀ [rad/s].
+        density: Growth of the variance of each of its two states [rad²/s].
+        initial_std: 1σ of each state before any measurement [rad].
     """
     w0, std = positive("sinusoid frequency", frequency), {"initial_std": initial_std}
     return _exosystem("sinusoid", [[0.0, w0], [-w0, 0.0]], {"density": density}, std)
@@ -116,7 +128,11 @@ def ramp(
 ) -> DisturbanceModel:
     """Return a bias that grows at a slowly wandering rate: a double integrator.
 
-    Densities and initial 1σ are those of the bias [rad²/s, rad] and of its rate [rad²/s³, rad/s].
+    Args:
+        density: Growth of the bias's variance [rad²/s].
+        rate_density: Growth of the rate's variance [rad²/s³].
+        initial_std: 1σ of the bias before any measurement [rad].
+        initial_rate_std: 1σ of the rate before any measurement [rad/s].
     """
     densities = {"density": density, "rate_density": rate_density}
     stds = {"initial_std": initial_std, "initial_rate_std": initial_rate_std}

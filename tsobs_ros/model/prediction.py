@@ -154,7 +154,7 @@ class Flow(ABC):
         if torque_effect is not None:
             self.drift[:n, n + disturbance.state_count :] = torque_effect
         self.density = block_diagonal(
-            np.diag(densities), *(product(model.G, model.G.T) for model in models)
+            np.diag(densities), *(model.noise_density for model in models)
         )
         inputs = np.zeros((self.state_count, m))
         inputs[:n] = B

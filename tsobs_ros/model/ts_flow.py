@@ -39,7 +39,11 @@ from tsobs_ros.model.uncertainty import Uncertainty
 class TSFlow(Flow):
     """Predicts the augmented state x̄ = [x; w] of a T–S system (or of a batch of equal ones).
 
-    The process noise is a density of white noise on each state's derivative [unit²/s], shape (n,).
+    Args:
+        model: The T–S system.
+        disturbance: The exosystem of the outputs' disturbances, one channel per output.
+        process_noise: Densities of white noise on each state's derivative [unit²/s], shape (n,).
+        period: Nominal step [s].
 
     Raises:
         ModelError: As `Flow`; a density is negative or of the wrong shape.

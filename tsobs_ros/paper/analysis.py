@@ -117,6 +117,11 @@ def check_matching(augmentation: Augmentation, P: ArrayLike, delta_A: ArrayLike)
     The number is the part of E_L⁻¹ΔĀ that the best Ξ leaves over, in the norm of P, at the rule
     with the least; by the proposition it is all of it, 1.
 
+    Args:
+        augmentation: The system in augmented form.
+        P: Symmetric positive definite, shape (n + p, n + p).
+        delta_A: ΔAᵢ, shape (r, n, n), not all zero.
+
     Raises:
         ModelError: P is not positive definite, or every ΔAᵢ is zero.
     """

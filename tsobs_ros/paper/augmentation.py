@@ -54,7 +54,11 @@ class Augmentation:
     """
 
     def __init__(self, system: TSModel, free_matrix: ArrayLike | None = None) -> None:
-        """Augment a system by a free matrix L, shape (n + p, p); [0; I] by default.
+        """Augment a system.
+
+        Args:
+            system: The T–S system.
+            free_matrix: L, shape (n + p, p); [0; I] by default.
 
         Raises:
             ModelError: L has another shape, or E_L is singular.
@@ -97,7 +101,9 @@ class Augmentation:
     def min_epsilon(self, alpha: ArrayLike, xi: ArrayLike) -> float:
         """Return ε = max α₁ᵢ/(ξᵢ‖C̄‖), the start of the method's Remark 3.
 
-        The bounds are ‖ΔAᵢ‖ ≤ αᵢ and ‖Ξᵢ‖ ≤ ξᵢ, shape (r,).
+        Args:
+            alpha: Bounds ‖ΔAᵢ‖ ≤ αᵢ, shape (r,).
+            xi: Bounds ‖Ξᵢ‖ ≤ ξᵢ, shape (r,); zero only if αᵢ is.
 
         Raises:
             ModelError: A shape is wrong, a bound is negative, or ξᵢ = 0 with αᵢ > 0.

@@ -78,7 +78,12 @@ class Claim:
 
 
 def judge(runs: Mapping[str, ExampleRun], comparison: ArmComparison) -> list[Claim]:
-    """Return the table of claims, from runs of Examples 1 and 2 and all observers on Example 3."""
+    """Return the table of claims.
+
+    Args:
+        runs: Of Examples 1 and 2, by name.
+        comparison: Example 3 by every observer.
+    """
     return [
         *_printed_claims(),
         *_design_claims(runs),

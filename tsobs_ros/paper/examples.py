@@ -64,10 +64,14 @@ def _system(A1: list[list[float]], A2: list[list[float]]) -> TSModel:
 
 
 def arm_system(arm: ElasticJointArm, x_max: float = math.pi / 2) -> TSModel:
-    """Return the two-rule T–S form of an arm, equal to it wherever |q₁| ≤ x_max < π.
+    """Return the two-rule T–S form of an arm, equal to it wherever |q₁| ≤ x_max.
 
     Sector nonlinearity: sin q₁ = (h₁·1 + h₂·b) q₁ with b = sin(x_max)/x_max, the paper's
     (48)–(49) at x_max = π/2.
+
+    Args:
+        arm: The nonlinear arm.
+        x_max: Half width of the domain [rad], 0 < x_max < π.
 
     Raises:
         ModelError: The half width is out of range.

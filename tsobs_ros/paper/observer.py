@@ -254,7 +254,11 @@ def paper_observer(
 ) -> Estimator:
     """Return the method's observer for the arm of its Example 3, with the gains that it prints.
 
-    The 1σ of a sample [rad] is the only known part of an innovation's size.
+    Args:
+        arm: The arm.
+        period: Nominal sampling period [s].
+        measurement_std: 1σ of a sample [rad], the only known part of an innovation's size.
+        torque: How torques reach the motor.
 
     Raises:
         ModelError: The arm is another one; the method prints gains for this one only.

@@ -99,7 +99,11 @@ def make_paper_report(
 ) -> PaperReport:
     """Run the three examples, judge the claims, draw the figures and write the page.
 
-    The folder is made if missing. `seeds` is the number of noisy runs of Example 3.
+    Args:
+        output: Folder to write to; made if missing.
+        progress: Whether to show a progress bar on stderr.
+        seeds: Noisy runs of Example 3, at least 1.
+        force: Whether to replace existing files.
 
     Raises:
         OutputError: The folder has such files already, or a file cannot be written.

@@ -121,7 +121,12 @@ class ExampleRun:
         return np.asarray(np.sum(error @ self.design.P * error, axis=-1) + energy)
 
     def settled_error(self, variant: str, uncertainty: int) -> Array:
-        """Return the largest |x − x̂|, |ω − ω̂| from 10 s on, with λ = 0 or 1, shape (n + p,)."""
+        """Return the largest |x − x̂|, |ω − ω̂| from 10 s on, shape (n + p,).
+
+        Args:
+            variant: The observer.
+            uncertainty: 0 for λ = 0, 1 for λ = 1.
+        """
         joined = np.concatenate([self.state_error(variant), self.disturbance_error(variant)], -1)
         return np.asarray(np.abs(joined[self.plant.times >= SETTLED, uncertainty]).max(axis=0))
 
@@ -147,6 +152,11 @@ def run_example(
         premise z is still the plant's.
     model_only: the model integrated from x̂(0) = 0 with no measurement at all but z.
     consistent: as adaptive, but started at ω̂₀(0) = y(0), so that e_y(0) = 0.
+
+    Args:
+        example: Example 1 or 2.
+        period: Step [s].
+        duration: [s].
     """
     design = design_adaptive_observer(
         example.system, example.alpha, example.xi, Gamma=example.Gamma
@@ -246,9 +256,12 @@ class ArmComparison(NamedTuple):
 
 
 def compare_on_arm(design: Design, seeds: int = 20, *, duration: float = 60.0) -> ArmComparison:
-    """Run every observer on the same noisy arm, for longer than `WINDOW_START` [s].
+    """Run every observer on the same noisy arm.
 
-    The certified design's model and noise densities are the EKF's too.
+    Args:
+        design: The certified design; its model and noise densities are the EKF's too.
+        seeds: Number of runs.
+        duration: Of a run [s], above `WINDOW_START`.
     """
     runs = simulate(SCENARIOS["noise"], range(_FIRST_SEED, _FIRST_SEED + seeds), duration)
     arm, asked = ElasticJointArm(), design.arm_request

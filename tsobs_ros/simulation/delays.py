@@ -50,8 +50,10 @@ class TorqueDelay:
 class AngleDelay:
     """Measured states of an arm, angles as they were some time ago.
 
-    In a state, a delayed angle is followed by its velocity; nothing else may have a delay [s]. The
-    rate is in Hz.
+    Args:
+        places: Of the measured ones in a state; that of an angle is followed by its velocity's.
+        delays: Of each [s]; only an angle may have one.
+        rate: Samples per second [Hz].
     """
 
     def __init__(self, places: Sequence[int], delays: Sequence[float], rate: float) -> None:

@@ -35,7 +35,11 @@ def key_of(number: int) -> tuple[int, ...]:
 class RandomStream:
     """Normal numbers, or uniform ones in [0, 1), of every run, in order.
 
-    Further integers, the key, distinguish streams of the same source.
+    Args:
+        seeds: One for each run.
+        source: What the numbers are for.
+        key: Further integers that distinguish streams of the same source.
+        uniform: Draw uniform numbers.
     """
 
     def __init__(
