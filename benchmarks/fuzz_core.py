@@ -35,6 +35,7 @@ from common import at_least
 
 import tsobs_ros as ts
 from tsobs_ros.core import native
+from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import TsobsError
 from tsobs_ros.exported import export_c
 from tsobs_ros.methods import make_tracker
@@ -49,6 +50,8 @@ _VALUES = (
 )  # fmt: skip
 _STAMPS = (-(2**63), -1, 0, 1, 2**62, 2**63 - 1)
 _FIRST = 10**9
+_HEAD = 4
+_HISTORY = record_type("history").itemsize // 8
 _METHODS = ("certified", "ekf", "ekf_plain", "ekf_augmented", "high_gain", "proportional_integral")
 
 
@@ -128,14 +131,31 @@ def attack_export(random_: random.Random, folder: Path) -> str:
         words[place] = change
     if random_.random() < 0.2:
         words = words[: random_.randrange(len(words))].copy()
-    elif random_.random() < 0.8:
+        words[2:3] = len(words) - _HEAD - _HISTORY
+    if len(words) >= _HEAD and random_.random() < 0.8:
         native.exported_seal(words)
     try:
         room = native.exported_open(words)
     except ValueError:
         return "refused"
     assert 0 < room < 2**48, room
+    if room < 2**20:
+        step_export(words, room)
     return "opened"
+
+
+def step_export(words: Any, room: int) -> None:
+    """Step a tracker of an exported design that was opened."""
+    model, memory = words[_HEAD:-_HISTORY], words[-_HISTORY:].copy()
+    names = [name for name, *_ in native.layout("history", np.zeros(0, np.int64))]
+    slots = int(memory[names.index("max_steps") - len(names)]) + 4
+    scratch = np.zeros(native.history_scratch_size(model, slots))
+    records = model, memory, np.zeros(room - _HISTORY - len(scratch)), scratch
+    stamps = np.array([3, 1, 2, 4, 1], np.int64) * 10**6
+    samples = np.zeros((10, len(stamps) * 1000))
+    native.history_offer(*records, stamps, *samples[:2], 10**9, *samples[2:6].view(np.int64))
+    if native.history_estimate(*records, 5 * 10**6, row := np.zeros(100_000)):
+        assert np.isfinite(row).all()
 
 
 def fuzz(inputs: int, seed: int, note: Callable[[str], object]) -> tuple[Counter[str], float]:

@@ -18,6 +18,7 @@ import tsobs_ros as ts
 from tsobs_ros.checks import Array
 from tsobs_ros.cli.main import main
 from tsobs_ros.core import native
+from tsobs_ros.core.records import record_type
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output
 from tsobs_ros.estimation.records import Measurement
@@ -186,6 +187,17 @@ def test_a_file_that_is_not_whole_or_of_another_version_is_refused(
 
     with pytest.raises(ValueError, match=f"exported_open: {re.escape(message)}"):
         native.exported_open(changed)
+
+
+@pytest.mark.parametrize("length", [4, 5, 20])
+def test_a_sealed_file_that_is_shorter_than_its_records_is_refused(length: int) -> None:
+    history = record_type("history").itemsize // 8
+    words = np.zeros(length, np.int64)
+    words[2] = length - 4 - history  # whose sum with the other lengths is right
+    native.exported_seal(words)
+
+    with pytest.raises(ValueError, match="exported_open: incomplete or damaged"):
+        native.exported_open(words)
 
 
 def test_what_cannot_be_exported_is_said(tmp_path: Path) -> None:

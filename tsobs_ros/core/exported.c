@@ -76,7 +76,8 @@ const char *exported_open(exported *view, const void *words, size_t bytes)
         return "exported by another version of tsobs_ros: export it by the one whose sources "
                "this program was built from";
     }
-    if (bytes % 8 != 0 || (size_t)head->model_length + HEAD + history_size(NULL) != bytes / 8
+    if (bytes % 8 != 0 || bytes / 8 < HEAD + history_size(NULL)
+        || (size_t)head->model_length + HEAD + history_size(NULL) != bytes / 8
         || head->checksum != sum_of_records(words, bytes)) {
         return "incomplete or damaged";
     }
@@ -88,8 +89,8 @@ const char *exported_open(exported *view, const void *words, size_t bytes)
         return wrong;
     }
     history_bind(&start, NULL, (double *)view->memory);
-    if (*start.max_steps < 1 || *start.max_steps > MOST_STEPS || *start.first != 0
-        || *start.length != 0) {
+    if (*start.max_steps > MOST_STEPS || *start.first != 0 || *start.length != 0
+        || !history_is_sound(&start, *start.max_steps + 2 + SPARE)) {
         return "no tracker that is new";
     }
     view->sizes = m.s;

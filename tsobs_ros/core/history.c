@@ -60,6 +60,15 @@ static int64_t count_before(const tracker *t, int64_t stamp)
     return low;
 }
 
+int history_is_sound(const history *h, int64_t slots)
+{
+    const int64_t room = slots - SPARE;
+    return *h->max_steps >= 1 && *h->max_steps <= room - 2 && *h->first >= 0 && *h->first < room
+           && *h->length >= 0 && *h->length <= room && *h->has_base >= 0
+           && *h->has_base <= (*h->length > 0) && *h->span >= 0 && *h->future >= 0
+           && *h->restart_after >= 0;
+}
+
 const char *tracker_bind(tracker *view, const tracker_memory *given)
 {
     rewind_sizes sizes;
@@ -79,7 +88,7 @@ const char *tracker_bind(tracker *view, const tracker_memory *given)
         return "expected memories of a tracker of this model";
     }
     history_bind(&view->h, NULL, given->memory);
-    if (*view->h.max_steps < 1 || *view->h.max_steps > view->slots - SPARE - 2) {
+    if (!history_is_sound(&view->h, view->slots)) {
         return "max_steps: expected as many as the ring has states for";
     }
     rewind_scratch_bind(&view->later, &sizes, given->scratch);

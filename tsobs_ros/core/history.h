@@ -65,6 +65,9 @@ typedef struct {
     size_t model_length, memory_length, ring_length, scratch_length;
 } tracker_memory;
 
+/* Return whether the places and limits of a history fit a ring of so many states. */
+int history_is_sound(const history *h, int64_t slots);
+
 /* Bind a view. Return NULL, or what is wrong with a memory: a length, or a place in it. */
 const char *tracker_bind(tracker *view, const tracker_memory *given);
 

@@ -291,8 +291,10 @@ BIND(simulate_arms, "ddddDDD")
             return refuse(of, "carried: expected 0 or 1");
         }
     }
-    if (t[3].length > 0 && !HAVE(3, 2 * all * *arms[0].substeps)) {
-        return NULL;
+    for (int i = 0; i < 2; i++) {
+        if (t[3].length > 0 && all > 0 && *arms[i].substeps > t[3].length / (2 * all)) {
+            return refuse(of, "expected noise of each substep");
+        }
     }
     Py_BEGIN_ALLOW_THREADS
     simulate_arms(
@@ -317,9 +319,11 @@ BIND(simulate_systems, "dDddDDD")
     simulated_system_bind(&system, &s, t[1].numbers);
     const int64_t runs = t[4].length / s.n;
     const int64_t samples = runs > 0 ? t[5].length / (s.n * runs) : 0, all = runs * samples;
-    if (!HAVE(2, all * (s.m + s.scheduled)) || !HAVE(6, all * s.p) ||
-        (t[3].length > 0 && !HAVE(3, s.n * all * *system.substeps))) {
+    if (!HAVE(2, all * (s.m + s.scheduled)) || !HAVE(6, all * s.p)) {
         return NULL;
+    }
+    if (t[3].length > 0 && all > 0 && *system.substeps > t[3].length / (s.n * all)) {
+        return refuse(of, "expected noise of each substep");
     }
     Py_BEGIN_ALLOW_THREADS
     simulate_systems(
