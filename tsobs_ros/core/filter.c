@@ -538,9 +538,9 @@ void predict_hypothesis(
     const flow *f = &m->design_flow;
     move(m, at, h, duration, simple, forgotten, scratch);
     if ((*h->kind == IMPERFECT || *h->kind == TONE) && !simple) {
-        /* The model is not so wrong beside a tone as without one: half as many decades. */
+        /* What is left of a tone moves the arm's estimate, but its model is not that wrong. */
         const double imperfection = m->constants[IMPERFECTION];
-        const double more = ((*h->kind == TONE ? sqrt(imperfection) : imperfection) - 1.0)
+        const double more = ((*h->kind == TONE ? sqrt(sqrt(imperfection)) : imperfection) - 1.0)
                             * (duration / *m->period);
         const double half = *f->kind == KIND_SYSTEM ? 2.0 : 1.0;
         for (long i = 0; i < plant; i++) {
