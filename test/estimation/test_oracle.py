@@ -214,7 +214,8 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "power"), [(Hypothesis.IMPERFECT, 1.0), (Hypothesis.TONE, 0.25), (Hypothesis.LOUD, 0.0)]
+    ("kind", "power"),
+    [(Hypothesis.IMPERFECT, 1.0), (Hypothesis.TONE, 0.25), (Hypothesis.LOUD, 0.0)],
 )
 def test_some_hypotheses_trust_the_model_less(kind: Hypothesis, power: float) -> None:
     request = load_design(config_path(SHIPPED_DESIGN)).request
