@@ -51,8 +51,8 @@ class Simulation:
         state: True [q₁, q̇₁, q₂, q̇₂] of link and motor (rad, rad/s), shape (n, 4).
         disturbance: True disturbance of the sensor, white noise and outliers not included [rad],
             shape (n,).
-        torque_disturbance: True torques on motor and link besides the drive's, friction and what a
-            payload costs included [N m], shape (n, 2); of a T–S system (n, 0).
+        torque_disturbance: True torques on motor and link in addition to the drive's, friction and
+            what a payload costs included [N m], shape (n, 2); of a T–S system (n, 0).
     """
 
     time: Array
@@ -165,7 +165,7 @@ def simulate(
         initial_state: True state at the start (rad, rad/s of an arm); by default about what
             `Scenario` has, 0 for a T–S system.
         friction: Of the true arm, such as {"motor_viscous": 0.1}; see `simulation.integrator`.
-        torque_disturbance: Torques on "motor" and "link" besides the drive's [N m], each as
+        torque_disturbance: Torques on "motor" and "link" in addition to the drive's [N m], each as
             `disturbance`.
         payload: What the link carries from `start` on for `duration` [s], 0 for ever: `mass` [kg]
             at a `distance` [m], `link_inertia` [kg m²] and `gravity_torque` [N m].

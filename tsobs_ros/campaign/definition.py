@@ -37,7 +37,7 @@ SignalEntry: TypeAlias = dict[str, Any]
 
 @dataclass(kw_only=True)
 class OutputEntries:
-    """One output: numbers of its sensor besides the design's noise, and its disturbance."""
+    """One output: numbers of its sensor in addition to the design's noise, and its disturbance."""
 
     sensor: dict[str, float | bool] = field(default_factory=dict)
     disturbance: list[SignalEntry] = field(default_factory=list)

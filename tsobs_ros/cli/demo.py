@@ -209,5 +209,5 @@ def _wait(
                 node.require_success()
                 raise NodeError(f"{node.name} ended early; see {node.log}")
             if time.monotonic() > deadline:
-                raise NodeError(f"waited {timeout:g} s in vain; see {node.log.parent}")
+                raise NodeError(f"no answer within {timeout:g} s; see {node.log.parent}")
         time.sleep(_POLL)

@@ -366,7 +366,7 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
 /* Write the estimate and its bounds; return whether all are finite. */
 int read_out(const model *m, const state *at, const estimate *said, work *scratch);
 
-/* A log of samples: time from each to the next [s], negative where the next one begins anew, (n,);
+/* A log of samples: time from each to the next [s], negative where the next one starts, (n,);
  * outputs, NaN if missing, (n, p); and inputs held until the next sample, (n, m). */
 typedef struct {
     int64_t count;

@@ -252,7 +252,7 @@ static void step_arm(
 
 /* --- T-S systems --- */
 
-/* Write what enters x besides the linear flow, sum of h_i (D_i + sum of theta times directions) [x; u],
+/* Write what enters x in addition to the linear flow, sum of h_i (D_i + sum of theta times directions) [x; u],
  * and unless NULL its Jacobian, and its derivatives by theta, (k, n). */
 static void enter(
     const flow *f, const double *x, const double *theta, const double *u, double *entering,

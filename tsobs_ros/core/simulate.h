@@ -71,8 +71,8 @@ LAYOUT_DECLARE(simulated_system, SIMULATED_SYSTEM_FIELDS, system_sizes)
  * integration step in turn, (runs, samples, 2 substeps), or NULL for no process noise.
  * present: [q1, q1', q2, q2'] (rad, rad/s), moved on, (runs, 4).
  * states: of each sample, written, (runs, samples, 4).
- * torques: on motor and link besides the drive's [N m], (runs, samples, 2); overwritten by those
- * that an arm without friction and payload would need to move like this one. */
+ * torques: on motor and link in addition to the drive's [N m], (runs, samples, 2); overwritten by
+ * those that an arm without friction and payload would need to move like this one. */
 void simulate_arms(
     const simulated_arm *arms, const int64_t *carried, const double *inputs, const double *kicks,
     double *present, double *states, double *torques, long runs, long samples);

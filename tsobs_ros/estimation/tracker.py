@@ -46,7 +46,7 @@ _SPARE = 2
 """States at the end of a ring: one in a gap, and one that is read."""
 
 _LONGEST = 2**61
-"""Longest time that is told from a longer one, so that no sum of stamps overflows [ns]."""
+"""Longest time that is distinguished from a longer one, so that no sum of stamps overflows [ns]."""
 
 
 class Outcomes(NamedTuple):
