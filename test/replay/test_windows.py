@@ -130,7 +130,7 @@ def test_memory_does_not_grow_with_the_recording(arms, write_bag, design, tmp_pa
         runs = make_runs(source, observers, rate=None, as_live=True, window=200)
         scores = RunScores(source, runs)
         run_all(source, runs, output, after_window=scores.add)
-        scores.errors()
+        assert len([*scores.results()]) == 2
 
     peaks = []
     for times in (3, 12):
