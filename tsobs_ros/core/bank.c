@@ -425,16 +425,16 @@ static void find_candidates(const model *m, state *at, int *candidates)
     const double own = m->domain[1] / m->domain[0];
     const double elapsed = larger(*at->since, *m->period);
     const double share = share_of(minimum(elapsed, *m->longest), m->constants[AWAKE]);
-    double *moments = at->torque_moments, rate = m->constants[FIRST_TONE];
+    double *moments = at->torque_moments, rate = m->constants[FIRST_TONE], most;
     if (is_arm) {
         const double u = at->held[0];
         listen_to(m, at->torque_tones, u, elapsed, share);
         moments[0] += share * (u - moments[0]);
         moments[1] += share * (u * u - moments[1]);
     }
+    most = m->constants[TONE_DRIVEN] * (moments[1] - moments[0] * moments[0]);
     for (long j = 0; j < TONES; j++) {
         const double power = share * loudness(at->torque_tones, j);
-        const double most = m->constants[TONE_DRIVEN] * (moments[1] - moments[0] * moments[0]);
         candidates[j] = !is_arm || !(2.0 * power * power > most || is_near(m, rate, own));
         rate *= m->constants[TONE_RATIO];
     }

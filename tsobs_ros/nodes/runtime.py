@@ -50,7 +50,7 @@ from tsobs_ros.stop import StopFlag
 from tsobs_ros.streams import Parser
 
 EXPECTED = (TsobsError, OSError, NameValidationException)
-"""What a user can mend; the second comes of files, the last of a joint or a topic that ROS cannot
+"""What a user can fix; the second comes of files, the last of a joint or a topic that ROS cannot
 name."""
 
 # A signal does not wake the executor: the longest time until an idle process notices one [s].

@@ -15,7 +15,7 @@ topics, sensor_msgs/msg/JointState without another type:
   ~/disturbance (out)          disturbance of the sensor [rad] and its rate [rad/s]
   ~/disturbance_bound (out)    1 sigma bound of the disturbance
   ~/torque_disturbance (out)   effort: torque at <joint>_motor and <joint>_link that the design has
-                               a model of, besides the motor's known one [N m]
+                               a model of, in addition to the known one [N m]
   ~/torque_disturbance_bound (out)
                                1 sigma bound of each
   ~/parameters_estimate (out)  learnt changes of the parameters that the design calls uncertain

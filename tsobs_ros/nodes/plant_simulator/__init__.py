@@ -7,7 +7,7 @@ topics, sensor_msgs/msg/JointState without another type:
                                    what else the joint's design file has as outputs;
                                    effort: torque of the motor from the stamp on [N m]
   ground_truth/joint_states (out)  true <joint>_link and <joint>_motor [rad, rad/s]
-  ground_truth/disturbance (out)   what the sensor adds to the angle besides white noise [rad]
+  ground_truth/disturbance (out)   what the sensor adds to the angle, white noise excepted [rad]
   ground_truth/torque_disturbance (out)
                                    effort: what <joint>_motor and <joint>_link get besides the
                                    known torque: contact, friction, payload [N m]

@@ -118,7 +118,7 @@ PLAYED: Mapping[str, type[Signal]] = {**EXCITATIONS, TorqueFile.kind: TorqueFile
 
 @dataclass(frozen=True)
 class DisturbanceParameters:
-    """What sensors add to the true values besides noise."""
+    """What sensors add to the true values, noise excepted."""
 
     kind: str = live_setting(
         "none",
