@@ -21,7 +21,7 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.util.logging import getLogger
 
 from tsobs_ros.cli.main import main
-from tsobs_ros.settings import described, in_yaml
+from tsobs_ros.settings import in_yaml, settings_of
 
 _LOG = getLogger(__name__)
 
@@ -62,7 +62,9 @@ def _described(text: str) -> Iterator[str]:
 
 def _parameters(make: type) -> Iterator[str]:
     yield from ("| parameter | type, default | accepted | |", "|---|---|---|---|")
-    for each in described(make):
+    for each in settings_of(make).values():
+        if each.hidden:
+            continue
         kind = f"{each.kind.replace('_', ' ')}, `{in_yaml(each.default)}`"
         limits = ", ".join(filter(None, [each.limits, "" if each.live else "read-only"]))
         cells = (f"`{each.name}`", kind, limits, each.description)

@@ -4,7 +4,8 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from tsobs_ros.paper.observer import (
     paper_observer,
     paper_system_observer,
 )
-from tsobs_ros.settings import changed, check, plain, schema_of, setting, settings_group
+from tsobs_ros.settings import changed, check, setting, settings_of
 from tsobs_ros.yaml_files import read_yaml
 
 METHODS = {
@@ -107,7 +108,7 @@ class ObserverSettings:
     assume_zero_torque: bool = setting(
         False, "Take measurements without effort as torque 0 instead of rejecting them"
     )
-    supervision: SupervisionOptions = settings_group(SupervisionOptions)
+    supervision: SupervisionOptions = field(default_factory=SupervisionOptions)
 
     def __post_init__(self) -> None:
         check(self)
@@ -119,8 +120,7 @@ class ObserverSettings:
 
     def as_parameters(self) -> dict[str, Any]:
         """Return the settings as `with_parameters` takes them, by `SETTING_NAMES`."""
-        values = schema_of(ObserverSettings).values_of(self)
-        return {name: plain(value) for name, value in values.items()}
+        return {name: attrgetter(name)(self) for name in SETTING_NAMES}
 
     def with_parameters(self, values: Mapping[str, Any]) -> "ObserverSettings":
         """Return the settings with some of them changed, by `SETTING_NAMES`; text is converted.
@@ -135,7 +135,7 @@ class ObserverSettings:
         return changed(self, values)
 
 
-SETTING_NAMES = tuple(schema_of(ObserverSettings).entries)
+SETTING_NAMES = tuple(settings_of(ObserverSettings))
 """The node's parameters that decide estimates."""
 
 

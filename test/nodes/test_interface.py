@@ -19,14 +19,14 @@ from tsobs_ros.errors import ParameterError
 from tsobs_ros.methods import read_parameters
 from tsobs_ros.nodes.runtime import check_arguments
 from tsobs_ros.resources import config_path
-from tsobs_ros.settings import changed, schema_of
+from tsobs_ros.settings import changed, settings_of
 
 
 @pytest.mark.parametrize("name", ["observer", "plant_simulator", "player", "recorder"])
 def test_the_shipped_file_has_every_parameter_at_its_default(name: str) -> None:
     shipped = read_parameters(config_path(f"{name}.yaml"), name)
     schema = import_module(f"tsobs_ros.nodes.{name}").Parameters
-    assert shipped.keys() == schema_of(schema).entries.keys()
+    assert shipped.keys() == settings_of(schema).keys()
     value = changed(schema(), shipped)
     if name == "recorder":  # which records nothing by default
         value = replace(value, topics=(), regex="")
@@ -54,7 +54,7 @@ def test_integers_and_empty_lists_are_accepted_for_lists_of_doubles(ros: Any) ->
         ("observer", {"adapt": 1}, "'adapt': expected true or false, got 1"),
         ("observer", {"gain_mode": "certain"}, "'gain_mode': expected one of: certified"),
         ("observer", {"torque_warn": [1.0, -1.0]}, "each at least 0.0 and at most"),
-        ("observer", {"torque_warn": "[1, 2.5]"}, "write every number with a decimal point"),
+        ("observer", {"torque_warn": "[1, 2.5]"}, "a list of numbers with decimal points"),
         ("observer", {"joints": ["hip", "knee", "hip"]}, "joints: expected names, each once"),
         ("observer", {"joints": ["a", "b", "c"], "torque_warn": [1.0, 2.0]}, "each of the 3 joint"),
         ("plant_simulator", {"initial_state": [0.1, 0.2]}, "initial_state: expected 4"),

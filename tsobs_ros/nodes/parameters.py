@@ -11,7 +11,6 @@ import math
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Self, TypeVar
 
@@ -21,7 +20,7 @@ from rclpy.parameter import Parameter
 
 from tsobs_ros.checks import meant
 from tsobs_ros.errors import ParameterError, printable
-from tsobs_ros.settings import Setting, changed, in_yaml, plain, schema_of, setting
+from tsobs_ros.settings import Setting, changed, in_yaml, setting, settings_of, values_of
 
 P = TypeVar("P")
 
@@ -114,17 +113,15 @@ def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:
         ParameterError: An override has the wrong type, breaks a rule, or the values contradict
             each other.
     """
-    schema = schema_of(make)
-    values = {
-        name: entry.converted(given[name]) if name in given else entry.default
-        for name, entry in schema.entries.items()
-    }
-    built: P = schema.build(values)
-    for name, entry in schema.entries.items():
-        _declare(node, entry, plain(values[name]))
+    known = settings_of(make)
+    taken = {name: known[name].converted(value) for name, value in given.items() if name in known}
+    built: P = changed(make(), taken)
+    values = values_of(built)
+    for name, entry in known.items():
+        _declare(node, entry, values[name])
     for name in given:
         if not (node.has_parameter(name) or name.startswith("qos_overrides.")):
-            text = f"ignored unknown parameter '{name}'{meant(name, schema.entries)}"
+            text = f"ignored unknown parameter '{name}'{meant(name, known)}"
             node.get_logger().warning(printable(text))
     text = ", ".join(f"{name}={in_yaml(value)}" for name, value in values.items())
     node.get_logger().debug(printable(f"parameters: {text}"))
@@ -135,11 +132,9 @@ def converted(make: type, proposal: Sequence[Parameter]) -> list[Parameter]:
     """Return values in the parameters' types where that is possible; rclpy refuses the others."""
     found = []
     for each in proposal:
-        entry = schema_of(make).entries.get(each.name)
-        if entry is not None and each.value is not None:
-            with suppress(ParameterError):
-                each = Parameter(each.name, _type(entry), plain(entry.converted(each.value)))
-        found.append(each)
+        entry = settings_of(make).get(each.name)
+        value = None if entry is None or each.value is None else entry.accepted(each.value)
+        found.append(each if value is None else Parameter(each.name, _type(entry), value))
     return found
 
 
@@ -149,17 +144,17 @@ def updated(value: P, proposal: Sequence[Parameter]) -> P:
     Raises:
         ParameterError: A value breaks a rule, or they contradict each other.
     """
-    known = schema_of(type(value)).entries
+    known = settings_of(type(value))
     return changed(value, {each.name: each.value for each in proposal if each.name in known})
 
 
-def _type(entry: Setting) -> Parameter.Type:
+def _type(entry: Any) -> Parameter.Type:
     return Parameter.Type[entry.kind.upper()]
 
 
 def _declare(node: Node, entry: Setting, value: Any) -> None:
     descriptor = _descriptor(entry)
-    if value != []:
+    if value != ():
         node.declare_parameter(entry.name, value, descriptor, ignore_override=True)
         return
     # rclpy infers an empty list to be bytes, so an empty array is declared without a value, then

@@ -45,7 +45,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from tsobs_ros.errors import TsobsError, printable
-from tsobs_ros.settings import described, in_yaml
+from tsobs_ros.settings import in_yaml, settings_of
 from tsobs_ros.stop import StopFlag
 from tsobs_ros.streams import Parser
 
@@ -167,7 +167,9 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
         SystemExit: With 0 after the help, with 2 after an error.
     """
     name, listed = module.__name__.rpartition(".")[2], ["parameters:"]
-    for each in described(module.Parameters):
+    for each in settings_of(module.Parameters).values():
+        if each.hidden:
+            continue
         facts = [each.kind, f"default {in_yaml(each.default)}", each.limits]
         facts += [] if each.live else ["read-only"]
         listed += [f"  {each.name} ({'; '.join(filter(None, facts))})", f"      {each.description}"]

@@ -18,7 +18,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.model.arm import QUANTITIES
-from tsobs_ros.settings import check_numbers, setting
+from tsobs_ros.settings import check, setting
 from tsobs_ros.simulation.delays import AngleDelay
 from tsobs_ros.simulation.signals import recurs
 from tsobs_ros.simulation.streams import RandomStream, Source
@@ -51,7 +51,7 @@ class Friction:
     motor_coulomb: float = _friction("The motor's Coulomb", "N m")
 
     def __post_init__(self) -> None:
-        check_numbers(self, "friction")
+        check(self, "friction")
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Payload:
     distance: float = setting(0.0, "Its distance from the axis", unit="m", minimum=0.0)
 
     def __post_init__(self) -> None:
-        check_numbers(self, "payload")
+        check(self, "payload")
 
     @property
     def total(self) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import DIRECT, SIDES, ElasticJointArm, TorquePath
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.settings import check_numbers, setting
+from tsobs_ros.settings import check, setting
 from tsobs_ros.simulation.delays import TorqueDelay
 from tsobs_ros.simulation.integrator import ArmMotion, Friction, Motion, Payload
 from tsobs_ros.simulation.sensor import Disturbance, Output, Sensor, SimulatedOutput
@@ -51,7 +51,7 @@ class Mismatch:
     motor_damping: float = _change("motor's damping")
 
     def __post_init__(self) -> None:
-        check_numbers(self, "mismatch")
+        check(self, "mismatch")
 
     def apply(self, nominal: ElasticJointArm) -> ElasticJointArm:
         """Return the true arm."""

@@ -12,7 +12,7 @@ import numpy as np
 from tsobs_ros.checks import Array, Flags, non_negative
 from tsobs_ros.core.functions import evaluate
 from tsobs_ros.model.arm import QUANTITIES
-from tsobs_ros.settings import check_numbers, live_setting
+from tsobs_ros.settings import check, live_setting
 from tsobs_ros.simulation.delays import Past
 from tsobs_ros.simulation.signals import GaussMarkov, Signal, StuckSensor, recurs
 from tsobs_ros.simulation.streams import RandomStream, Source, key_of
@@ -29,7 +29,7 @@ class Sensor:
         ModelError: A number is out of range.
     """
 
-    noise_std: float = live_setting(0.028, "1σ of a sample's noise", unit="rad", minimum=0.0)
+    noise_std: float = 0.028  # of a sample [rad]; no setting, as designs know it
     outlier_probability: float = live_setting(
         0.0, "Probability that a sample is an outlier", minimum=0.0, maximum=1.0
     )
@@ -64,7 +64,8 @@ class Sensor:
     )
 
     def __post_init__(self) -> None:
-        check_numbers(self, "sensor")
+        check(self, "sensor")
+        non_negative("sensor noise_std", self.noise_std)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from tsobs_ros.checks import Array, Flags, shown
 from tsobs_ros.core.functions import evaluate
 from tsobs_ros.errors import ModelError
 from tsobs_ros.schema import decode
-from tsobs_ros.settings import check_numbers, live_setting
+from tsobs_ros.settings import check, live_setting
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Signal:
         cls.kind = kind
 
     def __post_init__(self) -> None:
-        check_numbers(self, self.kind)
+        check(self, self.kind)
 
     def values(self, times: Array) -> Array:
         """Return the values at times [s], shape (samples,)."""

@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer node's ROS parameters."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.estimation.events import COAST_AFTER
 from tsobs_ros.estimation.health import DisturbanceLimits
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes.parameters import JointParameters
-from tsobs_ros.settings import live_setting, setting, settings_group
+from tsobs_ros.settings import live_setting, setting
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class ObserverParameters(ObserverSettings, JointParameters):
         "What is published of a joint that is STALE: nothing, or its last estimate without bounds",
         choices=("silent", "hold"),
     )
-    fault: DisturbanceLimits = settings_group(DisturbanceLimits)
+    fault: DisturbanceLimits = field(default_factory=DisturbanceLimits)
     torque_warn: tuple[float, ...] = live_setting(
         (),
         "Torque disturbance from which on each joint's is a warning, 0 for never; a single number: "
@@ -52,6 +52,7 @@ class ObserverParameters(ObserverSettings, JointParameters):
         unit="N m",
         minimum=0.0,
         maximum=1e6,
+        element=float,
     )
 
     def __post_init__(self) -> None:

@@ -25,7 +25,7 @@ from tsobs_ros.plants import request_in, scenario_of
 from tsobs_ros.replay.csv_file import TorqueSeries, read_torques
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode
-from tsobs_ros.settings import live_setting, setting, settings_group
+from tsobs_ros.settings import live_setting, setting
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch, Scenario, TorqueDisturbance
 from tsobs_ros.simulation.sensor import Sensor
@@ -60,8 +60,6 @@ _TORQUES = {side: f"{side}_torque" for side in SIDES}
 """What entries of `signals` call the torque disturbance of each side."""
 _EFFORT_ERROR = "effort_error"
 _SHIPPED_STATE = (0.3, 0.0, 0.2, 0.0)
-_FAULTS = [each for each in fields(Sensor) if each.name != "noise_std"]
-"""What a sensor has beside the noise that a design knows."""
 # A sample at a line's time gets this line's torque, whatever their last bits are [s].
 _LATE = 1e-6
 
@@ -125,12 +123,12 @@ class DisturbanceParameters:
         f"none, or a sum of {', '.join(KINDS)}, such as bias_step+sinusoid; changing it injects a "
         "fault",
     )
-    bias_step: BiasStep = settings_group(BiasStep)
-    sinusoid: Sinusoid = settings_group(Sinusoid)
-    ramp: Ramp = settings_group(Ramp)
-    gauss_markov: GaussMarkov = settings_group(GaussMarkov)
-    stuck: StuckSensor = settings_group(StuckSensor)
-    pulses: Pulses = settings_group(Pulses)
+    bias_step: BiasStep = field(default_factory=BiasStep)
+    sinusoid: Sinusoid = field(default_factory=Sinusoid)
+    ramp: Ramp = field(default_factory=Ramp)
+    gauss_markov: GaussMarkov = field(default_factory=GaussMarkov)
+    stuck: StuckSensor = field(default_factory=StuckSensor)
+    pulses: Pulses = field(default_factory=Pulses)
 
     def build(self) -> tuple[Signal, ...]:
         """Return the components of the chosen kinds."""
@@ -142,11 +140,11 @@ class ExcitationParameters:
     """The torque in the absence of a command."""
 
     kind: str = live_setting("sine", "Torque signal", choices=tuple(PLAYED))
-    constant: Constant = settings_group(Constant)
-    sine: Sine = settings_group(Sine)
-    multisine: Multisine = settings_group(Multisine)
-    square: Square = settings_group(Square)
-    chirp: Chirp = settings_group(Chirp)
+    constant: Constant = field(default_factory=Constant)
+    sine: Sine = field(default_factory=Sine)
+    multisine: Multisine = field(default_factory=Multisine)
+    square: Square = field(default_factory=Square)
+    chirp: Chirp = field(default_factory=Chirp)
     file: str = live_setting(
         "",
         "CSV file of the kind file, such as that of tsobs excite: columns time [s] and torque "
@@ -200,20 +198,21 @@ class PlantSimulatorParameters(JointParameters):
         "Link angle, link velocity, motor angle, motor velocity at t = 0 (rad, rad/s), or the "
         "states of a T-S system, of all joints in turn; none: 0, and 0.3, 0, 0.2, 0 of the shipped "
         "arm",
+        element=float,
     )
-    mismatch: Mismatch = settings_group(Mismatch)
+    mismatch: Mismatch = field(default_factory=Mismatch)
     joint_mismatch: tuple[str, ...] = setting(
         (),
         "Changes of single joints in place of `mismatch`, such as 'elbow/stiffness: 0.2'; of a T-S "
         "system the true value of an uncertain parameter",
     )
-    friction: Friction = settings_group(Friction)
-    payload: Payload = settings_group(Payload)
+    friction: Friction = field(default_factory=Friction)
+    payload: Payload = field(default_factory=Payload)
     process_noise_factor: float = setting(
         1.0, "What multiplies the designed densities of the process noise", minimum=0.0
     )
-    excitation: ExcitationParameters = settings_group(ExcitationParameters)
-    disturbance: DisturbanceParameters = settings_group(DisturbanceParameters)
+    excitation: ExcitationParameters = field(default_factory=ExcitationParameters)
+    disturbance: DisturbanceParameters = field(default_factory=DisturbanceParameters)
     signals: tuple[str, ...] = live_setting(
         (),
         "Signals of single outputs, torques, inputs and efforts, such as "
@@ -223,7 +222,7 @@ class PlantSimulatorParameters(JointParameters):
     noise_factor: float = live_setting(
         1.0, "What multiplies the designed standard deviation of the noise", minimum=0.0
     )
-    sensor: Sensor = settings_group(Sensor, **{each.name: each for each in _FAULTS})
+    sensor: Sensor = field(default_factory=Sensor)
 
     def __post_init__(self) -> None:
         self.scenarios()
