@@ -44,7 +44,7 @@ SCENES = (
 """Scenarios that together have all that the bank is for."""
 
 JOINTS = ("stiff_hits_3", "stiff_motor", "light_hits_10", "light_motor_hits_3")
-"""Precise joints besides."""
+"""Precise joints."""
 
 ELSEWHERE = "put_elsewhere"
 """An arm, 20 % stiffer, that is put elsewhere after 40 s."""

@@ -31,7 +31,7 @@ METHODS = {
     "ekf": "the same with a gate for outliers",
     "ekf_augmented": "the same with the parameters that the design calls uncertain as states",
     "high_gain": "proportional observer of an arm: takes the disturbance for motion",
-    "proportional_integral": "with an integral besides: takes the disturbance for motion",
+    "proportional_integral": "the same with an integral: takes the disturbance for motion",
     "paper": "the published method's observer, for T-S systems and the arm of its Example 3",
 }
 """The methods by name, each with what to know about it."""

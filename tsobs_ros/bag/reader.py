@@ -154,7 +154,7 @@ class BagReader:
         """
         self.require(topics)
         start, end = start_ns or 0, _LAST if end_ns is None else end_ns
-        spans = [s for s in self._spans_with(topics) if s.end >= start and s.start < end]
+        spans = [s for s in self.spans_with(topics) if s.end >= start and s.start < end]
         spans.sort(key=attrgetter("start", "rank", "offset"))
         numbers = self._numbers(topics)
         # Messages that are due after the start of the next span, in a heap by the first of them.
@@ -259,7 +259,7 @@ class BagReader:
         found: list[BagMessage] = []
         for name in names:
             last: list[BagMessage] = []
-            spans = [span for span in self._spans_with([name]) if span.start < time_ns]
+            spans = [span for span in self.spans_with([name]) if span.start < time_ns]
             for span in sorted(spans, key=attrgetter("end", "rank", "offset"), reverse=True):
                 if len(last) == depth and last[0].log_time >= span.end:
                     break
@@ -324,7 +324,8 @@ class BagReader:
             has = ", ".join(self.topics) or "none"
             raise self._error(f"no topic {', '.join(unknown)}; topics: {has}")
 
-    def _spans_with(self, topics: Collection[str]) -> Iterator[Span]:
+    def spans_with(self, topics: Collection[str]) -> Iterator[Span]:
+        """Yield the chunks that may have messages of some topics."""
         topics = frozenset(topics)
         spans = chain.from_iterable(summary.spans for summary in self.summaries)
         return (span for span in spans if self._topics_of(span) & topics)

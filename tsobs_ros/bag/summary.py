@@ -6,9 +6,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import cache
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from tsobs_ros.bag.container import Span
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.recovery import DamagedBag
@@ -102,13 +107,30 @@ def summarise(bag: str | Path) -> BagSummary:
 
 
 def _durations(reader: BagReader) -> dict[str, int]:
-    """Return the time [ns] of the chunks with messages of each topic, nearly that of these."""
-    times: dict[str, list[int]] = {name: [] for name in reader.topics}
-    for summary in reader.summaries:
-        for span in summary.spans:
-            for id_ in (span.channels or summary.channels.keys()) & summary.channels.keys():
-                times[summary.channels[id_].topic] += span.start, span.end
-    return {name: max(each, default=0) - min(each, default=0) for name, each in times.items()}
+    """Return the time [ns] from the first to the last message of each topic."""
+
+    @cache
+    def times(span: Span) -> dict[str, list[int]]:
+        """Return log times of each topic in a chunk, the smallest and the largest among them."""
+        rows, channels = reader.read(span)[0].rows, reader.summaries[span.rank].channels
+        rows = np.sort(rows, order=("channel", "log_time"))
+        found: dict[str, list[int]] = {}
+        for own in np.split(rows, np.flatnonzero(np.diff(rows["channel"])) + 1):
+            for id_, time in own[["channel", "log_time"]][[0, -1]].tolist() if len(own) else ():
+                found.setdefault(channels[id_].topic, []).append(time)
+        return found
+
+    durations = {}
+    for name in reader.topics:
+        spans, first, last = list(reader.spans_with([name])), 2**63, 0
+        for span in sorted(spans, key=attrgetter("start")):
+            if span.start < first:
+                first = min(first, *times(span).get(name, ()))
+        for span in sorted(spans, key=attrgetter("end"), reverse=True):
+            if span.end > last:
+                last = max(last, *times(span).get(name, ()))
+        durations[name] = last - first
+    return durations
 
 
 def _topic(topic: TopicInfo, duration: int) -> dict[str, Any]:

@@ -95,6 +95,8 @@ def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
         output.mkdir(parents=True)
     except FileExistsError as error:
         raise NodeError(f"{output}: exists already; choose another --output") from error
+    except OSError as error:
+        raise NodeError(f"{output}: cannot make this folder: {error.strerror}") from error
     bag = output / "bag"
     topics = "[" + ", ".join(RECORDED_TOPICS + ADAPTIVE_TOPICS) + "]"
     # The flag outlasts the stack: no signal interrupts the end of the nodes.

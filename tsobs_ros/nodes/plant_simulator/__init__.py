@@ -9,7 +9,7 @@ topics, sensor_msgs/msg/JointState without another type:
   ground_truth/joint_states (out)  true <joint>_link and <joint>_motor [rad, rad/s]
   ground_truth/disturbance (out)   what the sensor adds to the angle, white noise excepted [rad]
   ground_truth/torque_disturbance (out)
-                                   effort: what <joint>_motor and <joint>_link get besides the
+                                   effort: what <joint>_motor and <joint>_link get beside the
                                    known torque: contact, friction, payload [N m]
   joint_torque_command (in)        std_msgs/msg/Float64MultiArray: torque in place of `excitation`
                                    [N m], one number a joint
