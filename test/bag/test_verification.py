@@ -119,7 +119,7 @@ def test_without_metadata_the_files_are_checked(bag: Path, content: bytes | None
     path = bag / "metadata.yaml"
     path.unlink() if content is None else path.write_bytes(content)
     verification = verify(bag)
-    assert_error(verification, r"^metadata\.yaml: " + ("there is none" if content is None else ""))
+    assert_error(verification, r"^metadata\.yaml: " + ("" if content else ".*it has no"))
     assert (len(verification.errors), verification.messages) == (1, 40)
 
 
@@ -202,8 +202,8 @@ def overwritten(opcode: Opcode, place: int, new: bytes) -> Callable[[bytes], byt
             overwritten(Opcode.MESSAGE_INDEX, 15, b"\x07"),
             "channel 1 at .* is not that of its chunk",
         ),
-        (rewritten(Opcode.SCHEMA, encoding="ros2xyz"), "two descriptions have the id 1"),
-        (rewritten(Opcode.CHANNEL, topic="/b"), "two descriptions have the id 1"),
+        (rewritten(Opcode.SCHEMA, encoding="ros2xyz"), "two descriptions of schema 1"),
+        (rewritten(Opcode.CHANNEL, topic="/b"), "two descriptions of channel 1"),
         (overwritten(Opcode.CHUNK, 6, b"\xff"), "at byte .* not a record"),
         (lambda d: d.replace(b"hello", b"HELLO"), "at byte .* checksum .*tsobs bag recover"),
         (lambda d: d[:-1], "has no end.*tsobs bag recover"),
@@ -254,8 +254,8 @@ def file_with(
             "/a: has no type",
         ),
         ({"channels": [("/a", "cdr", 1, {"offered_qos_profiles": "["})]}, "/a: not a list of QoS"),
-        ({"channel_id": 7}, "a message is of channel 7, which is not there before it"),
-        ({"log_time": 2**63}, "/a: a time does not fit 63 bits"),
+        ({"channel_id": 7}, "channel 7 is not described before"),
+        ({"log_time": 2**63}, "/a: times do not fit 63 bits"),
         ({"channels": [A, A]}, "more than one channel"),
         ({"repeat_schemas": False}, "schemas: 1 is stated as None"),
         ({"use_statistics": False}, "has no index; 'tsobs bag recover'"),

@@ -68,7 +68,7 @@ def test_info_tells_what_a_bag_is_about(bag: Path, capsys: Captured) -> None:
 def test_verify_gives_all_reasons(killed: Path, capsys: Captured) -> None:
     assert main(["bag", "verify", str(killed)]) == 1
     out = capsys.readouterr().out
-    assert "error: metadata.yaml: there is none\n" in out
+    assert "not a bag folder, it has no metadata.yaml\n" in out
     assert "error: run_0.mcap: the file has no end" in out
     assert out.endswith("NOT sound, errors: 2; files: 1, messages: 0\n")
     assert main(["bag", "verify", str(killed), "--json"]) == 1

@@ -123,6 +123,13 @@ def split_records(data: bytes) -> Records:
     return Records(data, rows)
 
 
+def by_channel(rows: Rows) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Yield each channel with the places of its messages, ascending."""
+    order = np.argsort(rows["channel"], kind="stable")
+    ids, begins = np.unique(rows["channel"][order], return_index=True)
+    return zip(ids.tolist(), np.split(order, begins[1:]), strict=False)
+
+
 def pieces(data: NDArray[np.uint8], size: int) -> NDArray[np.void]:
     """Return the `size` bytes that begin at each place of some data, which are not copied."""
     return np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))

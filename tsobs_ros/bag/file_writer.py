@@ -171,11 +171,15 @@ class FileWriter:
             return False
         if (chunk.message_start_time, chunk.message_end_time) != (times.min(), times.max()):
             return False
-        known = [*self.channels.values(), *self.schemas.values()]
         try:
-            return all(parse_record(each) in known for each in set(content.descriptions()))
+            return all(self._has(parse_record(each)) for each in set(content.descriptions()))
         except RecordError:
             return False
+
+    def _has(self, record: McapRecord) -> bool:
+        if isinstance(record, Schema):
+            return self.schemas.get(record.id) == record
+        return isinstance(record, Channel) and self.channels.get(record.id) == record
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Append metadata, behind all messages so far."""

@@ -11,12 +11,10 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from tsobs_ros.bag.container import Span
+from tsobs_ros.bag.container import Span, by_channel
+from tsobs_ros.bag.damaged import BagFiles, DamagedFile
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import BagReader
-from tsobs_ros.bag.recovery import DamagedBag
 from tsobs_ros.errors import BagReadError, printable
 
 
@@ -64,32 +62,31 @@ def summarise(bag: str | Path) -> BagSummary:
     path, problem = Path(bag), ""
     try:
         reader = BagReader(path)
-        metadata, sizes = reader.metadata, [s.path.stat().st_size for s in reader.summaries]
+        metadata, names = reader.metadata, [s.path.name for s in reader.summaries]
+        sizes = [s.path.stat().st_size for s in reader.summaries]
         counts = [s.statistics.message_count for s in reader.summaries]
         durations = _durations(reader)
         topics = [(one, durations[name]) for name, one in reader.topics.items()]
         start, end = reader.start_time, reader.end_time
     except BagReadError as error:
-        problem, damaged = str(error), DamagedBag(path)
-        first, last = dict[str, int](), dict[str, int]()
-        for place in range(len(damaged.files)):
-            for topic, _, log_time, _ in damaged.messages(place):
-                first[topic] = min(first.get(topic, log_time), log_time)
-                last[topic] = max(last.get(topic, log_time), log_time)
-        if damaged.profiles - {"ros2"} or not damaged.topics:
+        problem, there, described = str(error), BagFiles(path), dict[str, TopicInfo]()
+        files = [DamagedFile(file, described) for file in there.to_recover()]
+        for file in files:
+            for _ in file.parts():
+                pass
+        if {file.profile for file in files} - {None, "ros2"} or not described:
             raise
-        metadata, sizes = damaged.metadata, [each.bytes_read for each in damaged.files]
-        counts = [each.kept.total() for each in damaged.files]
-        kept = sum((each.kept for each in damaged.files), Counter[str]())
-        topics = [
-            (replace(one, count=kept[name]), last.get(name, 0) - first.get(name, 0))
-            for name, one in damaged.topics.items()
-        ]
-        start, end = min(first.values(), default=None), max(last.values(), default=None)
-        names = [each.name for each in damaged.files]
-    else:
-        names = [s.path.name for s in reader.summaries]
-    files = zip(names, sizes, counts, strict=True)
+        metadata = there.metadata or next((f.metadata for f in files if f.metadata), None)
+        names, sizes = [file.name for file in files], [file.bytes_read for file in files]
+        counts = [file.kept.total() for file in files]
+        topics, of_bag = [], []
+        for name, one in described.items():
+            times = [time for file in files for time in file.times.get(name, ())]
+            of_bag += times
+            count = sum(file.kept[name] for file in files)
+            duration = max(times, default=0) - min(times, default=0)
+            topics.append((replace(one, count=count), duration))
+        start, end = min(of_bag, default=None), max(of_bag, default=None)
     return BagSummary(
         bag=str(path),
         problem=problem,
@@ -101,7 +98,10 @@ def summarise(bag: str | Path) -> BagSummary:
         end_ns=end,
         duration_ns=0 if start is None or end is None else end - start,
         custom_data=dict((metadata.custom_data if metadata else None) or {}),
-        files=[{"name": name, "size": size, "messages": count} for name, size, count in files],
+        files=[
+            {"name": name, "size": size, "messages": count}
+            for name, size, count in zip(names, sizes, counts, strict=True)
+        ],
         topics=[_topic(*each) for each in topics],
     )
 
@@ -113,11 +113,10 @@ def _durations(reader: BagReader) -> dict[str, int]:
     def times(span: Span) -> dict[str, list[int]]:
         """Return log times of each topic in a chunk, the smallest and the largest among them."""
         rows, channels = reader.read(span)[0].rows, reader.summaries[span.rank].channels
-        rows = np.sort(rows, order=("channel", "log_time"))
         found: dict[str, list[int]] = {}
-        for own in np.split(rows, np.flatnonzero(np.diff(rows["channel"])) + 1):
-            for id_, time in own[["channel", "log_time"]][[0, -1]].tolist() if len(own) else ():
-                found.setdefault(channels[id_].topic, []).append(time)
+        for id_, places in by_channel(rows):
+            own = rows["log_time"][places]
+            found.setdefault(channels[id_].topic, []).extend((int(own.min()), int(own.max())))
         return found
 
     durations = {}

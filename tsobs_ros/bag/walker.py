@@ -18,7 +18,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import IO, NamedTuple
 
@@ -62,7 +62,7 @@ class Part(NamedTuple):
     Attributes:
         at: Its first byte in the file.
         size: Its size in the file, bytes.
-        record: A chunk without its data; None for messages, indexes and unknown records.
+        record: None for messages, indexes and unknown records.
         content: The messages, schemas and channels that were read of it.
         is_checked: Whether a checksum covers them.
     """
@@ -213,7 +213,7 @@ class FileWalker:
         self._has_chunks = True
         key, end = (chunk.message_start_time, chunk.message_end_time, size), at + size
         chunk.data = self._bytes(at + data_at, size - data_at)
-        part, is_checked = Part(at, size, replace(chunk, data=b"")), chunk.uncompressed_crc != 0
+        part, is_checked = Part(at, size, chunk), chunk.uncompressed_crc != 0
         try:
             if end > self._size:
                 raise RecordError("the file ends inside of a chunk")

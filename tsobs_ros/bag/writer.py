@@ -198,7 +198,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 self._add_chunk(Records(data[begin : int(ends[last])], own))
                 first = last + 1
 
-    def copy(self, content: Records, chunk: Chunk, topics: Mapping[int, str]) -> None:
+    def copy(self, content: Records, chunk: Chunk | None, topics: Mapping[int, str]) -> None:
         """Copy what a chunk of another bag has of some topics, as a chunk.
 
         It is copied as it is if everything in it is wanted, with the channels and schemas of this
@@ -206,12 +206,12 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
         Args:
             content: What is in the chunk.
-            chunk: The chunk.
+            chunk: The chunk; None if its messages are to be copied into a new one.
             topics: Those to copy, all registered, by their channels there.
         """
         self._check_open()
         ids = {id_: self._file.ids[topic] for id_, topic in topics.items()}
-        if self._file.can_have(chunk, content, ids):
+        if chunk is not None and self._file.can_have(chunk, content, ids):
             self._add_chunk(content, chunk)
         elif len((picked := pick(content, ids)).rows):
             self._add_chunk(picked)

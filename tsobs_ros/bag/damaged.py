@@ -1,0 +1,251 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags that may be damaged: the topics and messages their files still hold, and what is lost."""
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from mcap.records import Channel, Header, McapRecord, Metadata, Schema
+
+from tsobs_ros.bag.container import Records, Summary, by_channel
+from tsobs_ros.bag.metadata import (
+    EMPTY_START_NS,
+    BagMetadata,
+    TopicInfo,
+    TopicReader,
+    read_metadata,
+)
+from tsobs_ros.bag.walker import Damage, FileWalker, Part, Progress
+from tsobs_ros.errors import BagReadError
+from tsobs_ros.files import open_regular
+from tsobs_ros.yaml_files import MAX_BYTES, load_yaml
+
+_MAX_DESCRIPTIONS = 2**26
+_NUMBER = re.compile(r"_(\d+)$")
+
+
+class DamagedFile:
+    """One file: what describes its topics, its messages, and an account of what is lost.
+
+    Args:
+        path: The file.
+        of_bag: The topics of the bag by name, to which those of the file are added.
+
+    Attributes:
+        name: The name of the file.
+        bytes_read: Its size.
+        finished: Whether its recorder had closed it.
+        kept: The number of messages kept, by topic.
+        unchecked: The number of messages kept that no checksum covers.
+        dropped: The number of messages found and not kept, by reason.
+        missing: The number of messages that the file states, but does not hold, by topic.
+        damage: The parts that are lost.
+        error: The reason why it was not read at all; empty if it was.
+        schemas, channels: The first description with each number.
+        topics: The topics of channels whose messages can be kept.
+        problems: What is wrong with descriptions, by the number of a channel or otherwise.
+        counts: The number of messages found, by channel.
+        times: The smallest and the largest log time kept of each topic, ns since the epoch.
+        profile: The profile in its header; None without one.
+        metadata: The metadata of the bag that it carries.
+    """
+
+    def __init__(self, path: Path, of_bag: dict[str, TopicInfo]) -> None:
+        self.path, self.name = path, path.name
+        self.bytes_read = self.unchecked = 0
+        self.finished = False
+        self.kept, self.dropped, self.missing = Counter[str](), Counter[str](), Counter[str]()
+        self.damage: list[Damage] = []
+        self.error = ""
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.topics: dict[int, TopicInfo] = {}
+        self.problems: dict[int | str, str] = {}
+        self.counts = Counter[int]()
+        self.times: dict[str, tuple[int, int]] = {}
+        self.profile: str | None = None
+        self.metadata: BagMetadata | None = None
+        self._of_bag, self._read_topic = of_bag, TopicReader()
+        self._room, self._metadata_room = _MAX_DESCRIPTIONS, MAX_BYTES
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nothing is known to be lost."""
+        return not (self.error or self.damage or self.dropped or self.missing)
+
+    @property
+    def span(self) -> tuple[int, int] | None:
+        """The smallest and the largest log time kept, ns since the epoch; None without messages."""
+        starts, ends = zip(*self.times.values(), strict=True) if self.times else ((), ())
+        return (min(starts), max(ends)) if starts else None
+
+    def parts(
+        self,
+        progress: Progress = lambda _: None,
+        *,
+        is_trusted: bool = False,
+        described_by_summary: bool = True,
+    ) -> Iterator[tuple[Part, Records | None]]:
+        """Yield what is intact and, of messages, which are kept; count them.
+
+        Args:
+            progress: Called with the number of bytes that were read since the last call.
+            is_trusted: Whether to read chunks however much they decompress to.
+            described_by_summary: Whether messages may come before the description of their topic.
+        """
+        counts = dict[int, int]()
+        try:
+            with open_regular(self.path) as stream:
+                self.bytes_read = stream.seek(0, 2)
+                walker = FileWalker(stream, self.bytes_read, is_trusted=is_trusted)
+                self.damage, self.finished = walker.damage, walker.has_end
+                if described_by_summary and walker.summary is not None:
+                    self.describe(walker.summary)
+                    counts = walker.summary.statistics.channel_message_counts
+                for part in walker.parts(progress):
+                    for record in part.described():
+                        self._describe(record)
+                    yield part, None if part.content is None else self._keep(part, part.content)
+        except OSError as error:
+            self.error = error.strerror or str(error)
+        names = {id_: topic.name for id_, topic in self.topics.items()}
+        stated = Counter({names.get(id_, f"channel {id_}"): n for id_, n in counts.items()})
+        self.missing = stated - self.kept
+
+    def describe(self, summary: Summary) -> None:
+        """Take what a summary describes."""
+        for record in (*summary.schemas.values(), *summary.channels.values()):
+            self._describe(record)
+
+    def _keep(self, part: Part, content: Records) -> Records:
+        rows, kept = content.rows, np.zeros(len(content.rows), np.bool_)
+        times = np.stack([rows["log_time"], rows["publish_time"]])
+        fits = (times.min(axis=0) >= 0) & (times.max(axis=0) < EMPTY_START_NS)
+        for id_, places in by_channel(rows):
+            self.counts[id_] += len(places)
+            if (topic := self.topics.get(id_)) is None:
+                lost = f"channel {id_} is not described before its messages"
+                self.dropped[self.problems.get(id_, lost)] += len(places)
+                continue
+            own = places[fits[places]]
+            if len(own) < len(places):
+                self.dropped[f"{topic.name}: times do not fit 63 bits"] += len(places) - len(own)
+            if len(own):
+                kept[own] = True
+                self.kept[topic.name] += len(own)
+                first, last = int(times[0, own].min()), int(times[0, own].max())
+                start, end = self.times.get(topic.name, (first, last))
+                self.times[topic.name] = min(start, first), max(end, last)
+        self.unchecked += 0 if part.is_checked else int(kept.sum())
+        return content if kept.all() else Records(content.data, rows[kept])
+
+    def _describe(self, record: McapRecord | None) -> None:
+        match record:
+            case None:
+                self.problems["record"] = "a record between its messages is malformed"
+            case Header() if self.profile is None:
+                self.profile = record.profile
+            case Metadata(name="rosbag2"):
+                text = record.metadata.get("serialized_metadata", "")
+                self._metadata_room -= len(text)
+                if self._metadata_room >= 0 and self.metadata is None:
+                    with suppress(ValueError):
+                        self.metadata = BagMetadata.from_map(load_yaml(text))
+            case Schema():
+                schema = self.schemas.get(record.id)
+                if schema is None and self._has_room(len(record.data)):
+                    self.schemas[record.id] = record
+                elif schema is not None and schema != record:
+                    ids = [i for i, one in self.channels.items() if one.schema_id == record.id]
+                    self._contradict("schema", record.id, ids if schema.name != record.name else [])
+            case Channel():
+                channel = self.channels.get(record.id)
+                texts = (*record.metadata, *record.metadata.values())
+                if channel is None and self._has_room(sum(map(len, texts))):
+                    self.channels[record.id] = record
+                    self._add_topic(record)
+                elif channel is not None and channel != record:
+                    mine, its = (
+                        (each.topic, each.schema_id, each.message_encoding)
+                        for each in (channel, record)
+                    )
+                    self._contradict("channel", record.id, [record.id] if mine != its else [])
+
+    def _add_topic(self, channel: Channel) -> None:
+        try:
+            topic = self._read_topic(channel, self.schemas.get(channel.schema_id))
+            if self._of_bag.setdefault(topic.name, topic).type != topic.type:
+                raise ValueError(f"is a {topic.type} here, but not elsewhere")
+            self.topics[channel.id] = topic
+            self._read_topic.offers(channel)
+        except ValueError as error:
+            self.problems[channel.id] = f"{channel.topic}: {error}"
+
+    def _contradict(self, what: str, id_: int, channels: Iterable[int]) -> None:
+        """Note that descriptions differ, and drop messages of channels that are of another file."""
+        text = self.problems[f"{what} {id_}"] = f"two descriptions of {what} {id_} differ"
+        for each in channels:
+            self.topics.pop(each, None)
+            self.problems[each] = text
+
+    def _has_room(self, size: int) -> bool:
+        self._room -= size
+        return self._room >= 0
+
+
+class BagFiles:
+    """The files of a bag in order of recording, and what names them.
+
+    Args:
+        bag: A bag folder, with or without metadata.yaml, or one MCAP file.
+
+    Attributes:
+        listed: Those that metadata.yaml names, whether they are there or not; or the one file.
+        others: The other files in the folder.
+        metadata: The content of metadata.yaml; None without it.
+        problem: What is wrong with it.
+
+    Raises:
+        BagReadError: There is no such folder or file.
+    """
+
+    def __init__(self, bag: Path) -> None:
+        self.path, self.listed, self.others = bag, [bag], list[Path]()
+        self.metadata: BagMetadata | None = None
+        self.problem = ""
+        if not bag.exists():
+            raise BagReadError(f"{bag}: there is no such bag")
+        if not bag.is_dir():
+            return
+        try:
+            # Not glob, which takes a folder that cannot be read for an empty one.
+            present = sorted(bag.iterdir(), key=_by_number)
+        except OSError as error:
+            raise BagReadError(f"{bag}: cannot read it: {error.strerror or error}") from error
+        try:
+            self.metadata = read_metadata(bag)
+        except BagReadError as error:
+            self.problem = str(error)
+        # Nothing outside of the folder is opened: readers, too, take the last part of a path.
+        files = self.metadata.files if self.metadata else ()
+        self.listed = list(dict.fromkeys(bag / Path(file.path).name for file in files))
+        self.others = [path for path in present if path not in self.listed]
+
+    def to_recover(self) -> list[Path]:
+        """Return those that may hold messages.
+
+        Raises:
+            BagReadError: There are none.
+        """
+        if files := [*self.listed, *(path for path in self.others if path.suffix == ".mcap")]:
+            return files
+        raise BagReadError(f"{self.path}: not a bag, there is no .mcap file in it")
+
+
+def _by_number(path: Path) -> tuple[int, str]:
+    match = _NUMBER.search(path.stem)
+    return (int(match[1]) if match else -1, path.name)
