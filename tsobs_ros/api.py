@@ -138,7 +138,7 @@ def simulate(
     seed: int = 0,
     noise_std: float | Sequence[float] | None = None,
     disturbance: Disturbance | Mapping[str, Disturbance] = "none",
-    torque: Signal | Callable[[float], ArrayLike] | ArrayLike | None = None,
+    torque: Callable[[float], ArrayLike] | ArrayLike | None = None,
     mismatch: Mapping[str, float] | None = None,
     initial_state: Sequence[float] | None = None,
     friction: Mapping[str, float] | None = None,
@@ -187,43 +187,34 @@ def simulate(
     if request is None or isinstance(request, ElasticJointArm):
         request = ArmRequest(request or ElasticJointArm())
     scenario = scenario_of(request, mismatch)
-    excited = torque if isinstance(torque, Signal) else None
-    changes: dict[str, Any] = {
-        "rate": rate or scenario.rate,
-        "duration": duration,
-        "outputs": _outputs(scenario.outputs, noise_std, disturbance),
-    }
+    changes: dict[str, Any] = {"rate": rate or scenario.rate, "duration": duration}
+    changes["outputs"] = _outputs(scenario.measured, noise_std, disturbance)
+    for_arms = {
+        "friction": friction, "payload": payload, "torque_disturbance": torque_disturbance
+    }  # fmt: skip
     if isinstance(scenario, Scenario):
-        changes["excitation"] = excited or scenario.excitation
+        check_names("torque_disturbance", torque_disturbance or {}, SIDES)
         changes["friction"] = _changed("friction", Friction(), friction or {})
-        sides = torque_disturbance or {}
-        check_names("torque_disturbance", sides, SIDES)
-        changes["torque_disturbance"] = TorqueDisturbance(
-            **{side: _components(terms) for side, terms in sides.items()}
-        )
         changes["payload"] = _changed("payload", Payload(), payload or {})
+        changes["torque_disturbance"] = TorqueDisturbance(
+            **{side: _components(each) for side, each in (torque_disturbance or {}).items()}
+        )
         if initial_state is not None:
             physical = as_matrix("initial_state", initial_state, (4,))
             changes["initial_state"] = tuple(scenario.arm.from_physical(physical).tolist())
             changes["initial_spread"] = (0.0,) * 4
     else:
-        unwanted = {"friction": friction, "torque_disturbance": torque_disturbance}
-        for name, given_one in {**unwanted, "payload": payload}.items():
-            if given_one:
-                raise ModelError(f"{name}: expected none for a T-S system, which has no torques")
-        if excited is not None:
-            m = scenario.model.input_count
-            changes["inputs"] = (excited,) * m + scenario.inputs[m:]
-        if initial_state is not None:
-            changes["initial_state"] = initial_state
+        for name in (name for name, given in for_arms.items() if given):
+            raise ModelError(f"{name}: expected none for a T-S system, which has no torques")
+        changes["initial_state"] = initial_state
     scenario = replace(scenario, **changes)
-    count, m, given = scenario.sample_count, scenario.input_count, None
-    if torque is not None and excited is None:
+    if torque is not None:
         values: Any = torque
         if callable(torque):
-            values = [torque(time) for time in (np.arange(count) / scenario.rate).tolist()]
-        given = _columns("torque", values, count, m)
-    run = Plant(scenario, seed).run(count, given)
+            times = np.arange(scenario.sample_count) / scenario.rate
+            values = [torque(time) for time in times.tolist()]
+        torque = _columns("torque", values, scenario.sample_count, scenario.input_count)
+    run = Plant(scenario, seed).run(scenario.sample_count, torque)
     alone = isinstance(scenario, Scenario) and len(scenario.outputs) == 1
     return Simulation(
         time=run.times,

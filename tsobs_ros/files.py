@@ -90,6 +90,7 @@ def written_whole(
         ) as partial:
             yield Path(partial)
             _move(Path(partial), folder, error, force=force)
+            fsync_folder(folder)
     except TsobsError as problem:
         # Messages name the files as they would have been.
         problem.args = (str(problem).replace(partial or str(folder), str(folder)),)
@@ -97,6 +98,22 @@ def written_whole(
     except OSError as problem:
         reason = str(problem).replace(partial or str(folder), str(folder))
         raise error(f"{folder}: cannot write it: {reason}") from problem
+
+
+def write_whole(
+    path: str | os.PathLike[str],
+    text: str,
+    error: Callable[[str], TsobsError] = OutputError,
+    *,
+    force: bool = True,
+) -> None:
+    """Make or replace a text file in one step, which a power cut cannot halve.
+
+    Raises:
+        TsobsError: It cannot be written, or exists and may not be replaced; of the class `error`.
+    """
+    with written_whole(Path(path).parent, error, force=force) as folder:
+        (folder / Path(path).name).write_text(text, encoding="utf-8")
 
 
 def _move(source: Path, target: Path, error: Callable[[str], TsobsError], *, force: bool) -> None:

@@ -148,7 +148,7 @@ def read_parameters(path: Path, node: str = "observer") -> dict[str, Any]:
         ParameterError: The file is missing, no YAML, or has no parameters of the node.
     """
     found: dict[str, Any] = {}
-    sections = read_yaml(path, "parameter file", ParameterError)
+    sections = read_yaml(path, ParameterError)
     for name, section in sections.items():
         if str(name).rpartition("/")[2] in (node, "**", "*") and isinstance(section, dict):
             _flatten(section.get("ros__parameters"), "", found)

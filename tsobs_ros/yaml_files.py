@@ -7,10 +7,8 @@ brackets), return a structure that is endless to walk through (aliases of aliase
 minutes (numbers in base 60). None of our files needs any of this.
 """
 
-import os
 import re
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,7 @@ from typing import Any
 import yaml
 
 from tsobs_ros.errors import DesignFileError, TsobsError
-from tsobs_ros.files import fsync_folder, open_regular
+from tsobs_ros.files import open_regular
 
 MAX_BYTES = 1 << 20
 """Largest size of a file, and of a text in one."""
@@ -37,31 +35,25 @@ MakeError = Callable[[str], TsobsError]
 """The kind of error to raise."""
 
 
-def read_yaml(
-    path: str | PathLike[str], what: str = "design file", error: MakeError = DesignFileError
-) -> dict[Any, Any]:
-    """Return the mapping that a YAML file holds, `what` it is, or raise errors of one kind.
+def read_yaml(path: str | PathLike[str], error: MakeError = DesignFileError) -> dict[Any, Any]:
+    """Return the mapping that a YAML file holds, or raise errors of one kind.
 
     Raises:
         TsobsError: The file is missing, too large, not YAML, or not a mapping.
     """
-    return yaml_mapping(read_text(path, what, error), path, error)
+    return yaml_mapping(read_text(path, error), path, error)
 
 
-def read_text(
-    path: str | PathLike[str], what: str = "design file", error: MakeError = DesignFileError
-) -> str:
+def read_text(path: str | PathLike[str], error: MakeError = DesignFileError) -> str:
     """Return a small file's text, with its line ends as they are; as `read_yaml`."""
     try:
         with open_regular(Path(path)) as stream:
             raw = stream.read(MAX_BYTES + 1)
         if len(raw) > MAX_BYTES:
-            raise error(f"{path}: larger than {MAX_BYTES} bytes, not a {what}")
+            raise error(f"{path}: larger than {MAX_BYTES} bytes")
         return raw.decode("utf-8")
-    except FileNotFoundError as problem:
-        raise error(f"{path}: no such {what}") from problem
     except OSError as problem:
-        raise error(f"{path}: cannot read the {what}: {problem.strerror or problem}") from problem
+        raise error(f"{path}: cannot read it: {problem.strerror or problem}") from problem
     except UnicodeDecodeError as problem:
         raise error(f"{path}: not valid YAML: {problem}") from problem
 
@@ -80,34 +72,9 @@ def yaml_mapping(
 
 
 def yaml_text(header: str, data: Mapping[str, Any]) -> str:
-    """Return plain data as YAML, after lines of comment."""
-    text: str = yaml.dump(
-        data, Dumper=PlainDumper, sort_keys=False, default_flow_style=None, width=100
-    )
+    """Return plain data, of which no part occurs twice, as YAML after lines of comment."""
+    text: str = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
     return header + text
-
-
-def write_yaml(
-    path: str | PathLike[str],
-    text: str,
-    what: str = "the design file",
-    error: MakeError = DesignFileError,
-) -> None:
-    """Replace a file by a new one in one step, which a power cut cannot halve; as `read_yaml`."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.partial")
-    try:
-        with temporary.open("w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-        fsync_folder(path.parent)
-    except OSError as problem:
-        raise error(f"{path}: cannot write {what}: {problem.strerror or problem}") from problem
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
 
 
 def load_yaml(text: str) -> object:
@@ -127,14 +94,6 @@ def load_yaml(text: str) -> object:
     except (ValueError, OverflowError, RecursionError) as error:
         # A date that does not exist, a number of five thousand digits.
         raise ValueError(str(error).splitlines()[0]) from error
-
-
-class PlainDumper(yaml.SafeDumper):
-    """Writes what `load_yaml` reads: a value that occurs twice is written twice."""
-
-    def ignore_aliases(self, data: object) -> bool:
-        """Return whether to write the value out even if it has been written before: always."""
-        return True
 
 
 def _check_structure(text: str) -> None:

@@ -147,7 +147,7 @@ def test_a_node_that_fails_fails_the_demo_with_its_reason(
     assert finished.exit_code == 1
     (line,) = [line for line in finished.stderr.splitlines() if line.startswith("error: ")]
     assert "observer ended with exit code 1" in line
-    assert "no.yaml: no such design file" in line
+    assert "no.yaml: cannot read it: No such file or directory" in line
     assert running(output) == []
     # Another one does not write into its folder.
     assert main(["demo", "--output", str(output)]) == 1

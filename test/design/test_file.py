@@ -279,9 +279,9 @@ def test_a_request_that_cannot_be_meant_is_asked_about(
 
 
 def test_what_is_no_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DesignFileError, match=r"nothing\.yaml: no such request"):
+    with pytest.raises(DesignFileError, match=r"nothing\.yaml: cannot read it: No such file"):
         load_request(tmp_path / "nothing.yaml")
-    with pytest.raises(DesignFileError, match="cannot read the design file: not a regular file"):
+    with pytest.raises(DesignFileError, match="cannot read it: not a regular file"):
         load_design(tmp_path)
     path = tmp_path / "my.yaml"
     for text in (b"\xff\xfe\x00\x01", b"a: [", b"- format", b" " * (1 << 21)):

@@ -15,7 +15,8 @@ from mcap.records import Channel, Schema
 
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.errors import BagReadError, BagWriteError
-from tsobs_ros.yaml_files import MAX_BYTES, load_yaml, read_yaml, write_yaml
+from tsobs_ros.files import write_whole
+from tsobs_ros.yaml_files import MAX_BYTES, load_yaml, read_yaml
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"
@@ -312,7 +313,7 @@ def write_metadata(folder: Path, metadata: BagMetadata) -> None:
     Raises:
         BagWriteError: The file cannot be written.
     """
-    write_yaml(folder / FILE_NAME, _dump({ROOT_KEY: metadata.to_map()}), "it", BagWriteError)
+    write_whole(folder / FILE_NAME, _dump({ROOT_KEY: metadata.to_map()}), BagWriteError)
 
 
 def read_metadata(folder: Path) -> BagMetadata:
@@ -325,7 +326,7 @@ def read_metadata(folder: Path) -> BagMetadata:
     path = folder / FILE_NAME
     if os.access(folder, os.X_OK) and not os.path.lexists(path):
         raise BagReadError(f"{folder}: not a bag folder, it has no {FILE_NAME}")
-    root = read_yaml(path, "bag's metadata", BagReadError)
+    root = read_yaml(path, BagReadError)
     try:
         if ROOT_KEY not in root:
             raise ValueError(f"not the metadata of a bag: it has no {ROOT_KEY}")

@@ -176,7 +176,7 @@ def load_campaign(path: str | PathLike[str]) -> Campaign:
         TsobsError: An entry does not fit the design.
     """
     path = Path(path)
-    entries = parse_campaign(read_text(path, "campaign file"), str(path))
+    entries = parse_campaign(read_text(path), str(path))
     near = path.parent / entries.design
     with naming(path):
         return Campaign(

@@ -18,7 +18,7 @@ from tsobs_ros.cli.common import (
     show,
 )
 from tsobs_ros.errors import printable
-from tsobs_ros.files import require_nameable, require_new, written_whole
+from tsobs_ros.files import require_nameable, require_new, write_whole, written_whole
 
 
 def add_parser(commands: Commands) -> None:
@@ -101,7 +101,6 @@ def _fit(options: argparse.Namespace) -> int:
     from tsobs_ros.design.file import load_request
     from tsobs_ros.identification.fit import fit
     from tsobs_ros.identification.result import request_text
-    from tsobs_ros.yaml_files import write_yaml
 
     report: Path | None = options.report
     require_new([options.output, *([report] if report else [])], force=options.force)
@@ -114,7 +113,7 @@ def _fit(options: argparse.Namespace) -> int:
     with progress(0, " samples", scale=True, quiet=options.json) as advance:
         found = fit(request, *options.logs, advance=advance, **keywords(options, fit))
     names = ", ".join(each.name for each in options.logs)
-    write_yaml(options.output, request_text(found, names))
+    write_whole(options.output, request_text(found, names))
     text = f"{found}\nwritten to {printable(str(options.output))}, for tsobs design"
     if report:
         with written_whole(report.parent, force=options.force) as folder:

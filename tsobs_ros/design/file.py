@@ -26,13 +26,14 @@ from tsobs_ros.design.request import (
     TSRequest,
 )
 from tsobs_ros.errors import DesignFileError
+from tsobs_ros.files import write_whole
 from tsobs_ros.model.arm import DIRECT
 from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Direction
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode, encode, naming, within
-from tsobs_ros.yaml_files import read_text, read_yaml, write_yaml, yaml_mapping, yaml_text
+from tsobs_ros.yaml_files import read_text, read_yaml, yaml_mapping, yaml_text
 
 FilePath: TypeAlias = str | PathLike[str]
 
@@ -68,7 +69,7 @@ def save_design(design: Design, path: FilePath) -> None:
     Raises:
         DesignFileError: The file cannot be written.
     """
-    write_yaml(path, design_text(design))
+    write_whole(path, design_text(design), DesignFileError)
 
 
 def design_text(design: Design) -> str:
@@ -183,7 +184,7 @@ def load_request(path: FilePath) -> AnyRequest:
     >>> load_request(config_path("ts_example.request.yaml")).model.rule_count
     2
     """
-    data = read_yaml(path, "request")
+    data = read_yaml(path)
     found = [name for name in ("format", *_ANSWER) if name in data]
     if found:
         raise DesignFileError(

@@ -26,7 +26,7 @@ import numpy as np
 from tsobs_ros.checks import Array, positive
 from tsobs_ros.design.request import NO_LIMIT, ArmRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.files import require_new, written_whole
+from tsobs_ros.files import require_new, write_whole
 from tsobs_ros.identification.joint import (
     UNCERTAINTY,
     Found,
@@ -161,9 +161,8 @@ class Excitation:
         require_new([path], force=force)
         rows = np.column_stack([self.time, self.torque, self.angles]).tolist()
         lines = (f"{t:.9g},{u:.9g},{link:.6g},{motor:.6g}\n" for t, u, link, motor in rows)
-        with written_whole(path.parent, force=force) as folder:
-            text = _HEADER.format(self, self.time[-1])
-            (folder / path.name).write_text(text + "".join(lines), encoding="utf-8")
+        text = _HEADER.format(self, self.time[-1]) + "".join(lines)
+        write_whole(path, text, force=force)
 
 
 _HEADER = """\
