@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from tsobs_ros.campaign.batches import observe
 from tsobs_ros.checks import Array
+from tsobs_ros.comparison import THETAS
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.baselines import GATE, extended_kalman
 from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, Rows
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.report.comparison import THETAS
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Scenario, Trajectories

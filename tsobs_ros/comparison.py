@@ -21,7 +21,6 @@ from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_esti
 from tsobs_ros.model import disturbance
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import arm_uncertainty
-from tsobs_ros.report.comparison import HIGH_GAIN, THETAS
 from tsobs_ros.report.metrics import JUMP, measure
 from tsobs_ros.report.scenario_table import BOUNDS, Runs, ScenarioComparison, ScenarioRow
 from tsobs_ros.simulation.plant import Scenario, Trajectories
@@ -41,6 +40,10 @@ DEFAULT_SCENARIOS = (
 )
 """What `tsobs compare` simulates: as designed, each kind of fault of the sensor, wrong parameters,
 and a force that the model lacks."""
+
+HIGH_GAIN = ("high_gain", "proportional_integral")
+THETAS = tuple(np.geomspace(0.7, 20.0, 12).tolist())
+"""θ to choose the best from for observers of high gain [rad/s]."""
 
 _OFFSET_STD = 0.3
 """1σ of the sensor's offset beforehand [rad], as of the default disturbance model."""

@@ -23,21 +23,23 @@ class Series(NamedTuple):
     Attributes:
         stamps: [ns], shape (n,).
         values: NaN where there is none, shape (n, k).
+        log_times: When they were recorded [ns], shape (n,); empty if that does not matter.
     """
 
     stamps: Stamps
     values: Array
+    log_times: Stamps = np.zeros(0, np.int64)
 
     def ordered(self) -> "Series":
         """Return the series by ascending stamp; of equal stamps the first row is kept."""
         if (np.diff(self.stamps) > 0).all():
             return self
-        stamps, places = np.unique(self.stamps, return_index=True)
-        return self._replace(stamps=stamps, values=self.values[places])
+        return self.take(np.unique(self.stamps, return_index=True)[1])
 
     def take(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> "Series":
         """Return some of the rows."""
-        return self._replace(stamps=self.stamps[chosen], values=self.values[chosen])
+        log_times = self.log_times[chosen] if len(self.log_times) else self.log_times
+        return Series(self.stamps[chosen], self.values[chosen], log_times)
 
     def column(self, place: int) -> "Series":
         """Return one column."""
@@ -76,3 +78,20 @@ class Spool:
         size = self._file.tell()  # of nothing there is no map
         found = np.memmap(self._file, self.type, "r+") if size else np.zeros(0, self.type)
         return found.view(np.recarray) if self.type.names else found
+
+
+class SeriesSpool:
+    """A series of some columns with log times that grows in a temporary file."""
+
+    def __init__(self, columns: int) -> None:
+        times = [("stamps", np.int64), ("log_times", np.int64)]
+        self._spool = Spool(np.dtype([*times, ("values", np.float64, (columns,))]))
+
+    def add(self, stamps: Stamps, log_times: Stamps, values: Array) -> None:
+        """Add rows, values of shape (n, columns)."""
+        self._spool.add(np.rec.fromarrays([stamps, log_times, values], self._spool.type))
+
+    def read(self) -> Series:
+        """Return all rows, which are paged in as they are used."""
+        rows = self._spool.read()
+        return Series(rows.stamps, rows.values, rows.log_times)

@@ -52,7 +52,7 @@ def test_a_figure_is_drawn_of_series_with_gaps(troubled, tmp_path, gap: str) -> 
 
     gaps = {}
     for name in SERIES:
-        stamps, values = getattr(whole, name)
+        stamps, values, _ = getattr(whole, name)
         inside = (stamps >= begin) & (stamps < end)
         gaps[name] = Series(stamps, np.where(inside[:, np.newaxis], np.nan, values))
         if gap == "stamps":
@@ -109,7 +109,7 @@ def test_plots_hold_the_run_in_its_units(simulated, troubled) -> None:
 
 
 def test_wild_guesses_and_stamps_do_not_flatten_the_rest(simulated) -> None:
-    states, (stamps, values) = simulated.state.copy(), simulated.measurements
+    states, (stamps, values, _) = simulated.state.copy(), simulated.measurements
     states[:20] = 1e3
     metrics, late = measure(simulated), stamps.copy()
     late[100] += 10**15

@@ -74,7 +74,7 @@ def test_inside_counts_three_sigma_and_the_normalised_error_weighs_the_states(ex
 
 
 def test_small_steps_of_the_disturbance_are_no_jumps(exact) -> None:
-    stamps, values = exact.true_disturbance
+    stamps, values, _ = exact.true_disturbance
     ramp = Series(stamps, 0.2 * np.sin(3.0 * exact.times)[:, np.newaxis])
     chatter = values.copy()
     chatter[4001:4010:2] = 0.0

@@ -140,11 +140,6 @@ def estimate(
     if skip_misfits:
         observers, misfits = without_misfits(observers)
         remarks += misfits
-        if "theta" not in parameters:
-            from tsobs_ros.report.comparison import tune
-
-            observers, tuned = tune(source, observers)
-            remarks += tuned
     as_live = options.rate is None and options.at != "measurements"
     runs = make_runs(source, observers, rate=options.rate, as_live=as_live)
     sensors = [] if held_out is None else held_out.read(source, observers)

@@ -191,7 +191,7 @@ def make_bag_report(
     metrics = measure(run, expected)
     health, events = None, list[JointEvent]()
     if run.health is not None:
-        stamps, values = run.health
+        stamps, values, _ = run.health
         health = health_of(values)
         events = find_events([run.joint], run.topic, stamps, stamps, values[:, np.newaxis])
         events.sort(key=lambda one: one.log_time)

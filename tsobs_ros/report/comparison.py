@@ -8,15 +8,12 @@ one is the better rival: one keeps the nominal parameters, the other has them as
 """
 
 import math
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import product
 from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.lib.recfunctions import repack_fields
 
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import BagReadError, printable
@@ -27,27 +24,11 @@ from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.held_out import HeldOutErrors, HeldOutSensor
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics, innovation_std, measure, root_mean
 from tsobs_ros.report.quantities import outputs_of
-from tsobs_ros.report.run import (
-    ESTIMATED,
-    RecordedRun,
-    Rows,
-    measured,
-    row_type,
-    rows_of,
-    run_of,
-    true_parts,
-)
-from tsobs_ros.series import Spool
+from tsobs_ros.report.run import ESTIMATED, RecordedRun, recorded_parts, run_of
+from tsobs_ros.series import SeriesSpool
 
 DIVERGED = 1e6
 """No joint's error is so large [rad, rad/s]; the number is not worth a column of digits."""
-
-THETAS = tuple(np.geomspace(0.7, 20.0, 12).tolist())
-"""θ to choose the best from for observers of high gain [rad/s]."""
-
-HIGH_GAIN = ("high_gain", "proportional_integral")
-MAX_TUNED = 50_000
-"""Measurements of a recording in which the best θ is looked for, which takes two dozen runs."""
 
 _NOTHING = "–"
 _EKFS = {
@@ -128,34 +109,6 @@ def best_ekf(source: BagSource, file: DesignFile, settings: ObserverSettings) ->
     return Rival(best.observer, best.metrics, run)
 
 
-def tune(source: BagSource, observers: Sequence[Observer]) -> tuple[list[Observer], list[str]]:
-    """Return the observers, those of high gain with the best θ of `THETAS`, and remarks on them.
-
-    The best one has the smallest error of the states over the settled parts. Without a truth, or
-    in a recording of more than `MAX_TUNED` measurements, θ is left as it is.
-    """
-    tuned, remarks = [], []
-    for one in observers:
-        if one.settings.method not in HIGH_GAIN:
-            tuned.append(one)
-            continue
-        choices = [
-            replace(one, name=f"{theta:.2f}", settings=replace(one.settings, theta=theta))
-            for theta in (THETAS if source.count <= MAX_TUNED else ())
-        ]
-        errors: defaultdict[str, float] = defaultdict(float)
-        for row in compare_observers(source, choices) if choices else ():
-            errors[row.observer] += row.normalised_rmse
-        best = min(choices, key=lambda choice: errors[choice.name], default=one)
-        if choices and errors[best.name] < math.inf:
-            remarks.append(f"{one.name}: θ = {best.name} rad/s, the best of {len(choices)}")
-        else:
-            best = one
-            remarks.append(f"{one.name}: θ = {one.settings.theta:g} rad/s, not tuned to this arm")
-        tuned.append(replace(best, name=one.name))
-    return tuned, remarks
-
-
 def compare_observers(
     source: BagSource, observers: Sequence[Observer], sensors: Sequence[HeldOutSensor] = ()
 ) -> list[ObserverErrors]:
@@ -189,24 +142,22 @@ class RunScores:
         sensors: Sequence[HeldOutSensor] = (),
     ) -> None:
         self._source, self._sensors = source, sensors
-        self._fields = [*ESTIMATED, *(HEALTH if sensors else ())]
-        self._kept: list[tuple[int, Run, Spool, Spool]] = []
-        for joint, run in product(range(len(source.joints)), runs):
-            of = repack_fields(run.trackers[joint].estimator.row_type[self._fields])
-            estimates = np.dtype([("stamps", np.int64), ("log_times", np.int64), ("of", of)])
-            innovations = row_type(len(run.signals[joint].outputs))
-            self._kept.append((joint, run, Spool(estimates), Spool(innovations)))
+        self._kept = [
+            (joint, run, SeriesSpool(sum(_widths(run, joint).values())), SeriesSpool(len(names)))
+            for joint in range(len(source.joints))
+            for run in runs
+            for names in [run.signals[joint].outputs]
+        ]
 
     def add(self) -> None:
         """Add what the runs have made of a window."""
         for joint, run, estimates, innovations in self._kept:
-            rows, errors = run.rows[joint], run.innovations[joint]
+            errors, (samples, ticks, _) = run.innovations[joint], run.window
             used = np.isfinite(errors).any(axis=1)
-            innovations.add(rows_of(run.window.samples[used], errors[used]))
-            there = np.isfinite(rows["state"][:, 0])
-            ticks = run.window.ticks[there]
-            columns = [ticks.stamps, ticks.log_times, rows[there][self._fields]]
-            estimates.add(np.rec.fromarrays(columns, estimates.type))
+            innovations.add(samples.stamps[used], samples.log_times[used], errors[used])
+            values = run.values(joint, *ESTIMATED, *HEALTH)
+            there = np.isfinite(values[:, 0])
+            estimates.add(ticks.stamps[there], ticks.log_times[there], values[there])
 
     def results(self) -> Iterator[tuple[ObserverErrors, RecordedRun | None]]:
         """Yield, joint by joint, each observer's errors with its run, None without estimates.
@@ -215,23 +166,20 @@ class RunScores:
             LogError: Too few readings of a held-out sensor are between estimates.
         """
         source = self._source
-        common = [
-            true_parts(source, joint) | {"measurements": measured(source, joint)}
-            for joint in range(len(source.joints))
-        ]
+        common = [recorded_parts(source, joint) for joint in range(len(source.joints))]
         for joint, one, estimates, innovations in self._kept:
             name, method = source.joints[joint], one.observer.name
-            design = one.observer.designs[joint]
-            made, found = estimates.read(), {"innovation": innovations.read()}
-            rms = tuple(map(root_mean, found["innovation"].values.T))
+            design, widths = one.observer.designs[joint], _widths(one, joint)
+            made, errors = estimates.read(), innovations.read()
+            rms = tuple(map(root_mean, errors.values.T))
             run = metrics = held_out = None
-            if len(made):
-                found |= common[joint] | {
-                    key: _part(made, key) for key in ESTIMATED if made.of[key].shape[1]
-                }
+            if len(made.stamps):
+                columns = np.split(made.values, np.cumsum([*widths.values()])[:-1], axis=1)
+                each = zip(widths, columns, strict=True)
+                found = {key: made._replace(values=values) for key, values in each if widths[key]}
+                found |= common[joint] | {"innovation": errors}
                 if self._sensors:
-                    found["health"] = rows_of(made, np.stack([made.of[k] for k in HEALTH], axis=1))
-                    found["held_out"] = self._sensors[joint].rows
+                    found["held_out"] = self._sensors[joint].readings
                 run = run_of(found, method, name, design.request)
                 metrics = measure(run, innovation_std(design))
                 if self._sensors:
@@ -240,17 +188,10 @@ class RunScores:
             yield ObserverErrors(method, name, rms, metrics, outputs, held_out), run
 
 
-def _part(made: Rows, key: str) -> Rows:
-    """Return one field of kept estimates as rows, without a copy of what is in a file."""
-    of, begin = made.dtype.fields["of"][:2]
-    kind, offset = of.fields[key][:2]
-    view: Any = {
-        "names": ["stamps", "log_times", "values"],
-        "formats": [np.int64, np.int64, kind],
-        "offsets": [0, 8, begin + offset],
-        "itemsize": made.dtype.itemsize,
-    }
-    return made.view(np.dtype((np.record, view)))
+def _widths(run: Run, joint: int) -> dict[str, int]:
+    """Return the number of columns of each part of a joint's estimates."""
+    kind = run.trackers[joint].estimator.row_type
+    return {name: math.prod(kind[name].shape) for name in ESTIMATED} | {"health": len(HEALTH)}
 
 
 def render_comparison(rows: Sequence[ObserverErrors]) -> str:

@@ -19,7 +19,7 @@ from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.metrics import QuantityMetrics, Windows, inside_windows, quantity_metrics
 from tsobs_ros.report.quantities import QUANTITIES, Quantity
-from tsobs_ros.report.run import RecordedRun, Rows, align, interpolate, read_rows, rows_of
+from tsobs_ros.report.run import RecordedRun, align, interpolate, read_series
 from tsobs_ros.series import Series, Stamps
 
 _ARM = {one.key: one for one in QUANTITIES[:4]}
@@ -73,20 +73,23 @@ class HeldOut(NamedTuple):
             raise ModelError(f"held out: {self.place} is of one joint; choose it: --joints NAME")
         if isinstance(source, LogSource):
             titles, values = source.sensor(self.quantity, self.place)
-            each = zip(titles, values.T[:, :, np.newaxis], strict=True)
-            read = {f"column {title!r}": rows_of(source.samples, y) for title, y in each}
+            samples, each = source.samples, zip(titles, values.T[:, :, np.newaxis], strict=True)
+            read = {
+                f"column {title!r}": Series(samples.stamps, y, samples.log_times)
+                for title, y in each
+            }
         else:
             read = self._read_bag(source, arms)
-        return [self._sensor(quantity, where, rows) for where, rows in read.items()]
+        return [self._sensor(quantity, where, series) for where, series in read.items()]
 
-    def _sensor(self, quantity: Quantity, where: str, rows: Rows) -> "HeldOutSensor":
-        found = rows[:_MAX_READINGS]
-        found = found[np.isfinite(found.values[:, 0])]
-        _require_enough(len(found), quantity, where)
+    def _sensor(self, quantity: Quantity, where: str, readings: Series) -> "HeldOutSensor":
+        found = readings.take(slice(_MAX_READINGS))
+        found = found.take(np.isfinite(found.values[:, 0]))
+        _require_enough(len(found.stamps), quantity, where)
         std = self.std or _noise_std(found.stamps, found.values[:, 0])
-        return HeldOutSensor(quantity, where, std, self.std is None, rows)
+        return HeldOutSensor(quantity, where, std, self.std is None, readings)
 
-    def _read_bag(self, bag: BagSource, arms: Sequence[ArmRequest]) -> dict[str, Rows]:
+    def _read_bag(self, bag: BagSource, arms: Sequence[ArmRequest]) -> dict[str, Series]:
         """Return each joint's readings by their place."""
         place, (side, _, kind) = self.place, self.quantity.partition("_")
         topic, _, entry = place.partition(":") if place[:1] in ("/", ":") else ("", "", place)
@@ -103,7 +106,7 @@ class HeldOut(NamedTuple):
             if topic == bag.topic and groups[0][0] in own.outputs:
                 raise BagReadError(f"{bag.path}: {where} is what the observer measures")
             asked[where] = topic, groups
-        return read_rows(bag, asked)
+        return read_series(bag, asked)
 
 
 class HeldOutSensor(NamedTuple):
@@ -113,7 +116,7 @@ class HeldOutSensor(NamedTuple):
     source: str
     std: float
     std_is_estimated: bool
-    rows: Rows
+    readings: Series
 
     @property
     def note(self) -> str:

@@ -4,9 +4,9 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,8 +20,8 @@ from tsobs_ros.estimation.records import USED
 from tsobs_ros.replay.health import CLAIMED
 from tsobs_ros.replay.places import ESTIMATES, places_of
 from tsobs_ros.replay.source import BagSource, passes
-from tsobs_ros.report.quantities import QUANTITIES, Quantity, quantities_of
-from tsobs_ros.series import NANOSECONDS, Series, Spool, Stamps
+from tsobs_ros.report.quantities import Quantity, quantities_of
+from tsobs_ros.series import NANOSECONDS, Series, SeriesSpool, Stamps
 
 MAX_GAP = 0.1
 """Series are not interpolated across longer gaps [s]: messages were lost there."""
@@ -51,39 +51,21 @@ _OWN |= {"health": topics.HEALTH, "innovation": topics.INNOVATION}
 
 Key = TypeVar("Key")
 
-Rows: TypeAlias = Any
-"""A record array: `stamps` and `log_times` [ns], and `values`, some per row."""
-
-
-def row_type(width: int) -> np.dtype[np.void]:
-    """Return the type of `Rows` with as many values each."""
-    times = [("stamps", np.int64), ("log_times", np.int64)]
-    return np.dtype([*times, ("values", np.float64, (width,))])
-
-
-def rows_of(times: Any, values: Array) -> Rows:
-    """Return rows of values, shape (n, width), with the `stamps` and `log_times` of records."""
-    rows: Rows = np.recarray(len(values), row_type(values.shape[1]))
-    rows.stamps, rows.log_times, rows.values = times.stamps, times.log_times, values
-    return rows
-
 
 class Estimated(NamedTuple):
     """A quantity of a run: m estimates with their 1σ bounds, the truth, and that at their stamps.
 
-    What is unknown is NaN; without any truth it is None.
+    What is unknown is NaN; a truth that is not recorded is None.
     """
 
     values: Array
     bounds: Array
     truth: Series | None
-    true_values: Array | None
+    true_values: Array
 
     @property
     def error(self) -> Array:
         """Estimate − truth, NaN if unknown, shape (m,)."""
-        if self.true_values is None:
-            return np.full(len(self.values), np.nan)
         return self.values - self.true_values
 
 
@@ -154,33 +136,34 @@ class RecordedRun:
         """Times of the estimates since the origin [s], shape (m,)."""
         return np.asarray((self.stamps - self.origin) / NANOSECONDS, dtype=np.float64)
 
-    @cached_property
-    def _true_values(self) -> dict[str, Array | None]:
-        """Truth at the estimates' stamps by kind, NaN if unknown."""
-        rated = self.quantities[:4] == QUANTITIES[:4]
-        return {
-            kind: None if series is None else read(series, self.stamps)
-            for kind, series, read in (
-                ("state", self.true_state, partial(interpolate, rated=rated)),
-                ("disturbance", self.true_disturbance, hold),
-                ("torque_disturbance", self.true_torque_disturbance, hold),
-            )
-        }
-
     def of(self, quantity: Quantity) -> Estimated:
         """Return what is known of a quantity."""
         kind, column = quantity.kind, quantity.column
         truth: Series | None = getattr(self, f"true_{kind}")
-        values = self._true_values[kind]
         return Estimated(
             getattr(self, kind)[:, column],
             getattr(self, f"{kind}_bound")[:, column],
             None if truth is None else truth.column(column),
-            None if values is None else values[:, column],
+            self._true_values[kind][:, column],
         )
 
+    @cached_property
+    def _true_values(self) -> dict[str, Array]:
+        """Truth at the estimates' stamps by kind; a disturbance may jump between its samples."""
+        each = (
+            ("state", self.true_state, interpolate),
+            ("disturbance", self.true_disturbance, hold),
+            ("torque_disturbance", self.true_torque_disturbance, hold),
+        )
+        return {
+            kind: np.full(getattr(self, kind).shape, np.nan)
+            if truth is None
+            else read(truth, self.stamps)
+            for kind, truth, read in each
+        }
 
-def read_rows(source: BagSource, asked: Mapping[Key, tuple[str, Wanted]]) -> dict[Key, Rows]:
+
+def read_series(source: BagSource, asked: Mapping[Key, tuple[str, Wanted]]) -> dict[Key, Series]:
     """Read numbers of topics of JointStates, all in one pass and up to any damage.
 
     Args:
@@ -194,58 +177,46 @@ def read_rows(source: BagSource, asked: Mapping[Key, tuple[str, Wanted]]) -> dic
     names = dict.fromkeys(topic for topic, _ in asked.values())
     for name in names:
         require_joint_states(source.reader, name)
-    spools = {key: Spool(row_type(len(groups[0]))) for key, (_, groups) in asked.items()}
+    spools = {key: SeriesSpool(len(groups[0])) for key, (_, groups) in asked.items()}
     readers = {key: JointReader(groups) for key, (_, groups) in asked.items()}
     for block in read_blocks(source.reader, names, BLOCK, on_damage=source.damaged):
         for key, (topic, groups) in asked.items():
-            series, width = readers[key](block[topic]), len(groups[0])
-            values: Array = np.full((len(series.stamps), width), np.nan)
+            read, there = readers[key](block[topic]), np.zeros(len(block[topic].log_times), bool)
+            values: Array = np.full((len(there), len(groups[0])), np.nan)
             for place in range(len(groups)):
-                named: Flags = series.named[:, place]
-                values[named] = series.values[named, place, :width]
-            spools[key].add(rows_of(series, values)[series.named.any(axis=1)])
+                named: Flags = read.named[:, place]
+                values[named] = read.values[named, place, : values.shape[1]]
+                there |= named
+            spools[key].add(read.stamps[there], read.log_times[there], values[there])
     return {key: spool.read() for key, spool in spools.items()}
 
 
 def recorded_parts(
-    source: BagSource, place: int, parts: Mapping[str, str], learnt: tuple[str, ...] = ()
-) -> dict[str, Rows]:
-    """Return what a bag, whose designs are known, has of a joint.
+    source: BagSource, place: int, observer: str = "", learnt: tuple[str, ...] = ()
+) -> dict[str, Series]:
+    """Return what a bag, whose designs are known, has of a joint, by the parts of a run.
 
-    `parts` are full names of topics by the parts of a run; those that it lacks are left out.
+    That is the measurements in the order of recording, the truth and, with the name of an observer
+    and of what it learns, its estimates.
     """
-    joint, own = source.joints[place], source.signals[place]
+    joint, own, samples = source.joints[place], source.signals[place], source.samples
     # Health and parameters of a joint that is alone are in entries of other names.
     each = [
         places_of(joint, own, alone=alone, learnt=learnt, rated=False) for alone in (True, False)
     ]
-    ends = TRUE | _OWN
+    parts = {key: (source.truth.get(end, ""), end) for key, end in TRUE.items()}
+    if observer:
+        prefix = f"{source.namespace}/{observer}/"
+        parts |= {key: (prefix + end, end) for key, end in _OWN.items()}
     asked = {
-        key: (topic, [one[ends[key]] for one in each])
-        for key, topic in parts.items()
-        if topic in source.reader.topics and each[0][ends[key]]
+        key: (topic, [one[end] for one in each])
+        for key, (topic, end) in parts.items()
+        if topic in source.reader.topics and each[0][end]
     }
-    return read_rows(source, asked)
-
-
-def measured(source: BagSource, place: int) -> Rows:
-    """Return the measurements of a joint in the order of recording: outputs, then inputs."""
-    p, m = len(source.signals[place].outputs), len(source.signals[place].inputs)
-    spool = Spool(row_type(p + m))
-    for begin in range(0, source.count, BLOCK):
-        samples = source.samples[begin : begin + BLOCK]
-        y, u = samples.y[:, place, :p], samples.u[:, place, :m]
-        there = (samples.codes[:, place] == USED) | np.isfinite(y).any(axis=1)
-        spool.add(rows_of(samples, np.hstack([y, u]))[there])
-    return spool.read()
-
-
-def true_parts(source: BagSource, place: int) -> dict[str, Rows]:
-    """Return the recorded truth of a joint by the parts of a run; nothing if there is none."""
-    if not source.truth:
-        return {}
-    there = {key: source.truth[topic] for key, topic in TRUE.items() if topic in source.truth}
-    return recorded_parts(source, place, there)
+    y, u = samples.y[:, place, : len(own.outputs)], samples.u[:, place, : len(own.inputs)]
+    there = (samples.codes[:, place] == USED) | np.isfinite(y).any(axis=1)
+    measured = Series(samples.stamps, np.hstack([y, u]), samples.log_times).take(there)
+    return {**(read_series(source, asked) if asked else {}), "measurements": measured}
 
 
 def read_run(
@@ -260,18 +231,16 @@ def read_run(
     """
     source.observe([request])
     (joint,), path = source.joints, Path(source.path)
-    prefix = f"{source.namespace}/{observer}/"
-    parts = {key: prefix + topic for key, topic in _OWN.items()}
-    found = recorded_parts(source, 0, parts, request.uncertainty_model.names)
+    found = recorded_parts(source, 0, observer, request.uncertainty_model.names)
     if source.damage is not None:
         raise source.damage
-    if "state" not in found or not len(found["state"]):
+    if "state" not in found or not len(found["state"].stamps):
         raise BagReadError(
             f"{path}: no estimate of {joint} from {source.count} measurements on {source.topic}; "
-            f"expected some on {prefix}{topics.STATES}. The observer's log and /diagnostics say "
-            f"why it rejects measurements. Topics: {', '.join(source.reader.topics)}"
+            f"expected some on {source.namespace}/{observer}/{topics.STATES}. The observer's log "
+            "and /diagnostics say why it rejects measurements. Topics: "
+            f"{', '.join(source.reader.topics)}"
         )
-    found |= true_parts(source, 0) | {"measurements": measured(source, 0)}
     folders = [part for part in path.absolute().parts if part != "bag"]
     name = f"{joint}, {folders[-1]}" if len(folders) > 1 else joint
     return run_of(found, name, joint, request, source.topic)
@@ -292,7 +261,7 @@ def diagnostics(source: BagSource) -> Iterator[RecordedStatus]:
 
 
 def run_of(
-    found: Mapping[str, Rows],
+    found: Mapping[str, Series],
     name: str,
     joint: str,
     request: ArmRequest | TSRequest,
@@ -303,8 +272,8 @@ def run_of(
     A looped bag has several passes over the recorded time. There have to be rows of the states.
     """
     each = {
-        key: [rows[begin:end] for begin, end in passes(rows.stamps) if begin < end]
-        for key, rows in found.items()
+        key: [part.take(slice(*ends)) for ends in passes(part.stamps) if ends[0] < ends[1]]
+        for key, part in found.items()
     }
     longest = max(each["state"], key=lambda one: float(np.ptp(one.stamps)))
     # Each topic restarts at its own moment, but all of them at about the same.
@@ -313,8 +282,7 @@ def run_of(
         for key, own in each.items()
         if own
     }
-    series: dict[str, Any] = {key: Series(one.stamps, one.values) for key, one in near.items()}
-    measurements, (stamps, state) = series.pop("measurements"), series.pop("state").ordered()
+    measurements, (stamps, state, _) = near.pop("measurements"), near.pop("state").ordered()
     widths = {
         "state": state.shape[1],
         "disturbance": len(request.output_names),
@@ -322,10 +290,12 @@ def run_of(
     }
     parts: dict[str, Any] = {}
     for key in ESTIMATED[1:]:
-        nothing = Series(stamps[:0], np.zeros((0, widths[key.removesuffix("_bound")])))
-        parts[key] = align(series.pop(key, nothing), stamps)
-    if "health" in series and np.isnan(series["health"].values[:, CLAIMED]).any():
-        del series["health"]  # of version 0.7, which had other codes
+        parts[key] = np.full((len(stamps), widths[key.removesuffix("_bound")]), np.nan)
+        if key in near:
+            parts[key] = align(near.pop(key), stamps)
+    if "health" in near and np.isnan(near["health"].values[:, CLAIMED]).any():
+        del near["health"]  # of version 0.7, which had other codes
+    parts |= {key: one.ordered() for key, one in near.items()}
     return RecordedRun(
         name=name,
         joint=joint,
@@ -336,7 +306,6 @@ def run_of(
         passes=len(each["state"]),
         request=request,
         **parts,
-        **{key: one.ordered() for key, one in series.items()},
     )
 
 
@@ -351,13 +320,12 @@ def align(series: Series, stamps: Stamps) -> Array:
     return result
 
 
-def interpolate(series: Series, stamps: Stamps, *, rated: bool = False) -> Array:
+def interpolate(series: Series, stamps: Stamps) -> Array:
     """Return values between their samples, NaN outside of them and in gaps, shape (m, k).
 
-    They follow the cubic that has the values and slopes of both neighbours. If slopes are sampled,
-    then of a smooth motion an angle is off by at most h⁴/384 max|q⁗| and a velocity by at most
-    √3 h³/216 max|q⁗|: 10⁻⁹ rad and 10⁻⁶ rad/s for the elastic-joint arm at h = 5 ms. With `rated`
-    each value is followed by its rate, as in [q₁, q̇₁, q₂, q̇₂]; else samples give the slopes.
+    They follow the cubic that has the values and slopes of both neighbours, whose slopes are those
+    to their own neighbours. Of a smooth motion a value is off by at most h³/24 max|q⃛|: 10⁻⁶ rad
+    for the elastic-joint arm at h = 5 ms.
     """
     if np.array_equal(series.stamps, stamps):
         return series.values
@@ -369,31 +337,20 @@ def interpolate(series: Series, stamps: Stamps, *, rated: bool = False) -> Array
         known = series.take(slice(max(first - 2, 0), last + 2))
         if len(known.stamps) < 2:
             continue
-        inside = (own >= known.stamps[0]) & (own <= known.stamps[-1])
         right = np.searchsorted(known.stamps, own, side="right").clip(1, len(known.stamps) - 1)
+        inside = (own >= known.stamps[0]) & (own <= known.stamps[-1])
         inside &= np.diff(known.stamps)[right - 1] <= MAX_GAP * NANOSECONDS
-        origin = int(known.stamps[0])
-        times, wanted = known.seconds(origin), (own[inside] - origin) / NANOSECONDS
-        if rated:
-            pair = _hermite(times, known.values[:, 0::2], known.values[:, 1::2], wanted)
-            found = np.stack(pair, axis=2).reshape(len(wanted), -1)
-        else:
-            slopes = np.gradient(known.values, times, axis=0)
-            found = _hermite(times, known.values, slopes, wanted)[0]
-        result[begin : begin + BLOCK][inside] = found
+        k, times = right[inside] - 1, known.seconds(int(known.stamps[0]))
+        values, slopes = known.values, np.gradient(known.values, times, axis=0)
+        step = (times[k + 1] - times[k])[:, np.newaxis]
+        part = ((own[inside] - known.stamps[k]) / NANOSECONDS)[:, np.newaxis] / step
+        mean = (values[k + 1] - values[k]) / step
+        square = 3.0 * mean - 2.0 * slopes[k] - slopes[k + 1]
+        cube = slopes[k] + slopes[k + 1] - 2.0 * mean
+        result[begin : begin + BLOCK][inside] = values[k] + step * part * (
+            slopes[k] + part * (square + part * cube)
+        )
     return result
-
-
-def _hermite(times: Array, values: Array, slopes: Array, wanted: Array) -> tuple[Array, Array]:
-    """Return the cubics through values with slopes, and their slopes; SciPy weighs 140 MB."""
-    k = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, len(times) - 2)
-    step = (times[k + 1] - times[k])[:, np.newaxis]
-    part = (wanted - times[k])[:, np.newaxis] / step
-    mean = (values[k + 1] - values[k]) / step
-    square = 3.0 * mean - 2.0 * slopes[k] - slopes[k + 1]
-    cube = slopes[k] + slopes[k + 1] - 2.0 * mean
-    curve = values[k] + step * part * (slopes[k] + part * (square + part * cube))
-    return curve, slopes[k] + part * (2.0 * square + 3.0 * part * cube)
 
 
 def hold(series: Series, stamps: Stamps) -> Array:
