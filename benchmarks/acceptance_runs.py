@@ -228,7 +228,7 @@ def outcome(scenario: Scenario, runs: Trajectories, found: Found) -> Outcome:
             near = (away <= SIGMAS * found.theta_bounds)[:, full].all(axis=2)
             with np.errstate(invalid="ignore"):
                 theta_inside = (near & valid).sum(axis=1) / valid.sum(axis=1)
-    if any(isinstance(one, BiasStep) for one in scenario.disturbance):
+    if any(isinstance(one, BiasStep) for one in scenario.outputs[0].disturbance):
         size = np.sqrt(0.8 * squares + 0.2 * (wrong / STEP_SIZE) ** 2)
         after = settled_after(runs.times, size)
     return Outcome(

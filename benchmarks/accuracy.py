@@ -75,7 +75,7 @@ def _measure(design: Design, scenario: str, seeds: list[int], mode: str) -> dict
     truth = np.concatenate([runs.physical, runs.disturbances], axis=2)
     ours = _estimate(design.supervised(gain_mode=mode, adapt=False), runs)
     ekf = _estimate(design.observer(gain_mode="riccati"), runs)
-    jumps = any(isinstance(one, BiasStep) for one in SCENARIOS[scenario].disturbance)
+    jumps = any(isinstance(one, BiasStep) for one in SCENARIOS[scenario].outputs[0].disturbance)
     results: dict[str, Any] = {}
     for name, part in _parts(runs.times, jumps).items():
         mine, theirs = (_errors(each.values - truth, part) for each in (ours, ekf))

@@ -26,7 +26,7 @@ from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.plant import Plant, Scenario
-from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import GaussMarkov, Multisine, Sine
 
 _INSTANTS = (0.5, 1.0, 2.0, 5.0, 10.0)
@@ -77,8 +77,12 @@ def _scenario(design: Design, motion: dict[str, Any], scale: _Noise) -> Scenario
         arm=request.arm,
         rate=request.rate,
         process_noise=ProcessNoise(square * noise.link, square * noise.motor),
-        disturbance=(GaussMarkov(np.sqrt(0.5 * density * _WALK), _WALK),),
-        sensor=Sensor(noise_std=scale.sensor * request.measurement_std),
+        outputs=(
+            SimulatedOutput(
+                sensor=Sensor(noise_std=scale.sensor * request.measurement_std),
+                disturbance=(GaussMarkov(np.sqrt(0.5 * density * _WALK), _WALK),),
+            ),
+        ),
         **motion,
     )
 

@@ -23,6 +23,7 @@ from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.tracker import Outcomes
 from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
+from tsobs_ros.simulation.scenarios import arm_with
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
     BiasStep,
@@ -47,7 +48,7 @@ class _Case(NamedTuple):
 
 
 def _fault(expected: FaultKind, component: Signal) -> _Case:
-    return _Case(expected, replace(_NOISE, disturbance=(component,)))
+    return _Case(expected, arm_with(component))
 
 
 def _noise(**changes: Any) -> _Case:
@@ -56,10 +57,10 @@ def _noise(**changes: Any) -> _Case:
 
 _CASES = {
     "noise": _Case(FaultKind.NONE),
-    "1 % outliers": _Case(FaultKind.NONE, replace(_NOISE, sensor=Sensor(outlier_probability=0.01))),
+    "1 % outliers": _Case(FaultKind.NONE, arm_with(Sensor(outlier_probability=0.01))),
     "4 % outliers": _noise(outlier_probability=0.04),
     "10 % outliers": _noise(outlier_probability=0.1, outlier_size=math.pi, outlier_is_uniform=True),
-    "10-bit encoder": _Case(FaultKind.NONE, replace(_NOISE, sensor=_ENCODER)),
+    "10-bit encoder": _Case(FaultKind.NONE, arm_with(_ENCODER)),
     "bias .1": _fault(FaultKind.BIAS, BiasStep(0.1, _ONSET)),
     "bias .03": _fault(FaultKind.BIAS, BiasStep(0.03, _ONSET)),
     "ramp .02/s": _fault(FaultKind.DRIFT, Ramp(0.02, _ONSET)),
@@ -72,11 +73,11 @@ _CASES = {
     "stuck": _fault(FaultKind.STUCK, StuckSensor(_ONSET, _STUCK)),
     "stuck encoder": _Case(
         FaultKind.STUCK,
-        replace(_NOISE, sensor=_ENCODER, disturbance=(StuckSensor(_ONSET, _STUCK),)),
+        arm_with(_ENCODER, StuckSensor(_ONSET, _STUCK)),
     ),
     "noise x 3": _noise(noise_std=0.084),
     "noise x 1.3": _noise(noise_std=0.0364),
-    "stiffness +20 %": _Case(FaultKind.NONE, replace(_NOISE, mismatch=Mismatch(stiffness=0.2))),
+    "stiffness +20 %": _Case(FaultKind.NONE, arm_with(Mismatch(stiffness=0.2))),
 }
 
 
@@ -96,7 +97,7 @@ def _run(design: Design, case: _Case, seed: int, duration: float) -> _Run:
     period, used = observer.period, np.zeros((1, 1), np.int64)
     for index in range(round(duration * scenario.rate)):
         if case.sensor is not None and index == round(_ONSET * scenario.rate):
-            plant.exchange(replace(scenario, sensor=case.sensor))
+            plant.exchange(arm_with(case.sensor, rate=scenario.rate))
         sample = plant.step()
         state, correction = observer.correct(state, sample.measurements)
         known = observer.readout(state)

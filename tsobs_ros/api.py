@@ -23,9 +23,8 @@ from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.replay.health import PROVED
 from tsobs_ros.series import NANOSECONDS
-from tsobs_ros.simulation.integrator import Friction, Payload
-from tsobs_ros.simulation.plant import Plant, Scenario, TorqueDisturbance
-from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
+from tsobs_ros.simulation.motion import Friction, Payload
+from tsobs_ros.simulation.plant import Plant, TorqueDisturbance
 from tsobs_ros.simulation.signals import KINDS, Signal, parse_kinds
 
 if TYPE_CHECKING:
@@ -164,7 +163,7 @@ def simulate(
             the true T–S system.
         initial_state: True state at the start (rad, rad/s of an arm); by default about what
             `Scenario` has, 0 for a T–S system.
-        friction: Of the true arm, such as {"motor_viscous": 0.1}; see `simulation.integrator`.
+        friction: Of the true arm, such as {"motor_viscous": 0.1}; see `simulation.motion`.
         torque_disturbance: Torques on "motor" and "link" in addition to the drive's [N m], each as
             `disturbance`.
         payload: What the link carries from `start` on for `duration` [s], 0 for ever: `mass` [kg]
@@ -186,28 +185,37 @@ def simulate(
     request = arm.request if isinstance(arm, Design) else arm
     if request is None or isinstance(request, ElasticJointArm):
         request = ArmRequest(request or ElasticJointArm())
-    scenario = scenario_of(request, mismatch)
-    changes: dict[str, Any] = {"rate": rate or scenario.rate, "duration": duration}
-    changes["outputs"] = _outputs(scenario.measured, noise_std, disturbance)
+    is_arm, names = isinstance(request, ArmRequest), request.output_names
     for_arms = {
         "friction": friction, "payload": payload, "torque_disturbance": torque_disturbance
     }  # fmt: skip
-    if isinstance(scenario, Scenario):
+    others: dict[str, Any] = {"rate": rate or request.rate, "duration": duration}
+    if is_arm:
         check_names("torque_disturbance", torque_disturbance or {}, SIDES)
-        changes["friction"] = _changed("friction", Friction(), friction or {})
-        changes["payload"] = _changed("payload", Payload(), payload or {})
-        changes["torque_disturbance"] = TorqueDisturbance(
+        others["friction"] = _changed("friction", Friction(), friction or {})
+        others["payload"] = _changed("payload", Payload(), payload or {})
+        others["torque_disturbance"] = TorqueDisturbance(
             **{side: _components(each) for side, each in (torque_disturbance or {}).items()}
         )
-        if initial_state is not None:
-            physical = as_matrix("initial_state", initial_state, (4,))
-            changes["initial_state"] = tuple(scenario.arm.from_physical(physical).tolist())
-            changes["initial_spread"] = (0.0,) * 4
     else:
         for name in (name for name, given in for_arms.items() if given):
             raise ModelError(f"{name}: expected none for a T-S system, which has no torques")
-        changes["initial_state"] = initial_state
-    scenario = replace(scenario, **changes)
+    disturbances: Mapping[str, Any] = {names[0]: disturbance}
+    if isinstance(disturbance, Mapping) and any(name in names for name in disturbance):
+        disturbances = disturbance
+        check_names("disturbance", disturbances, names)
+    stds = []
+    if noise_std is not None:
+        each = [noise_std] * len(names) if np.ndim(noise_std) == 0 else noise_std
+        stds = as_matrix("noise_std", each, (len(names),)).tolist()
+    scenario = scenario_of(
+        request,
+        mismatch,
+        initial_state=initial_state,
+        disturbances={name: _components(each) for name, each in disturbances.items()},
+        sensors={name: {"noise_std": std} for name, std in zip(names, stds, strict=False)},
+        **others,
+    )
     if torque is not None:
         values: Any = torque
         if callable(torque):
@@ -215,11 +223,11 @@ def simulate(
             values = [torque(time) for time in times.tolist()]
         torque = _columns("torque", values, scenario.sample_count, scenario.input_count)
     run = Plant(scenario, seed).run(scenario.sample_count, torque)
-    alone = isinstance(scenario, Scenario) and len(scenario.outputs) == 1
+    alone = is_arm and len(names) == 1
     return Simulation(
         time=run.times,
         angle=run.measurements[:, 0] if alone else run.measurements,
-        torque=run.torques[:, 0] if isinstance(scenario, Scenario) else run.torques,
+        torque=run.torques[:, 0] if is_arm else run.torques,
         state=run.physical,
         disturbance=run.disturbances[:, 0] if alone else run.disturbances,
         torque_disturbance=run.torque_disturbances,
@@ -434,31 +442,6 @@ def _observers(
     settings = settings or source.ran.settings()
     observers = make_observers(designs, methods or (settings.method,), settings)
     return source, without_misfits(observers)[0] if len(methods) > 1 else observers
-
-
-def _outputs(
-    outputs: tuple[SimulatedOutput, ...],
-    noise_std: float | Sequence[float] | None,
-    disturbance: Disturbance | Mapping[str, Disturbance],
-) -> tuple[SimulatedOutput, ...]:
-    """Return the outputs with other noise and with disturbances."""
-    names = [output.measures for output in outputs]
-    given: Mapping[str, Any] = {names[0]: disturbance}
-    if isinstance(disturbance, Mapping) and any(name in names for name in disturbance):
-        given = disturbance
-        check_names("disturbance", given, names)
-    stds: Any = [output.sensor.noise_std for output in outputs]
-    if noise_std is not None:
-        given_std = [noise_std] * len(stds) if np.ndim(noise_std) == 0 else noise_std
-        stds = as_matrix("noise_std", given_std, (len(stds),))
-    return tuple(
-        replace(
-            output,
-            sensor=Sensor(noise_std=float(std)),
-            disturbance=_components(given.get(output.measures, "none")),
-        )
-        for output, std in zip(outputs, stds, strict=True)
-    )
 
 
 def _components(disturbance: Disturbance) -> tuple[Signal, ...]:

@@ -120,14 +120,14 @@ def compare_scenarios(
 
 def fitted(scenario: Scenario, design: Design) -> Scenario:
     """Return a scenario with the arm of a design, and rate and noise in proportion to its own."""
-    request, before = design.arm_request, Sensor().noise_std
-    noise = scenario.sensor.noise_std * request.measurement_std / before
+    request, (output,) = design.arm_request, scenario.outputs
+    noise = output.sensor.noise_std * request.measurement_std / Sensor().noise_std
     return replace(
         scenario,
         arm=request.arm,
         rate=request.rate * scenario.rate / Scenario().rate,
         process_noise=request.process_noise,
-        sensor=replace(scenario.sensor, noise_std=noise),
+        outputs=(replace(output, sensor=replace(output.sensor, noise_std=noise)),),
         torque=request.torque,
     )
 
@@ -153,14 +153,14 @@ def _tuned(design: Design, settings: ObserverSettings, runs: Trajectories) -> Ob
 def why_unbounded(scenario: Scenario) -> str:
     """Return why a scenario has no Cramér–Rao bound, empty if it has one."""
     found = [name for name in violated(scenario, _KNOWN) if name in _UNBOUNDED]
-    stuck = any(isinstance(each, StuckSensor) for each in scenario.disturbance)
+    stuck = any(isinstance(each, StuckSensor) for each in scenario.outputs[0].disturbance)
     return ", ".join([*found, *["a stuck sensor"] * stuck])
 
 
 def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str, Runs]:
     """Return the Cramér–Rao bounds with known parameters, and with those as states."""
     request, arm = design.arm_request, scenario.true_arm
-    drifts = [each for each in scenario.disturbance if isinstance(each, GaussMarkov)]
+    drifts = [each for each in scenario.outputs[0].disturbance if isinstance(each, GaussMarkov)]
     model = disturbance.clean()
     if drifts:
         model = disturbance.gauss_markov(drifts[0].std, drifts[0].time_constant)
@@ -171,7 +171,7 @@ def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str,
     steps = np.abs(np.diff(runs.disturbances[0, :, 0]))
     jumps = (1 + np.flatnonzero(steps > JUMP)).tolist()
     # An estimator that knew which samples are outliers would use all others.
-    sensor = scenario.sensor
+    sensor = scenario.outputs[0].sensor
     share = np.isfinite(runs.measurements[..., 0]).mean(axis=0) * (1.0 - sensor.outlier_probability)
     information = share * white_information(sensor.noise_std, sensor.noise_degrees)
     uncertain = arm_uncertainty(arm, request.uncertainty_model.bounds)

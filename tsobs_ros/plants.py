@@ -2,18 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenarios of what a request describes, so that nobody types an arm or a system twice."""
 
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import check_names, finite
+from tsobs_ros.checks import as_matrix, check_names, finite
 from tsobs_ros.design.file import FilePath, load_request, parse_design
 from tsobs_ros.design.request import ArmRequest, TSRequest
-from tsobs_ros.simulation.plant import Mismatch, Scenario
+from tsobs_ros.simulation.plant import Mismatch, Scenario, SystemScenario
 from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
-from tsobs_ros.simulation.signals import NoTorque, Sine
-from tsobs_ros.simulation.systems import SystemScenario
+from tsobs_ros.simulation.signals import NoTorque, Signal, Sine
 from tsobs_ros.yaml_files import read_yaml
 
 
@@ -31,12 +32,32 @@ def request_in(path: FilePath) -> ArmRequest | TSRequest:
 
 
 def scenario_of(
-    request: ArmRequest | TSRequest, mismatch: Mapping[str, float] | None = None
+    request: ArmRequest | TSRequest,
+    mismatch: Mapping[str, float] | None = None,
+    *,
+    initial_state: ArrayLike | None = None,
+    excitation: Signal | None = None,
+    inputs: Mapping[str, Signal] | None = None,
+    disturbances: Mapping[str, Sequence[Signal]] | None = None,
+    sensors: Mapping[str, Mapping[str, Any]] | None = None,
+    noise_factor: float = 1.0,
+    process_noise_factor: float = 1.0,
+    **others: Any,
 ) -> Scenario | SystemScenario:
-    """Return a scenario with a request's plant, outputs, noise and rate.
+    """Return a scenario with a request's plant, outputs, noise and rate, and what differs from it.
 
-    An arm's torque and the inputs of a T–S system are sin t, scheduled signals 0. `mismatch` has
-    relative changes of the true arm, by the names of `Mismatch`, or θ of the true T–S system.
+    Args:
+        request: What is designed.
+        mismatch: Relative changes of the true arm, by the names of `Mismatch`, or θ of the true T–S
+            system.
+        initial_state: Physical state at the start.
+        excitation: Of every input, sin t if None; scheduled signals are 0.
+        inputs: Signals of single inputs and scheduled signals, by name.
+        disturbances: Components of outputs, by name.
+        sensors: Numbers of their sensors.
+        noise_factor: Of the sensors' designed noise.
+        process_noise_factor: Of the densities of the process noise.
+        **others: Other fields of the scenario.
 
     Raises:
         ModelError: A name is unknown, or a number out of range.
@@ -44,49 +65,49 @@ def scenario_of(
     >>> scenario_of(ArmRequest(), {"stiffness": 0.2}).true_arm.stiffness
     12.0
     """
+    changes, names, own = mismatch or {}, request.output_names, dict[str, Any]()
+    make: type[Scenario | SystemScenario]
     if isinstance(request, ArmRequest):
-        return _of_arm(request, mismatch or {})
-    return _of_system(request, mismatch or {})
-
-
-def _of_arm(request: ArmRequest, mismatch: Mapping[str, float]) -> Scenario:
-    check_names("mismatch", mismatch, [item.name for item in fields(Mismatch)])
-    return Scenario(
-        arm=request.arm,
-        mismatch=Mismatch(**mismatch),
-        rate=request.rate,
-        process_noise=request.process_noise,
-        outputs=tuple(
-            SimulatedOutput(
-                output.measures, Sensor(noise_std=output.measurement_std), delay=output.delay
-            )
-            for output in request.sensors
-        ),
-        torque=request.torque,
-    )
-
-
-def _of_system(request: TSRequest, mismatch: Mapping[str, float]) -> SystemScenario:
-    model, uncertain = request.model, request.uncertainty_model
-    check_names("mismatch", mismatch, uncertain.names)
-    change, names = np.zeros(model.rates.shape), request.output_names
-    for name, theta in mismatch.items():
-        direction = uncertain.directions[uncertain.names.index(name)]
-        change += finite(f"mismatch {name}", theta) * direction
-    stds = np.asarray(request.measurement_std).tolist()
-    return SystemScenario(
-        model,
-        model.rates + change,
-        tuple(
-            SimulatedOutput(name, Sensor(noise_std=std))
-            for name, std in zip(names, stds, strict=True)
-        ),
-        (Sine(),) * model.input_count + (NoTorque(),) * model.schedule.shape[1],
+        check_names("mismatch", changes, [item.name for item in fields(Mismatch)])
+        make, density = Scenario, request.process_noise
+        own["arm"], own["mismatch"] = request.arm, Mismatch(**changes)
+        own["process_noise"] = replace(
+            density,
+            link=density.link * process_noise_factor,
+            motor=density.motor * process_noise_factor,
+        )
+        own["torque"] = request.torque
+        if initial_state is not None:
+            start = request.arm.from_physical(as_matrix("initial_state", initial_state, (4,)))
+            own["initial_state"], own["initial_spread"] = tuple(start.tolist()), (0.0,) * 4
+        sensed = [(each.measurement_std, each.delay) for each in request.sensors]
+    else:
+        make, model, uncertain = SystemScenario, request.model, request.uncertainty_model
+        check_names("mismatch", changes, uncertain.names)
+        change = np.zeros(model.rates.shape)
+        for name, theta in changes.items():
+            direction = uncertain.directions[uncertain.names.index(name)]
+            change += finite(f"mismatch {name}", theta) * direction
+        own["model"], own["true_rates"] = model, model.rates + change
+        own["process_noise"] = np.asarray(request.process_noise) * process_noise_factor
+        own["initial_state"] = initial_state
         # A scheduled signal that has the name of an output is that output as it is measured.
-        tuple(
+        own["fed_back"] = tuple(
             names.index(name) if name in names else None
             for name in request.input_names[model.input_count :]
-        ),
-        np.asarray(request.process_noise),
-        request.rate,
+        )
+        sensed = [(std, 0.0) for std in np.asarray(request.measurement_std).tolist()]
+    scheduled = len(own.get("fed_back", ()))
+    free = [excitation or Sine()] * (len(request.input_names) - scheduled)
+    chosen = {name: each for name, each in (inputs or {}).items() if name not in names}
+    own["inputs"] = tuple(map(chosen.get, request.input_names, [*free, *[NoTorque()] * scheduled]))
+    own["outputs"] = tuple(
+        SimulatedOutput(
+            name,
+            Sensor(**{"noise_std": std * noise_factor, **(sensors or {}).get(name, {})}),
+            tuple((disturbances or {}).get(name, ())),
+            delay,
+        )
+        for name, (std, delay) in zip(names, sensed, strict=True)
     )
+    return make(**{"rate": request.rate, **own, **others})

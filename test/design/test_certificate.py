@@ -205,7 +205,7 @@ def test_the_covariance_of_the_errors_stays_below_the_bound_and_not_far() -> Non
         initial_state=(0.2, 0.0, 1.4, 0.0),
         initial_spread=(0.02, 0.02, 0.1, 0.1),
         process_noise=asked.process_noise,
-        excitation=Sine(0.8),
+        inputs=(Sine(0.8),),
         outputs=(
             SimulatedOutput("motor_angle", Sensor(0.002)),
             SimulatedOutput("link_angle", Sensor(0.01), (wander,)),

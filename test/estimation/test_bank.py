@@ -24,7 +24,7 @@ from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Mismatch, Scenario, Trajectories
-from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+from tsobs_ros.simulation.scenarios import SCENARIOS, arm_with, simulate
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import Sinusoid
 
@@ -170,7 +170,7 @@ TAKEN_FOR = [
     (SCENARIOS["friction"], {Hypothesis.FORCE}),
     (SCENARIOS["correlated_0.9"], {Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT}),
     (SCENARIOS["drift"], {Hypothesis.DRIFT}),
-    (Scenario(disturbance=(Sinusoid(0.1, 3.0, 5.0),)), {Hypothesis.TONE}),
+    (arm_with(Sinusoid(0.1, 3.0, 5.0)), {Hypothesis.TONE}),
     (SCENARIOS["payload"], {Hypothesis.FORCE, Hypothesis.IMPERFECT}),
 ]
 
@@ -216,7 +216,7 @@ def test_what_is_claimed_holds_in_every_scenario(scenario: str) -> None:
 
 @pytest.mark.parametrize("frequency", [2.0, 7.0])
 def test_a_tone_is_found_and_removed(frequency: float) -> None:
-    run = simulated(Scenario(disturbance=(Sinusoid(0.15, frequency, 10.0),)), 7, 45)
+    run = simulated(arm_with(Sinusoid(0.15, frequency, 10.0)), 7, 45)
     got = course("fixed", run)
     late = slice(25 * RATE, None)
     assert (got.hypothesis[late] == Hypothesis.TONE).mean() > 0.9
@@ -367,13 +367,13 @@ def test_limits_of_the_torque_come_from_the_settings_the_request_or_the_arm() ->
     assert outcomes == [False] * 4 + [True] * 5 + [False] * 2
 
 
-STIFF = Scenario(mismatch=Mismatch(stiffness=0.2))
+STIFF = Mismatch(stiffness=0.2)
 UNIFORM = Sensor(outlier_probability=0.05, outlier_size=3.0, outlier_is_uniform=True)
 
 
 @pytest.mark.parametrize("sensor", [Sensor(), Sensor(noise_std=2.0 * STD), UNIFORM])
 def test_a_stiffer_arm_is_learnt_whatever_the_noise(sensor: Sensor) -> None:
-    got = course("learning", simulated(replace(STIFF, sensor=sensor), 3, 35))
+    got = course("learning", simulated(arm_with(STIFF, sensor), 3, 35))
     state = got.tracker.state
     assert sensor is UNIFORM or state.noise_scale == pytest.approx(sensor.noise_std / STD, rel=0.15)
     assert np.abs(state.theta - [0.2, 0.0]).max() < 0.03

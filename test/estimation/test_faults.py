@@ -20,7 +20,7 @@ from tsobs_ros.estimation.tracker import Outcomes
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Mismatch, Scenario
-from tsobs_ros.simulation.scenarios import simulate
+from tsobs_ros.simulation.scenarios import arm_with, simulate
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import BiasStep, Sinusoid
 
@@ -135,14 +135,14 @@ def test_an_output_without_numbers_while_another_has_its_own_is_missing() -> Non
 @pytest.mark.parametrize(
     ("kind", "scenario"),
     [
-        (FaultKind.NONE, Scenario(sensor=Sensor(outlier_probability=0.01))),
-        (FaultKind.OSCILLATION, Scenario(disturbance=(Sinusoid(0.2, 3.0, 2.0),))),
-        (FaultKind.NONE, Scenario(mismatch=Mismatch(stiffness=0.2))),
+        (FaultKind.NONE, arm_with(Sensor(outlier_probability=0.01))),
+        (FaultKind.OSCILLATION, arm_with(Sinusoid(0.2, 3.0, 2.0))),
+        (FaultKind.NONE, arm_with(Mismatch(stiffness=0.2))),
         # Most of them are gated.
-        (FaultKind.NOISE, Scenario(sensor=Sensor(outlier_probability=0.04, outlier_size=3.0))),
-        (FaultKind.NONE, Scenario(sensor=Sensor(0.0, resolution=math.tau / 1024))),
+        (FaultKind.NOISE, arm_with(Sensor(outlier_probability=0.04, outlier_size=3.0))),
+        (FaultKind.NONE, arm_with(Sensor(0.0, resolution=math.tau / 1024))),
         # So are many in a row, before the estimate is given up.
-        (FaultKind.BIAS, Scenario(disturbance=(BiasStep(2.0, 15.0),))),
+        (FaultKind.BIAS, arm_with(BiasStep(2.0, 15.0))),
     ],
 )
 def test_frequent_outliers_are_noise_and_the_steps_of_an_encoder_are_not(

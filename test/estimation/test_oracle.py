@@ -7,7 +7,6 @@ The learning of parameters is compared with that of an augmented filter in test_
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ from tsobs_ros.estimation.estimator import Estimator, certified_estimator
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.estimation.state import State
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+from tsobs_ros.simulation.scenarios import SCENARIOS, arm_with, simulate
 from tsobs_ros.simulation.signals import Sinusoid
 
 Array = NDArray[np.float64]
@@ -173,7 +172,7 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
     """Of the hypotheses that compete for friction and a tone, each as it stands alone."""
     design = load_design(config_path(SHIPPED_DESIGN))
     observer, request = design.supervised(0.5), design.request
-    scenario = replace(SCENARIOS["friction"], disturbance=(Sinusoid(0.1, 3.0, 1.0),))
+    scenario = arm_with(SCENARIOS["friction"].friction, Sinusoid(0.1, 3.0, 1.0))
     run = simulate(scenario, [1], 6.0)
     (c,), ((variance,),) = request.flow.output_matrix, request.measurement_covariance
     designed = float(c @ design.covariance_bound @ c + variance)

@@ -20,8 +20,7 @@ from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.replay.health import BASIS, CLAIMED, HYPOTHESIS
 from tsobs_ros.report.run import RecordedRun
 from tsobs_ros.series import Series
-from tsobs_ros.simulation.plant import Scenario
-from tsobs_ros.simulation.scenarios import simulate
+from tsobs_ros.simulation.scenarios import arm_with, simulate
 from tsobs_ros.simulation.signals import BiasStep
 
 START = 1_700_000_000_000_000_000
@@ -41,7 +40,7 @@ class Row(NamedTuple):
 @pytest.fixture(scope="session")
 def simulated(design: Design) -> RecordedRun:
     """Twenty seconds of the arm with a bias step at 8 s, estimated between its samples."""
-    scenario = Scenario(duration=20.0, disturbance=(BiasStep(0.1, 8.0),))
+    scenario = arm_with(BiasStep(0.1, 8.0), duration=20.0)
     (times, states, biases, y, u, *_) = simulate(scenario, [1])
     stamps = START + np.round(times * 1e9).astype(np.int64)
     ticks, known = stamps[:-1] + TICK_LAG, 1 + np.arange(len(stamps) - 1)

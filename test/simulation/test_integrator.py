@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from tsobs_ros.model.arm import ElasticJointArm, TorquePath
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.simulation.integrator import Friction
+from tsobs_ros.simulation.motion import Friction
 from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import BiasStep
@@ -70,7 +70,7 @@ QUIET = Scenario(
     initial_state=(0.3, 0.4, 2.0, -1.0),
     initial_spread=(0.0,) * 4,
     process_noise=ProcessNoise(0.0, 0.0),
-    sensor=Sensor(noise_std=0.0),
+    outputs=(SimulatedOutput(sensor=Sensor(noise_std=0.0)),),
 )
 COMMANDS = np.random.default_rng(0).normal(0.0, 3.0, (2, 120, 1))
 
@@ -116,7 +116,7 @@ def test_an_angle_is_measured_as_it_was(delay: float) -> None:
         SimulatedOutput("motor_angle", Sensor(noise_std=0.0), delay=delay),
         SimulatedOutput("link_velocity", Sensor(noise_std=0.0)),
     )
-    scenario = replace(QUIET, sensor=Sensor(), outputs=outputs)
+    scenario = replace(QUIET, outputs=outputs)
     run = Plant(scenario).run(200, 1.0)
     first = round(delay / PERIOD) + 1
     seen = run.measurements - run.disturbances

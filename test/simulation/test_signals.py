@@ -11,7 +11,8 @@ import pytest
 
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError, TsobsError
-from tsobs_ros.simulation.plant import Plant, Scenario
+from tsobs_ros.simulation.plant import Plant
+from tsobs_ros.simulation.scenarios import arm_with
 from tsobs_ros.simulation.signals import (
     EXCITATIONS,
     KINDS,
@@ -36,7 +37,7 @@ TIMES = [0.0, 1.0, 1.999, 2.0, 2.5, 3.0, 10.0, 29.995, 30.0, 59.0]
 
 
 def disturbances(components: tuple[Signal, ...], seeds: Any, samples: int) -> Array:
-    return Plant(Scenario(disturbance=components), seeds).run(samples).disturbances[..., 0]
+    return Plant(arm_with(*components), seeds).run(samples).disturbances[..., 0]
 
 
 def test_drift_obeys_its_recursion_and_leaves_zero_at_its_start() -> None:
@@ -53,10 +54,10 @@ def test_drift_obeys_its_recursion_and_leaves_zero_at_its_start() -> None:
 
 def test_drifts_of_different_generations_and_places_are_independent() -> None:
     drift, nothing = GaussMarkov(), BiasStep(0.0)
-    plant = Plant(Scenario(disturbance=(drift,)), 3)
+    plant = Plant(arm_with(drift), 3)
     first = plant.run(50).disturbances
-    plant.exchange(Scenario())
-    plant.exchange(Scenario(disturbance=(drift,)))
+    plant.exchange(arm_with())
+    plant.exchange(arm_with(drift))
     second = plant.run(50).disturbances
 
     assert (first[:, 0] == disturbances((drift,), 3, 50)).all()

@@ -13,10 +13,9 @@ from tsobs_ros.design.file import load_request
 from tsobs_ros.errors import ModelError
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.resources import config_path
-from tsobs_ros.simulation.plant import Plant
+from tsobs_ros.simulation.plant import Plant, SystemScenario
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import BiasStep, Constant, GaussMarkov, Sine
-from tsobs_ros.simulation.systems import SystemScenario
 
 
 def pendulum(**theta: float) -> SystemScenario:

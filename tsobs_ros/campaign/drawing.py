@@ -4,22 +4,21 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tsobs_ros.campaign.definition import Campaign, OutputEntries, ScenarioEntries, SignalEntry
+from tsobs_ros.campaign.definition import Campaign, ScenarioEntries, SignalEntry
 from tsobs_ros.checks import check_names, non_negative
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
-from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.schema import decode, within
-from tsobs_ros.simulation.integrator import Friction
+from tsobs_ros.simulation.motion import Friction
 from tsobs_ros.simulation.plant import Mismatch, Scenario, TorqueDisturbance
-from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
+from tsobs_ros.simulation.sensor import sensor_numbers
 from tsobs_ros.simulation.signals import (
     EXCITATIONS,
     KINDS,
@@ -112,8 +111,8 @@ def _drawn(
             theta[parameter] = share * bound * choose(-1.0, 1.0)
             if parameter.endswith("damping"):  # which is not negative
                 theta[parameter] = max(theta[parameter], -getattr(request.arm, parameter))
-        scenario = _scenario(request, given, theta, random)
-    return replace(scenario, duration=entries.duration), theta, numbers
+        scenario = _scenario(request, given, theta, random, entries.duration)
+    return scenario, theta, numbers
 
 
 def _filled(data: Any, path: str, choose: Choose, numbers: dict[str, float]) -> Any:
@@ -139,13 +138,9 @@ def _scenario(
     given: ScenarioEntries,
     theta: Mapping[str, float],
     random: np.random.Generator,
+    duration: float,
 ) -> Scenario:
-    base = scenario_of(request)
-    assert isinstance(base, Scenario)
-    if len(given.initial_state) != 4:
-        raise ModelError(f"initial_state: expected four numbers, got {given.initial_state}")
     mismatch, damping = (asdict(one) for one in _true_arm(request.arm, theta))
-    noise, factor = request.process_noise, given.process_noise * given.process_noise
     torques = {
         side: (
             *_designed(getattr(request.torque_disturbance, side), given, random),
@@ -153,49 +148,39 @@ def _scenario(
         )
         for side in SIDES
     }
-    return replace(
-        base,
+    check_names("outputs", given.outputs, request.output_names)
+    sensors, disturbances = dict[str, dict[str, Any]](), dict[str, tuple[Signal, ...]]()
+    for place, asked in enumerate(request.sensors):
+        name = asked.measures
+        sensors[name], disturbances[name] = {}, _designed(asked.disturbance, given, random)
+        for entries in (given if place == 0 else None, given.outputs.get(name)):
+            if entries is not None:
+                disturbances[name] += _signals("disturbance", entries.disturbance)
+                with within("sensor"):
+                    sensors[name] |= sensor_numbers(entries.sensor)
+    found = scenario_of(
+        request,
         # One change after the other.
-        mismatch=Mismatch(
-            **{
-                name: (1.0 + own) * (1.0 + mismatch[name]) - 1.0
-                for name, own in asdict(given.mismatch).items()
-            }
-        ),
+        {
+            name: (1.0 + own) * (1.0 + mismatch[name]) - 1.0
+            for name, own in asdict(given.mismatch).items()
+        },
+        initial_state=given.initial_state,
+        excitation=signal_of(EXCITATIONS, given.excitation),
+        disturbances=disturbances,
+        sensors=sensors,
+        noise_factor=given.noise,
+        process_noise_factor=given.process_noise * given.process_noise,
+        duration=duration,
         friction=Friction(
             **{name: own + damping[name] for name, own in asdict(given.friction).items()}
         ),
-        initial_state=tuple(request.arm.from_physical(given.initial_state).tolist()),
-        initial_spread=(0.0,) * 4,
-        process_noise=ProcessNoise(noise.link * factor, noise.motor * factor),
-        excitation=signal_of(EXCITATIONS, given.excitation),
-        torque_error=_signals("torque_error", given.torque_error),
-        outputs=_outputs(request, given, base.outputs, random),
-        torque_disturbance=TorqueDisturbance(**torques),
         payload=given.payload,
+        torque_disturbance=TorqueDisturbance(**torques),
+        torque_error=_signals("torque_error", given.torque_error),
     )
-
-
-def _outputs(
-    request: ArmRequest,
-    given: ScenarioEntries,
-    designed: Sequence[SimulatedOutput],
-    random: np.random.Generator,
-) -> tuple[SimulatedOutput, ...]:
-    check_names("outputs", given.outputs, request.output_names)
-    found: list[SimulatedOutput] = []
-    for asked, output in zip(request.sensors, designed, strict=True):
-        numbers = {**asdict(output.sensor), "noise_std": given.noise * output.sensor.noise_std}
-        components = _designed(asked.disturbance, given, random)
-        own: list[OutputEntries] = [] if found else [given]
-        own += [given.outputs[asked.measures]] if asked.measures in given.outputs else []
-        for entries in own:
-            numbers |= entries.sensor
-            components += _signals("disturbance", entries.disturbance)
-        with within("sensor"):
-            sensor = decode(numbers, Sensor)
-        found.append(replace(output, sensor=sensor, disturbance=components))
-    return tuple(found)
+    assert isinstance(found, Scenario)
+    return found
 
 
 def _signals(name: str, entries: Sequence[SignalEntry]) -> tuple[Signal, ...]:

@@ -53,7 +53,7 @@ def violated(scenario: Scenario, request: ArmRequest) -> tuple[str, ...]:
             for name, theta in _thetas(scenario.mismatch, request.arm).items()
         ),
     }
-    for asked, output in zip(request.sensors, scenario.measured, strict=True):
+    for asked, output in zip(request.sensors, scenario.outputs, strict=True):
         sensor = output.sensor
         for name, holds in (
             ("disturbance", not _foresees(asked.disturbance, output.disturbance)),

@@ -38,7 +38,7 @@ from tsobs_ros.identification.joint import (
 from tsobs_ros.identification.likelihood import WORKERS, Likelihood, Recording
 from tsobs_ros.model.arm import QUANTITIES
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.simulation.integrator import ArmMotion, Friction
+from tsobs_ros.simulation.motion import ArmMotion, Friction
 from tsobs_ros.simulation.plant import Scenario
 
 MARGIN = 0.15

@@ -66,8 +66,6 @@ class AngleDelay:
 
         Before the first one, angles moved at its velocities.
         """
-        if not self._past.length:
-            return np.asarray(states[..., self._places])
         samples, T = states.shape[1], self._period
         if self._past.values is None:
             ages = T * np.arange(self._past.length, 0, -1)[:, np.newaxis]

@@ -8,7 +8,6 @@ same numbers, to the bit, for one plant and for a batch, sample by sample and ma
 """
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import NamedTuple
@@ -20,10 +19,11 @@ from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import DIRECT, SIDES, ElasticJointArm, TorquePath
 from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.settings import check, setting
 from tsobs_ros.simulation.delays import TorqueDelay
-from tsobs_ros.simulation.integrator import ArmMotion, Friction, Motion, Payload
-from tsobs_ros.simulation.sensor import Disturbance, Output, Sensor, SimulatedOutput
+from tsobs_ros.simulation.motion import ArmMotion, Friction, Motion, Payload, SystemMotion
+from tsobs_ros.simulation.sensor import Disturbance, Output, SimulatedOutput
 from tsobs_ros.simulation.signals import Signal, Sine, StuckSensor
 from tsobs_ros.simulation.streams import Source
 
@@ -75,42 +75,47 @@ class TorqueDisturbance(NamedTuple):
     link: tuple[Signal, ...] = ()
 
 
-class PlantScenario(ABC):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlantScenario:
     """A plant, what moves it and what its outputs measure.
 
     Attributes:
         rate: Samples per second [Hz].
-        duration: How long a campaign simulates [s].
-        input_count: Number of inputs, which can be commanded; they are the first of `moved_by`.
+        duration: How long a run is [s].
+        outputs: What measures each output, p of them.
+        inputs: Signals of the inputs, then of the scheduled signals, in the absence of a command.
+        fed_back: Of each scheduled signal the number of the output whose last finite measurement
+            it is, None of a signal of its own.
         torque_disturbance: Signals of the disturbance of each torque.
-        torque_error: What the first reported input has beyond the applied one.
-        torque: How the first input reaches the plant.
+        torque_error: What the first reported input has beyond the applied one [N m], added up.
+        torque: How the commanded first input, which is the reported one, reaches the plant.
     """
 
-    rate: float
-    duration: float
-    input_count: int = 1
+    rate: float = 200.0
+    duration: float = 60.0
+    outputs: tuple[SimulatedOutput, ...] = (SimulatedOutput(),)
+    inputs: tuple[Signal, ...] = (Sine(),)
+    fed_back: tuple[int | None, ...] = ()
     torque_disturbance: tuple[tuple[Signal, ...], ...] = ()
     torque_error: tuple[Signal, ...] = ()
     torque: TorquePath = DIRECT
 
-    @property
-    @abstractmethod
-    def measured(self) -> tuple[SimulatedOutput, ...]:
-        """The outputs, p of them."""
+    def __post_init__(self) -> None:
+        positive("rate", self.rate)
+        non_negative("duration", self.duration)
 
-    @property
-    @abstractmethod
-    def moved_by(self) -> tuple[Signal, ...]:
-        """The signal of each input and scheduled signal in the absence of a command."""
-
-    @abstractmethod
     def motion(self, seeds: Sequence[int]) -> Motion:
         """Return the plants at the first sample, ready to move."""
+        raise NotImplementedError
 
     def to_design(self, physical: Array) -> Array:
         """Return states in the coordinates of designs, of an arm the nominal one's, (..., n)."""
         return physical
+
+    @property
+    def input_count(self) -> int:
+        """Number of inputs, which can be commanded."""
+        return len(self.inputs) - len(self.fed_back)
 
     @property
     def sample_count(self) -> int:
@@ -118,24 +123,19 @@ class PlantScenario(ABC):
         return math.floor(self.duration * self.rate + 1e-9) + 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scenario(PlantScenario):
-    """How an arm is built, moved, disturbed and measured.
+    """An arm: its input is the motor's torque [N m], its outputs are some of `QUANTITIES`.
 
     Attributes:
         arm: The nominal arm, the one an estimator knows.
         mismatch: How the true arm differs from it.
         friction: What the true arm has in addition.
+        payload: What the link carries for a time.
+        backlash: Play of the true arm's gear [rad], half of it to either side.
         initial_state: Mean of x(0) in the nominal arm's design coordinates.
         initial_spread: 1σ of x(0) in the same coordinates.
-        excitation: Torque in the absence of a command.
-        disturbance: Components of the link angle's disturbance, added up, if it is measured alone.
-        sensor: The link angle's, if it is measured alone.
-        torque_error: What the reported torque has beyond the applied one [N m], added up.
-        outputs: What else is measured, each with a sensor and a disturbance; empty for the link
-            angle alone.
-        backlash: Play of the true arm's gear [rad], half of it to either side.
-        torque: How the commanded torque, which is the one that is reported, reaches the motor.
+        process_noise: Densities of white noise on both accelerations.
 
     Raises:
         ModelError: A number is not finite, of the wrong sign, a state has not four entries, or an
@@ -145,24 +145,15 @@ class Scenario(PlantScenario):
     arm: ElasticJointArm = field(default_factory=ElasticJointArm)
     mismatch: Mismatch = field(default_factory=Mismatch)
     friction: Friction = field(default_factory=Friction)
-    rate: float = 200.0
-    duration: float = 60.0
+    payload: Payload = field(default_factory=Payload)
+    backlash: float = 0.0
     initial_state: tuple[float, ...] = (0.3, 0.0, 2.0, 0.0)
     initial_spread: tuple[float, ...] = (0.05, 0.1, 0.5, 0.5)
     process_noise: ProcessNoise = field(default_factory=ProcessNoise)
-    excitation: Signal = field(default_factory=Sine)
-    disturbance: tuple[Signal, ...] = ()
-    sensor: Sensor = field(default_factory=Sensor)
-    torque_error: tuple[Signal, ...] = ()
-    outputs: tuple[SimulatedOutput, ...] = ()
     torque_disturbance: TorqueDisturbance = field(default_factory=TorqueDisturbance)
-    payload: Payload = field(default_factory=Payload)
-    backlash: float = 0.0
-    torque: TorquePath = DIRECT
 
     def __post_init__(self) -> None:
-        positive("rate", self.rate)
-        non_negative("duration", self.duration)
+        super().__post_init__()
         non_negative("backlash", self.backlash)
         for name in ("initial_state", "initial_spread"):
             as_matrix(name, getattr(self, name), (4,))
@@ -173,31 +164,53 @@ class Scenario(PlantScenario):
         self.arm.measured(
             [output.measures for output in self.outputs], [output.delay for output in self.outputs]
         )
-        if self.outputs and (self.disturbance or self.sensor != Sensor()):
-            raise ModelError(
-                "outputs: expected none beside `sensor` and `disturbance`, which are those of the "
-                "link angle alone"
-            )
 
     @property
     def true_arm(self) -> ElasticJointArm:
         """The arm that really moves."""
         return self.mismatch.apply(self.arm)
 
-    @property
-    def measured(self) -> tuple[SimulatedOutput, ...]:
-        alone = SimulatedOutput(sensor=self.sensor, disturbance=self.disturbance)
-        return self.outputs or (alone,)
-
-    @property
-    def moved_by(self) -> tuple[Signal, ...]:
-        return (self.excitation,)
-
     def motion(self, seeds: Sequence[int]) -> Motion:
         return ArmMotion(self, seeds)
 
     def to_design(self, physical: Array) -> Array:
         return self.arm.from_physical(physical)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SystemScenario(PlantScenario):
+    """A T–S system. Units are the model's.
+
+    Attributes:
+        model: The nominal system, the one an estimator knows.
+        true_rates: [Aᵢ Bᵢ] of the true system's rules, shape (r, n, n + m).
+        process_noise: Densities of white noise on each state's derivative, shape (n,).
+        initial_state: x(0), shape (n,); zero if None.
+
+    Raises:
+        ModelError: A number is not finite, of the wrong sign or shape, or an output that is fed
+            back would depend on itself.
+    """
+
+    model: TSModel
+    true_rates: Array
+    process_noise: Array
+    initial_state: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        n = self.model.state_count
+        start = np.zeros(n) if self.initial_state is None else self.initial_state
+        object.__setattr__(self, "initial_state", as_matrix("initial_state", start, (n,)))
+        for number in self.fed_back:
+            if number is not None and np.ptp(self.model.rule_outputs[:, number], axis=0).any():
+                raise ModelError(
+                    f"{self.outputs[number].measures}: expected the same C in all rules, as its "
+                    "measurement is a scheduled signal"
+                )
+
+    def motion(self, seeds: Sequence[int]) -> Motion:
+        return SystemMotion(self, seeds)
 
 
 class Trajectories(NamedTuple):
@@ -231,7 +244,7 @@ class Trajectories(NamedTuple):
 
 
 class Plant:
-    """A plant with its excitation, its sensors and everything random about them.
+    """A plant with its inputs, its sensors and everything random about them.
 
     A sequence of seeds is for a batch of runs, each the same as the single plant with its seed.
 
@@ -251,14 +264,13 @@ class Plant:
         self.scenario, self.index = scenario, 0
         self._motion, rate = scenario.motion(runs), scenario.rate
         self._outputs = [
-            Output(runs, rate, number, each) for number, each in enumerate(scenario.measured)
+            Output(runs, rate, number, each) for number, each in enumerate(scenario.outputs)
         ]
         *self._torques, self._error = (
             Disturbance(runs, rate, (Source.TORQUE, number), signals)
             for number, signals in enumerate((*scenario.torque_disturbance, scenario.torque_error))
         )
         self._held = np.zeros((len(runs), len(self._outputs)))
-        self._is_direct = scenario.torque == DIRECT
         self._path = TorqueDelay(scenario.torque, rate)
         # The error of a report takes the same path in estimators.
         self._error_path = TorqueDelay(replace(scenario.torque, offset=0.0), rate)
@@ -268,30 +280,18 @@ class Plant:
         """Time of the sample that the next step returns, since the start [s]."""
         return self.index / self.scenario.rate
 
-    def exchange(self, scenario: PlantScenario) -> list[str]:
+    def exchange(self, scenario: PlantScenario) -> None:
         """Go on with the signals and sensors of another scenario of the same plant.
 
         The time of a disturbance that differs, its start included, counts from the next sample; the
         time of inputs goes on.
-
-        Returns:
-            What is disturbed otherwise from the next sample on, in words.
         """
-        self.scenario, found = scenario, []
-        for output, each in zip(self._outputs, scenario.measured, strict=True):
-            if output.exchange(each, self.index):
-                found.append((f"disturbance of {each.measures}", each.disturbance))
-        for side, torque, signals in zip(
-            SIDES, self._torques, scenario.torque_disturbance, strict=False
-        ):
-            if torque.exchange(signals, self.index):
-                found.append((f"torque disturbance of the {side}", signals))
-        if self._error.exchange(scenario.torque_error, self.index):
-            found.append(("error of the effort", scenario.torque_error))
-        return [
-            f"{name} is now {'+'.join(each.kind for each in signals) or 'none'}"
-            for name, signals in found
-        ]
+        self.scenario = scenario
+        for output, each in zip(self._outputs, scenario.outputs, strict=True):
+            output.exchange(each, self.index)
+        for torque, signals in zip(self._torques, scenario.torque_disturbance, strict=True):
+            torque.exchange(signals, self.index)
+        self._error.exchange(scenario.torque_error, self.index)
 
     def step(self, torque: ArrayLike | None = None) -> Trajectories:
         """Measure at the present sample, move on to the next one and return the former.
@@ -320,7 +320,7 @@ class Plant:
         given = None if torque is None else self._checked_torque(torque, samples)
         times = np.arange(self.index, self.index + samples) / self.scenario.rate
         n, p, t = self._motion.states.shape[1], len(self._outputs), len(self._torques)
-        widths = (n, p, p, len(self.scenario.moved_by), t)
+        widths = (n, p, p, len(self.scenario.inputs), t)
         kept = [np.empty((len(self._seeds), samples, width)) for width in widths]
         block = 1 if self._motion.fed_back else max(1, _BLOCK // len(self._seeds))
         for done in range(0, samples, block):
@@ -351,26 +351,26 @@ class Plant:
         """Move on over samples; return states, disturbances, measurements, inputs and torques."""
         motion, start = self._motion, self.index
         shape = (len(self._seeds), len(times))
-        signals = self.scenario.moved_by
+        signals = self.scenario.inputs
         inputs = np.empty((*shape, len(signals)))
-        for place, excitation in enumerate(signals):
+        for place, signal in enumerate(signals):
             if given is not None and place < given.shape[2]:
                 inputs[..., place] = given[..., place]
             else:
-                inputs[..., place] = excitation.values(times)
+                inputs[..., place] = signal.values(times)
         torques = np.empty((*shape, len(self._torques)))
         for side, disturbance in enumerate(self._torques):
             torques[..., side] = disturbance.values(start, len(times))
         measured = {}
-        for place, output in motion.fed_back:
-            truth = motion.known_output(output)[:, np.newaxis]
-            measured[output] = self._outputs[output].measure(start, truth)
-            value = measured[output][1][:, 0]
-            self._held[:, output] = np.where(np.isfinite(value), value, self._held[:, output])
-            inputs[:, 0, place] = self._held[:, output]
-        applied = inputs
-        if not self._is_direct:
-            applied = inputs.copy()
+        for place, number, row in motion.fed_back:
+            # Term by term: a product of matrices has other last bits for another number of runs.
+            truth = np.add.accumulate(row * motion.states, axis=1)[:, -1:]
+            measured[number] = self._outputs[number].measure(start, truth)
+            value = measured[number][1][:, 0]
+            self._held[:, number] = np.where(np.isfinite(value), value, self._held[:, number])
+            inputs[:, 0, place] = self._held[:, number]
+        applied = inputs.copy()
+        if self._torques:
             applied[..., 0] = self._path.through(inputs[..., 0])
         states, truths = motion.move(start, applied, torques)
         for number, each in enumerate(self._outputs):
@@ -381,5 +381,5 @@ class Plant:
         if self._torques:
             error = self._error.values(start, len(times))
             inputs[..., 0] += error
-            torques[..., 0] -= error if self._is_direct else self._error_path.through(error)
+            torques[..., 0] -= self._error_path.through(error)
         return states, disturbances, measurements, inputs, torques

@@ -3,15 +3,17 @@
 """Sensors and disturbances of simulated plants, which can be exchanged while a plant runs."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 
 from tsobs_ros.checks import Array, Flags, non_negative
 from tsobs_ros.core.functions import evaluate
 from tsobs_ros.model.arm import QUANTITIES
+from tsobs_ros.schema import decode
 from tsobs_ros.settings import check, live_setting
 from tsobs_ros.simulation.delays import Past
 from tsobs_ros.simulation.signals import GaussMarkov, Signal, StuckSensor, recurs
@@ -68,6 +70,17 @@ class Sensor:
         non_negative("sensor noise_std", self.noise_std)
 
 
+def sensor_numbers(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Return some numbers of a sensor, given as plain data.
+
+    Raises:
+        DesignFileError: A name is unknown, or a value is no number.
+        ModelError: A number is out of range.
+    """
+    sensor = decode(entry, Sensor)
+    return {name: getattr(sensor, name) for name in entry}
+
+
 @dataclass(frozen=True)
 class SimulatedOutput:
     """A measured output of a plant.
@@ -101,17 +114,16 @@ class Disturbance:
     ) -> None:
         self._seeds, self._rate, self._source = seeds, rate, key[0]
         self._key, self._generation = key_of(key[1]), 0
-        self._put_in(signals, 0)
+        self._signals: tuple[Signal, ...] | None = None
+        self.exchange(signals, 0)
 
-    def exchange(self, signals: Sequence[Signal], index: int) -> bool:
-        """Have other signals, whose time counts from a sample on; return whether they differ."""
-        differ = self._signals != tuple(signals)
-        if differ:
-            self._put_in(signals, index)
-        return differ
-
-    def _put_in(self, signals: Sequence[Signal], index: int) -> None:
+    def exchange(self, signals: Sequence[Signal], index: int) -> None:
+        """Have other signals, whose time counts from a sample on, unless they are the same."""
+        if self._signals == tuple(signals):
+            return
         self._signals, self._begin = tuple(signals), index
+        # What the sensor is stuck at.
+        self.frozen: Array | None = None
         # The stream and the present values of every drift.
         self._drifts = []
         for place, each in enumerate(signals):
@@ -124,7 +136,7 @@ class Disturbance:
     def values(self, start: int, samples: int) -> Array:
         """Move on over samples and return their values, shape (runs, samples)."""
         times, total = self._times(start, samples), np.zeros(samples)
-        for each in self._signals:
+        for each in self._signals or ():
             total += each.values(times)
         values = np.zeros((len(self._seeds), samples)) + total
         for drift, stream, now in self._drifts:
@@ -139,7 +151,7 @@ class Disturbance:
     def stuck(self, start: int, samples: int) -> Flags:
         """Return at which samples a signal holds the measured value, shape (samples,)."""
         times = self._times(start, samples)
-        holds = [each.holds(times) for each in self._signals if isinstance(each, StuckSensor)]
+        holds = [each.holds(times) for each in self._signals or () if isinstance(each, StuckSensor)]
         return np.asarray(np.any([np.zeros(samples, np.bool_), *holds], axis=0))
 
     def _times(self, start: int, samples: int) -> Array:
@@ -162,11 +174,9 @@ class Output:
         # Of Student's t, with as many numbers a sample as its degrees of freedom.
         self._tail: RandomStream | None = None
         self._last = np.zeros(len(seeds))
-        # What the sensor is stuck at.
-        self._frozen: Array | None = None
         self.exchange(asked, 0)
 
-    def exchange(self, asked: SimulatedOutput, index: int) -> bool:
+    def exchange(self, asked: SimulatedOutput, index: int) -> None:
         """Have another sensor and disturbance; see `Disturbance.exchange`.
 
         With another latency, older values than the next one are not known; the next one is taken.
@@ -179,10 +189,7 @@ class Output:
         if latency != self._past.length:
             self._past = Past(latency)
         self._sensor = sensor
-        is_other = self._disturbance.exchange(asked.disturbance, index)
-        if is_other:
-            self._frozen = None
-        return is_other
+        self._disturbance.exchange(asked.disturbance, index)
 
     @np.errstate(all="ignore")
     def measure(self, start: int, truth: Array) -> tuple[Array, Array]:
@@ -197,13 +204,13 @@ class Output:
         loudness = sensor.noise_std * np.where(is_loud, sensor.burst_factor, 1.0)
         late = self._past.joined(truth)[:, :samples]
         values = late + added + loudness * self._noise(start, samples)
-        stuck, frozen = self._disturbance.stuck(start, samples), self._frozen
+        stuck, frozen = self._disturbance.stuck(start, samples), self._disturbance.frozen
         for k in np.flatnonzero(stuck).tolist():
             if frozen is None or (k and not stuck[k - 1]):
                 frozen = values[:, k].copy()
             values[:, k] = frozen
         added[:, stuck] = (values - truth)[:, stuck]
-        self._frozen = frozen if stuck[-1] else None
+        self._disturbance.frozen = frozen if stuck[-1] else None
         luck = self._uniform.take(samples)
         if sensor.outlier_probability > 0.0:
             values += _outliers(luck, sensor)

@@ -13,7 +13,7 @@ from rosgraph_msgs.msg import Clock
 from staging import start, to_stamp
 
 from tsobs_ros.errors import ParameterError
-from tsobs_ros.simulation.integrator import Friction, Payload
+from tsobs_ros.simulation.motion import Friction, Payload
 from tsobs_ros.simulation.plant import SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import Constant, Pulses, Ramp
@@ -167,10 +167,10 @@ def test_parameters_describe_arms_sensors_and_torques_that_no_design_foresees(
         0.056, 0.02, dropout_interval=9.0, outlier_is_uniform=True, noise_degrees=3, latency=0.015
     )
     disturbance = (Pulses(0.4, 3.0, 0.7, 6.0), Ramp(0.1))
-    assert scenario.measured == (SimulatedOutput("link_angle", sensor, disturbance),)
+    assert scenario.outputs == (SimulatedOutput("link_angle", sensor, disturbance),)
     assert scenario.friction == Friction(0.1, 0.05, 0.3, 0.15)
     assert scenario.payload == Payload(mass=2.0, distance=0.5, start=1.0)
-    assert scenario.excitation == Constant(4.5)
+    assert scenario.inputs == (Constant(4.5),)
     assert scenario.torque_error == (Pulses(50.0, 2.0, 0.01, 4.0),)
 
 

@@ -218,11 +218,10 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
     def retune(self, parameters: PlantSimulatorParameters) -> None:
         """Take changed parameters over from the next sample on."""
-        for plant, (joint, scenario) in zip(
-            self._plants, parameters.scenarios().items(), strict=True
-        ):
-            for what in plant.exchange(scenario):
-                self.log(Level.OK, f"{joint}: {what}, counted from t = {plant.time:g} s")
+        for plant, scenario in zip(self._plants, parameters.scenarios().values(), strict=True):
+            plant.exchange(scenario)
+        time = self._plants[0].time
+        self.log(Level.OK, f"changed at t = {time:g} s, from which on new disturbances count")
 
     def _reset(self) -> tuple[bool, str]:
         """Restart the plant at the next sample; the stamps go on."""

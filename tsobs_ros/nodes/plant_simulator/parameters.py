@@ -6,11 +6,10 @@ A joint is what its design or request file says: its arm or T–S system, its ou
 its process noise.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cached_property, lru_cache, partial
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields, make_dataclass
+from functools import cached_property, partial
 from itertools import islice
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -19,36 +18,22 @@ from tsobs_ros.checks import Array, finite, shown
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError, ParameterError, TsobsError
 from tsobs_ros.model.arm import SIDES
-from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.nodes.parameters import JointParameters
 from tsobs_ros.plants import request_in, scenario_of
 from tsobs_ros.replay.csv_file import TorqueSeries, read_torques
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.schema import decode
-from tsobs_ros.settings import live_setting, setting
-from tsobs_ros.simulation.integrator import Friction, Payload
-from tsobs_ros.simulation.plant import Mismatch, Scenario, TorqueDisturbance
-from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.settings import live_setting, setting, values_of
+from tsobs_ros.simulation.motion import Friction, Payload
+from tsobs_ros.simulation.plant import Mismatch, Scenario, SystemScenario, TorqueDisturbance
+from tsobs_ros.simulation.sensor import Sensor, sensor_numbers
 from tsobs_ros.simulation.signals import (
     EXCITATIONS,
     KINDS,
-    BiasStep,
-    Chirp,
-    Constant,
-    GaussMarkov,
-    Multisine,
     NoTorque,
-    Pulses,
-    Ramp,
     Signal,
-    Sine,
-    Sinusoid,
-    Square,
-    StuckSensor,
     parse_kinds,
     signal_of,
 )
-from tsobs_ros.simulation.systems import SystemScenario
 from tsobs_ros.yaml_files import load_yaml
 
 T = TypeVar("T")
@@ -64,23 +49,12 @@ _SHIPPED_STATE = (0.3, 0.0, 0.2, 0.0)
 _LATE = 1e-6
 
 
-def read_once(reader: Callable[[Path], T], path: str) -> T:
-    """Return what a file has; it is read again after it has changed, and not for each parameter.
-
-    Raises:
-        ParameterError: It cannot be used: a parameter may be refused for it, but not end a node.
-    """
-    file = Path(path)
+def _read(reader: Callable[[str], T], path: str) -> T:
+    """Return what a file has; a parameter may be refused for it, but it does not end a node."""
     try:
-        found: T = _read(reader, file, file.stat().st_mtime_ns if file.exists() else 0)
+        return reader(path)
     except TsobsError as error:
         raise ParameterError(str(error)) from error
-    return found
-
-
-@lru_cache(maxsize=64)
-def _read(reader: Callable[[Path], Any], path: Path, _modified: int) -> Any:
-    return reader(path)
 
 
 @dataclass(frozen=True)
@@ -101,7 +75,7 @@ class TorqueFile(Signal, kind="file"):
         super().__post_init__()
         if not self.file:
             raise ModelError("file: expected a CSV file of time and torque")
-        object.__setattr__(self, "_series", read_once(read_torques, self.file))
+        object.__setattr__(self, "_series", _read(read_torques, self.file))
 
     def _at(self, times: Array) -> Array:
         series = self._series
@@ -114,49 +88,34 @@ PLAYED: Mapping[str, type[Signal]] = {**EXCITATIONS, TorqueFile.kind: TorqueFile
 """Every kind of signal of an input that the node can play, under its name."""
 
 
-@dataclass(frozen=True)
-class DisturbanceParameters:
-    """What sensors add to the true values, noise excepted."""
+def _kinds(name: str, kind: str, kinds: Mapping[str, type[Signal]], **others: str) -> type:
+    """Return a dataclass of settings: a kind, the numbers of each kind, and others."""
+    groups = [
+        (each.kind, each, field(default_factory=each)) for each in kinds.values() if fields(each)
+    ]
+    more = [(other, str, value) for other, value in others.items()]
+    return make_dataclass(name, [("kind", str, kind), *groups, *more], frozen=True)
 
-    kind: str = live_setting(
+
+_DISTURBANCE = _kinds(
+    "Disturbance",
+    live_setting(
         "none",
         f"none, or a sum of {', '.join(KINDS)}, such as bias_step+sinusoid; changing it injects a "
         "fault",
-    )
-    bias_step: BiasStep = field(default_factory=BiasStep)
-    sinusoid: Sinusoid = field(default_factory=Sinusoid)
-    ramp: Ramp = field(default_factory=Ramp)
-    gauss_markov: GaussMarkov = field(default_factory=GaussMarkov)
-    stuck: StuckSensor = field(default_factory=StuckSensor)
-    pulses: Pulses = field(default_factory=Pulses)
-
-    def build(self) -> tuple[Signal, ...]:
-        """Return the components of the chosen kinds."""
-        return tuple(getattr(self, name) for name in parse_kinds(self.kind))
-
-
-@dataclass(frozen=True)
-class ExcitationParameters:
-    """The torque in the absence of a command."""
-
-    kind: str = live_setting("sine", "Torque signal", choices=tuple(PLAYED))
-    constant: Constant = field(default_factory=Constant)
-    sine: Sine = field(default_factory=Sine)
-    multisine: Multisine = field(default_factory=Multisine)
-    square: Square = field(default_factory=Square)
-    chirp: Chirp = field(default_factory=Chirp)
-    file: str = live_setting(
+    ),
+    KINDS,
+)
+_EXCITATION = _kinds(
+    "Excitation",
+    live_setting("sine", "Torque signal", choices=tuple(PLAYED)),
+    EXCITATIONS,
+    file=live_setting(
         "",
         "CSV file of the kind file, such as that of tsobs excite: columns time [s] and torque "
         "[N m], held from line to line; 0 after the last one",
-    )
-
-    def build(self) -> Signal:
-        """Return the signal of the chosen kind."""
-        if self.kind == TorqueFile.kind:
-            return TorqueFile(self.file)
-        chosen: Signal = getattr(self, self.kind, NoTorque())
-        return chosen
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -211,8 +170,8 @@ class PlantSimulatorParameters(JointParameters):
     process_noise_factor: float = setting(
         1.0, "What multiplies the designed densities of the process noise", minimum=0.0
     )
-    excitation: ExcitationParameters = field(default_factory=ExcitationParameters)
-    disturbance: DisturbanceParameters = field(default_factory=DisturbanceParameters)
+    excitation: Any = field(default_factory=_EXCITATION)
+    disturbance: Any = field(default_factory=_DISTURBANCE)
     signals: tuple[str, ...] = live_setting(
         (),
         "Signals of single outputs, torques, inputs and efforts, such as "
@@ -231,9 +190,7 @@ class PlantSimulatorParameters(JointParameters):
     def requests(self) -> dict[str, ArmRequest | TSRequest]:
         """What describes each joint."""
         shipped = str(config_path(SHIPPED_DESIGN))
-        return {
-            joint: read_once(request_in, path or shipped) for joint, path in self.design_of.items()
-        }
+        return {joint: _read(request_in, path or shipped) for joint, path in self.design_of.items()}
 
     @property
     def sample_rate(self) -> float:
@@ -247,69 +204,57 @@ class PlantSimulatorParameters(JointParameters):
             ModelError: They do not describe a plant.
             ParameterError: An entry of a list names no signal of the joints.
         """
-        requests = self.requests
-        given, changes = (
-            by_joint(name, getattr(self, name), {j: known(each) for j, each in requests.items()})
-            for name, known in (("signals", _signals), ("joint_mismatch", _changes))
+        signals, changes = (
+            self._by_joint("signals", _signals),
+            self._by_joint("joint_mismatch", _changes),
         )
         states = self._initial_states()
         return {
-            joint: self._scenario(
-                request,
-                {name: each[-1] for name, each in changes[joint].items()},
-                given[joint],
-                states[joint],
-            )
-            for joint, request in requests.items()
+            joint: self._scenario(request, changes[joint], signals[joint], states[joint])
+            for joint, request in self.requests.items()
         }
 
     def _scenario(
         self,
         request: ArmRequest | TSRequest,
-        changes: dict[str, float],
+        changes: Mapping[str, list[float]],
         signals: Mapping[str, list[Any]],
         state: tuple[float, ...],
     ) -> Scenario | SystemScenario:
         """Return the scenario of one joint: that of its request, with what parameters change."""
+        mismatch = {name: each[-1] for name, each in changes.items()}
+        others: dict[str, Any] = {"rate": self.sample_rate, "duration": self.duration}
         if isinstance(request, ArmRequest):
-            changes = asdict(self.mismatch) | changes
-        base, factor, outputs = scenario_of(request, changes), self.process_noise_factor, []
-        for output in base.measured:
-            numbers = asdict(self.sensor)
-            numbers["noise_std"] = output.sensor.noise_std * self.noise_factor
-            disturbance = self.disturbance.build()
-            for each in signals.get(output.measures, ()):
-                if isinstance(each, Signal):
-                    disturbance += (each,)
-                else:
-                    numbers |= each
-            outputs.append(replace(output, sensor=Sensor(**numbers), disturbance=disturbance))
-        count = base.input_count
-        free = (self.excitation.build(),) * count + base.moved_by[count:]
-        inputs = tuple(
-            signals[name][-1] if name in signals and name not in request.output_names else default
-            for name, default in zip(request.input_names, free, strict=True)
-        )
-        own: dict[str, Any] = {
-            "rate": self.sample_rate, "duration": self.duration, "outputs": tuple(outputs)
-        }  # fmt: skip
-        if isinstance(base, SystemScenario):
-            noise = np.asarray(base.process_noise) * factor
-            return replace(base, **own, initial_state=state, process_noise=noise, inputs=inputs)
-        density = base.process_noise
-        return replace(
-            base,
-            **own,
-            initial_state=tuple(base.arm.from_physical(state).tolist()),
-            initial_spread=(0.0,) * 4,
-            process_noise=ProcessNoise(density.link * factor, density.motor * factor),
-            friction=self.friction,
-            payload=self.payload,
-            excitation=inputs[0],
-            torque_disturbance=TorqueDisturbance(
+            mismatch = asdict(self.mismatch) | mismatch
+            others |= {"friction": self.friction, "payload": self.payload}
+            others["torque_disturbance"] = TorqueDisturbance(
                 **{side: tuple(signals.get(name, ())) for side, name in _TORQUES.items()}
-            ),
-            torque_error=tuple(signals.get(_EFFORT_ERROR, ())),
+            )
+            others["torque_error"] = tuple(signals.get(_EFFORT_ERROR, ()))
+        sensors, disturbances = dict[str, dict[str, Any]](), dict[str, list[Signal]]()
+        for name in request.output_names:
+            sensors[name] = values_of(self.sensor)
+            kinds = parse_kinds(self.disturbance.kind)
+            disturbances[name] = [getattr(self.disturbance, kind) for kind in kinds]
+            for each in signals.get(name, ()):
+                if isinstance(each, Signal):
+                    disturbances[name].append(each)
+                else:
+                    sensors[name] |= each
+        excitation = getattr(self.excitation, self.excitation.kind, NoTorque())
+        if isinstance(excitation, str):
+            excitation = TorqueFile(excitation)
+        return scenario_of(
+            request,
+            mismatch,
+            initial_state=state,
+            excitation=excitation,
+            inputs={name: signals[name][-1] for name in request.input_names if name in signals},
+            disturbances=disturbances,
+            sensors=sensors,
+            noise_factor=self.noise_factor,
+            process_noise_factor=self.process_noise_factor,
+            **others,
         )
 
     def _initial_states(self) -> dict[str, tuple[float, ...]]:
@@ -325,6 +270,40 @@ class PlantSimulatorParameters(JointParameters):
         numbers = iter(values)
         return {j: tuple(islice(numbers, n)) for j, n in zip(self.requests, sizes, strict=True)}
 
+    def _by_joint(
+        self, parameter: str, known: Callable[[ArmRequest | TSRequest], Readers]
+    ) -> dict[str, dict[str, list[Any]]]:
+        """Return the values of a list parameter by joint and by what they are about.
+
+        ROS parameters hold lists of texts only, so an entry is a line of YAML:
+        "elbow/motor_angle: {kind: ramp}"; without "elbow/" it is for all joints that have one.
+
+        Raises:
+            ParameterError: An entry is malformed, or names none of them.
+        """
+        readers = {joint: known(request) for joint, request in self.requests.items()}
+        found: dict[str, dict[str, list[Any]]] = {joint: {} for joint in readers}
+        for place, line in enumerate(getattr(self, parameter)):
+            where = f"parameter '{parameter}[{place}]'"
+            try:
+                entry: Any = load_yaml(line)
+                ((target, value),) = entry.items()
+            except (AttributeError, ValueError) as error:
+                raise ParameterError(
+                    f"{where}: expected 'name: value', got {shown(line)}"
+                ) from error
+            joint, _, name = str(target).rpartition("/")
+            joints = [each for each in found if name in readers[each] and joint in ("", each)]
+            if not joints:
+                names = ", ".join(f"{each}/{one}" for each in found for one in readers[each])
+                raise ParameterError(f"{where}: expected one of {names}, got {str(target)!r}")
+            try:
+                for each in joints:
+                    found[each].setdefault(name, []).append(readers[each][name](value))
+            except (ModelError, ValueError) as error:
+                raise ParameterError(f"{where}: {target}: {error}") from error
+        return found
+
 
 def _signals(request: ArmRequest | TSRequest) -> Readers:
     """Return what entries of `signals` may name of a joint."""
@@ -336,50 +315,14 @@ def _signals(request: ArmRequest | TSRequest) -> Readers:
     return known | dict.fromkeys(request.output_names, _fault)
 
 
-def _fault(entry: Any) -> Signal | dict[str, Any]:
+def _fault(entry: Any) -> Any:
     """Return a signal of an output, or numbers of its sensor, of an entry without a kind."""
-    if isinstance(entry, dict) and "kind" not in entry:
-        sensor = decode(entry, Sensor)
-        return {name: getattr(sensor, name) for name in entry}
-    signal: Signal = signal_of(KINDS, entry)
-    return signal
+    is_sensor = isinstance(entry, dict) and "kind" not in entry
+    return sensor_numbers(entry) if is_sensor else signal_of(KINDS, entry)
 
 
 def _changes(request: ArmRequest | TSRequest) -> Readers:
     """Return what entries of `joint_mismatch` may name of a joint."""
-    names: Collection[str] = [each.name for each in fields(Mismatch)]
-    if isinstance(request, TSRequest):
-        names = request.uncertainty_model.names
+    is_arm = isinstance(request, ArmRequest)
+    names = [e.name for e in fields(Mismatch)] if is_arm else request.uncertainty_model.names
     return dict.fromkeys(names, partial(finite, "value"))
-
-
-def by_joint(
-    parameter: str, lines: Iterable[str], readers: Mapping[str, Readers]
-) -> dict[str, dict[str, list[Any]]]:
-    """Return the values of a list parameter by joint and by what they are about.
-
-    ROS parameters hold lists of texts only, so an entry is a line of YAML:
-    "elbow/motor_angle: {kind: ramp}"; without "elbow/" it is for all joints that have one.
-
-    Raises:
-        ParameterError: An entry is malformed, or names none of them.
-    """
-    found: dict[str, dict[str, list[Any]]] = {joint: {} for joint in readers}
-    for place, line in enumerate(lines):
-        where = f"parameter '{parameter}[{place}]'"
-        try:
-            data: Any = load_yaml(line)
-            ((target, value),) = data.items()
-        except (AttributeError, ValueError) as error:
-            raise ParameterError(f"{where}: expected 'name: value', got {shown(line)}") from error
-        joint, _, name = str(target).rpartition("/")
-        joints = [each for each in found if name in readers[each] and joint in ("", each)]
-        if not joints:
-            known = ", ".join(f"{each}/{one}" for each in found for one in readers[each])
-            raise ParameterError(f"{where}: expected one of {known}, got {str(target)!r}")
-        try:
-            for each in joints:
-                found[each].setdefault(name, []).append(readers[each][name](value))
-        except (ModelError, ValueError) as error:
-            raise ParameterError(f"{where}: {target}: {error}") from error
-    return found

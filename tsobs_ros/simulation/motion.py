@@ -1,16 +1,16 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixed-step integration of plants: the true motion that observers are judged by.
+"""The true motion of simulated plants, that observers are judged by.
 
-The classical fourth-order Runge–Kutta method at 1 ms keeps the undriven arm's energy to 1e-10
-over a minute. Its error is far below any noise.
+The classical fourth-order Runge–Kutta method in steps of at most 1 ms, with inputs held from a
+sample to the next, keeps the undriven arm's energy to 1e-10 over a minute. Its error is far below
+any noise.
 """
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from tsobs_ros.simulation.signals import recurs
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 if TYPE_CHECKING:
-    from tsobs_ros.simulation.plant import Scenario
+    from tsobs_ros.simulation.plant import Scenario, SystemScenario
 
 _LONGEST_SUBSTEP = 1e-3
 _ARM = record_type("simulated_arm")
@@ -88,42 +88,18 @@ class Payload:
         return inertia + self.link_inertia, moment + self.gravity_torque
 
 
-class Motion(ABC):
-    """The plants of a batch, which are moved from sample to sample.
+class ArmMotion:
+    """Arms of a batch, in physical coordinates, which do not depend on the uncertain stiffness.
 
     Attributes:
-        states: Present states, shape (runs, n).
-        fed_back: Places of the inputs that are measurements, each with the number of its output.
+        states: Present states, shape (runs, 4).
     """
 
-    states: Array
-    fed_back: tuple[tuple[int, int], ...] = ()
-
-    @abstractmethod
-    def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
-        """Move on over samples from an index on; return states and true values of the outputs.
-
-        Args:
-            start: The index.
-            inputs: Inputs and scheduled signals, shape (runs, samples, m + s).
-            torques: Disturbing torques, shape (runs, samples, t); overwritten with those that an
-                undisturbed plant would need to move so.
-        """
-
-    def known_output(self, output: int) -> Array:
-        """Return the present true value of an output that is fed back, shape (runs,)."""
-        raise NotImplementedError
-
-
-class ArmMotion(Motion):
-    """Elastic-joint arms, in physical coordinates.
-
-    These do not depend on the stiffness, in which the true arm may differ from the nominal one.
-    """
+    fed_back: tuple[tuple[int, int, Array], ...] = ()
 
     def __init__(self, scenario: "Scenario", seeds: Sequence[int]) -> None:
-        noise, outputs, self._rate = scenario.process_noise, scenario.measured, scenario.rate
-        self._payload, steps = scenario.payload, substeps(scenario.rate)
+        noise, outputs, self._rate = scenario.process_noise, scenario.outputs, scenario.rate
+        self._payload = scenario.payload
         bare, loaded = (_arm_record(scenario, *more) for more in ((0.0, 0.0), self._payload.total))
         self._arms = np.concatenate([bare, loaded])
         places = [QUANTITIES.index(output.measures) for output in outputs]
@@ -131,42 +107,99 @@ class ArmMotion(Motion):
         spread = RandomStream(seeds, Source.INITIAL_STATE).take(4)
         start = np.array(scenario.initial_state) + spread * np.array(scenario.initial_spread)
         self.states = scenario.arm.to_physical(start)
-        self._kicks = 2 * steps if noise.link or noise.motor else 0
+        self._kicks = 2 * _substeps(self._rate)[0] if noise.link or noise.motor else 0
         self._noise = RandomStream(seeds, Source.PROCESS)
 
     def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
+        """Move on over samples from an index on; return states and true values of the outputs.
+
+        Args:
+            start: The index.
+            inputs: Torques of the motor, shape (runs, samples, 1).
+            torques: Disturbing torques, shape (runs, samples, 2); overwritten with those that an
+                undisturbed arm would need to move so.
+        """
         samples, payload = inputs.shape[1], self._payload
         since = np.arange(start, start + samples) / self._rate - payload.start
         is_loaded = recurs(since, payload.duration or math.inf, 0.0)
         states = np.empty((len(self.states), samples, 4))
+        kicks = self._noise.take(samples, self._kicks)
         native.simulate_arms(
-            self._arms,
-            is_loaded.astype(np.int64),
-            inputs,
-            self._noise.take(samples, self._kicks),
-            self.states,
-            states,
-            torques,
+            self._arms, is_loaded.astype(np.int64), inputs, kicks, self.states, states, torques
         )
         return states, self._sensed.measured(states)
 
 
-def substeps(rate: float) -> int:
-    """Return the number of equal steps that a sampling period is cut into, of a rate [Hz]."""
+class SystemMotion:
+    """T–S systems of a batch: ẋ = Σ hᵢ(z)((Aᵢ + ΔAᵢ)x + (Bᵢ + ΔBᵢ)u), y = Σ hᵢ(z) Cᵢx.
+
+    Attributes:
+        states: Present states, shape (runs, n).
+        fed_back: Places of the inputs that are measurements, each with the number of its output and
+            that one's row of C.
+    """
+
+    def __init__(self, scenario: "SystemScenario", seeds: Sequence[int]) -> None:
+        model, (steps, step) = scenario.model, _substeps(scenario.rate)
+        shapes, parameters = model.rule_base.coded
+        n, m, outputs = model.state_count, model.input_count, model.rule_outputs
+        sizes = [n, m, model.schedule.shape[1], model.C.shape[0], *shapes.shape]
+        self._sizes = np.array(sizes, np.int64)
+        record = np.zeros(1, record_type("simulated_system", self._sizes))
+        for name, value in {
+            "substeps": steps,
+            "substep": step,
+            "rates": scenario.true_rates.reshape(-1, n + m),
+            "outputs": outputs.reshape(-1, n),
+            "shapes": shapes.ravel(),
+            "parameters": parameters.reshape(-1, 4),
+            "premise": np.hstack(
+                [model.premise, np.zeros((len(model.premise), m)), model.schedule]
+            ),
+            "strengths": np.sqrt(scenario.process_noise / scenario.rate / steps),
+        }.items():
+            record[name] = value
+        self._numbers, self._output_count = record.view(np.float64), outputs.shape[1]
+        self.states = np.repeat([np.asarray(scenario.initial_state)], len(seeds), axis=0)
+        self._kicks = steps * n if scenario.process_noise.any() else 0
+        self._noise = RandomStream(seeds, Source.PROCESS)
+        self.fed_back = tuple(
+            (m + place, number, outputs[0, number])
+            for place, number in enumerate(scenario.fed_back)
+            if number is not None
+        )
+
+    def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
+        """See `ArmMotion.move`; inputs have the shape (runs, samples, m + s)."""
+        shape = inputs.shape[:2]
+        states = np.empty((*shape, self.states.shape[1]))
+        truths = np.empty((*shape, self._output_count))
+        kicks = self._noise.take(shape[1], self._kicks)
+        native.simulate_systems(
+            self._sizes, self._numbers, inputs, kicks, self.states, states, truths
+        )
+        return states, truths
+
+
+Motion: TypeAlias = ArmMotion | SystemMotion
+
+
+def _substeps(rate: float) -> tuple[int, float]:
+    """Return the number of equal steps in a sampling period of a rate [Hz], and their length."""
     # A period of exactly five steps must not become six because .005/.001 rounds upwards.
-    return max(1, math.ceil(1.0 / rate / _LONGEST_SUBSTEP - 1e-9))
+    steps = max(1, math.ceil(1.0 / rate / _LONGEST_SUBSTEP - 1e-9))
+    return steps, 1.0 / rate / steps
 
 
 def _arm_record(scenario: "Scenario", more_inertia: float, more_torque: float) -> Array:
     """Return the numbers of the true arm with a payload, as the compiled core has them."""
     true, friction, noise = scenario.true_arm, scenario.friction, scenario.process_noise
     j1, j2 = true.link_inertia + more_inertia, true.motor_inertia
-    steps = substeps(scenario.rate)
-    substep = 1.0 / scenario.rate / steps
+    steps, step = _substeps(scenario.rate)
     record = np.zeros(1, _ARM)
     record[0] = (
         steps,
-        substep,
+        step,
         (true.gravity_torque + more_torque) / j1,
         j2,
         true.stiffness / j1,
@@ -179,8 +212,8 @@ def _arm_record(scenario: "Scenario", more_inertia: float, more_torque: float) -
         *astuple(friction),
         more_inertia,
         more_torque,
-        math.sqrt(noise.link * substep),
-        math.sqrt(noise.motor * substep),
+        math.sqrt(noise.link * step),
+        math.sqrt(noise.motor * step),
         0.5 * scenario.backlash,
     )
     return record.view(np.float64)
