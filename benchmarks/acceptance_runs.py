@@ -194,7 +194,8 @@ def high_gain(
     found: dict[str, list[Array]] = {name: [] for name in WINDOWS}
     for theta in THETAS:
         observer = kind(request.arm, theta, request.period, request.measurement_std)
-        states = observer.observe(runs.measurements, received(runs)).state
+        known = runs._replace(torques=received(runs))
+        states = np.asarray(observe(design, known, estimator=observer).rows["state"])
         squares = _squares(request.arm.from_physical(states), runs)
         for name, window in WINDOWS.items():
             part = squares[:, _inside(runs.times, window)]

@@ -38,15 +38,15 @@ def _estimate(estimator: Estimator, runs: Trajectories) -> _Estimates:
     """Return the estimates of each run just before each sample."""
     shape = (*runs.measurements.shape[:2], 5)
     values, bounds = np.empty(shape), np.empty(shape)
-    state = estimator.initial(shape[:1])
-    for sample in range(shape[1]):
-        known = estimator.readout(state)
-        values[:, sample, :4], values[:, sample, 4:] = known.state, known.disturbance
-        bounds[:, sample, :4], bounds[:, sample, 4:] = known.state_bound, known.disturbance_bound
-        y = runs.measurements[:, sample]
-        if np.isfinite(y).all():  # samples are lost in all runs at once
-            state, _ = estimator.correct(state, y)
-        state = estimator.predict(state, runs.torques[:, sample], estimator.period)
+    for run, (y, u) in enumerate(zip(runs.measurements, runs.torques, strict=True)):
+        state = estimator.initial()
+        for sample in range(shape[1]):
+            known = estimator.readout(state)
+            values[run, sample] = np.append(known.state, known.disturbance)
+            bounds[run, sample] = np.append(known.state_bound, known.disturbance_bound)
+            if np.isfinite(y[sample]).all():
+                state, _ = estimator.correct(state, y[sample])
+            state = estimator.predict(state, u[sample], estimator.period)
     return _Estimates(values, bounds)
 
 

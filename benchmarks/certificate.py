@@ -24,7 +24,10 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.records import Basis
+from tsobs_ros.estimation.state import likeliest
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import GaussMarkov, Multisine, Sine
@@ -99,7 +102,9 @@ def _campaign(
     """Observe all runs at once with the certified gain, from errors as wide as s²X."""
     observer, arm, X = design.observer(), design.arm_request.arm, design.covariance_bound
     root, rng = np.linalg.cholesky(design.P), np.random.default_rng(first_seed)
-    scenario, widest = _scenario(design, motion, scale), 0.0
+    scenario, widest, n = _scenario(design, motion, scale), 0.0, len(X)
+    start, tracker = likeliest(observer.model["initial"]), Tracker(observer, max_steps=1)
+    start["covariance"][:n, :n], start["settling"], start["certified"] = X, 0.0, 1
     instants = [round(time * design.request.rate) for time in _INSTANTS]
     found: list[list[Array]] = [[] for _ in instants]
     block = max(1, _SAMPLES // instants[-1])
@@ -108,17 +113,17 @@ def _campaign(
         part = Plant(scenario, seeds).run(instants[-1] + 1)
         truth = np.concatenate([part.states, part.disturbances], axis=2)
         drawn = rng.standard_normal(truth[:, 0].shape) @ np.linalg.cholesky(X).T
-        start = observer.initial((len(seeds),)).changed(
-            x=truth[:, 0] - scale.sensor * drawn,
-            covariance=np.broadcast_to(X, (len(seeds), *X.shape)),
-            settling=np.zeros(len(seeds)),
-            certified=np.ones(len(seeds)),
-        )
+        stamps = NANOSECONDS + np.round(part.times * NANOSECONDS).astype(np.int64)
         for index, errors in zip(instants, found, strict=True):
+            rows, seen = [], slice(index + 1)
             # A last sample that is lost leaves the estimate as it is just before it.
-            y = part.measurements[:, : index + 1].copy()
+            y = part.measurements[:, seen].copy()
             y[:, index] = np.nan
-            known = observer.observe(y, part.torques[:, : index + 1], start=start)
+            for run in range(len(seeds)):
+                start["x"][:n] = truth[run, 0] - scale.sensor * drawn[run]
+                tracker.reset()
+                rows.append(tracker.follow(stamps[seen], y[run], part.torques[run, seen]))
+            known = np.stack(rows).view(np.recarray)
             assert (known.basis == Basis.CERTIFIED).all()
             last = [arm.from_physical(known.state[:, index]), known.disturbance[:, index]]
             errors.append((truth[:, index] - np.hstack(last)) / scale.sensor)

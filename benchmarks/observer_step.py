@@ -32,10 +32,10 @@ from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.baselines import THETA_STD, THETA_WANDER
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.records import Hypothesis, Measurement
-from tsobs_ros.estimation.state import State
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_tracker
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
+from tsobs_ros.model.prediction import Record
 from tsobs_ros.model.uncertainty import SINE
 from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
@@ -150,8 +150,8 @@ def _in_place(estimator: Estimator, y: Array, u: Array) -> Step:
     """Return the step by the calls that the pure functions make, in place."""
     records = (
         estimator.model,
-        estimator.new_states(1),
-        estimator.new_corrections(),
+        estimator.initial(),
+        estimator.new_correction(),
         estimator.new_rows(1),
         estimator.new_work(),
     )
@@ -205,13 +205,13 @@ def step_costs(kind: str, design: Design, seconds: float) -> dict[str, float]:
     return _medians(contenders, len(y))
 
 
-def _awake(estimator: Estimator, y: Array, u: Array) -> State:
+def _awake(estimator: Estimator, y: Array, u: Array) -> Record:
     """Return the state after some samples, all of whose hypotheses are considered and equal."""
     state = estimator.initial()
     for sample, torque in zip(y, u, strict=True):
         corrected, _ = estimator.correct(state, sample)
         state = estimator.predict(corrected, torque, estimator.period)
-    record = state.records[0]
+    record = state[0]
     hypotheses, best = record["hypotheses"], int(record["best"])
     for place in range(len(hypotheses)):
         kind = place if place < STANDING else int(Hypothesis.DRIFT)
@@ -239,13 +239,13 @@ def _worst(design: Design, turns: int) -> dict[str, float]:
     runs = simulate(SCENARIOS["stiff"], [1], 10.0)
     y, u = runs.measurements[0], runs.torques[0]
     start = _awake(estimator, y[:-1], u[:-1])
-    states, work = start.copy().records, estimator.new_work()
+    states, work = start.copy(), estimator.new_work()
     model = estimator.model.view(np.float64)
     memory, scratch = states.view(np.float64), work.view(np.float64)
-    corrections = estimator.new_corrections().view(np.float64)
+    corrections = estimator.new_correction().view(np.float64)
     rows = estimator.new_rows(1)
     samples, inputs, period = [y[-1], y[-1] + 1.0], u[-1].copy(), estimator.period
-    numbers, before = states.view(np.float64), start.records.view(np.float64)
+    numbers, before = states.view(np.float64), start.view(np.float64)
     times = []
     for turn in range(turns):
         numbers[:] = before
@@ -268,19 +268,27 @@ def _worst(design: Design, turns: int) -> dict[str, float]:
 def _batch(design: Design, runs: Trajectories, arms: int, turns: int) -> dict[str, float]:
     """Return the arm-steps per second of whole runs, on one core and on all; medians."""
     estimator, cores = design.supervised(), len(os.sched_getaffinity(0))
+    stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
     copies = -(-arms // len(runs.states))
     y = np.tile(runs.measurements, (copies, 1, 1))[:arms]
     u = np.tile(runs.torques, (copies, 1, 1))[:arms]
     parts = list(zip(np.array_split(y, cores), np.array_split(u, cores), strict=True))
     times: dict[str, list[float]] = {"one core": [], "all cores": []}
+
+    def follow(arms: tuple[Array, Array]) -> None:
+        tracker = Tracker(estimator, history=0.0, max_steps=1)
+        for samples in zip(*arms, strict=True):
+            tracker.reset()
+            tracker.follow(stamps, *samples)
+
     with ThreadPoolExecutor(cores) as pool:
 
         def together() -> None:
-            list(pool.map(lambda part: estimator.observe(*part), parts))
+            list(pool.map(follow, parts))
 
         together()
         for _ in range(turns):
-            times["one core"].append(timed(lambda: estimator.observe(y, u)))
+            times["one core"].append(timed(lambda: follow((y, u))))
             times["all cores"].append(timed(together))
     return {name: y.shape[0] * y.shape[1] / float(np.median(each)) for name, each in times.items()}
 

@@ -103,16 +103,16 @@ def predicted() -> Callable[..., Any]:
     import numpy as np
 
     from tsobs_ros.estimation.baselines import extended_kalman
+    from tsobs_ros.estimation.state import likeliest
 
     def move(flow: Any, x: Any, u: Any, duration: float, covariance: Any = None) -> Any:
         n, p = flow.state_count, len(flow.output_matrix)
-        spread = np.zeros((n, n)) if covariance is None else covariance
         estimator = extended_kalman(flow, np.eye(p), np.eye(n))
-        batch = np.shape(x)[:-1]
-        spreads = np.broadcast_to(spread, (*batch, n, n))
-        before = estimator.initial(batch).changed(x=x, covariance=spreads)
-        after = estimator.predict(before, u, duration)
-        return after.x if covariance is None else (after.x, after.covariance)
+        before = estimator.initial()
+        one = likeliest(before)
+        one["x"], one["covariance"] = x, 0.0 if covariance is None else covariance
+        after = likeliest(estimator.predict(before, u, duration))
+        return after["x"] if covariance is None else (after["x"], after["covariance"])
 
     return move
 

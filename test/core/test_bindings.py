@@ -44,9 +44,9 @@ def zeros(*shape: int, kind: Any = float) -> Any:
 
 def calls() -> dict[str, dict[str, Any]]:
     """Return arguments of each function that are right; arrays have no number too many."""
-    model, states = numbers(ESTIMATOR.model.copy()), numbers(ESTIMATOR.new_states(1))
+    model, states = numbers(ESTIMATOR.model.copy()), numbers(ESTIMATOR.initial())
     rows, work = zeros(ESTIMATOR.row_type.itemsize // 8), numbers(ESTIMATOR.new_work())
-    corrections = numbers(ESTIMATOR.new_corrections(1))
+    corrections = numbers(ESTIMATOR.new_correction())
     estimator = {"model": model, "states": states}
     one = tracker()
     own = numbers(one.estimator.model.copy())
@@ -75,10 +75,6 @@ def calls() -> dict[str, dict[str, Any]]:
             **estimator, "u": zeros(1), "duration": 0.005, "between_samples": False, "work": work,
         },
         "estimator_read": {**estimator, "rows": rows, "work": work},
-        "estimator_observe": {
-            **estimator, "y": zeros(1), "u": zeros(1), "duration": 0.005, "samples": 1,
-            "correction": corrections, "work": work, "rows": rows,
-        },
         "history_offer": {**memories, **given, "now": 10**18, **results},
         "history_estimate": {**memories, "stamp": 10**9, "row": zeros(width)},
         "history_advance": {**memories, **given, **results, **ticks},
@@ -129,9 +125,7 @@ def test_an_array_that_is_too_short_is_refused_and_nothing_is_changed(
     ("function", "changes", "complaint"),
     [
         ("estimator_predict", {"duration": -1.0}, "duration: expected a finite"),
-        ("estimator_observe", {"duration": np.nan}, "duration: expected a finite"),
-        ("estimator_observe", {"samples": -1}, "samples: expected a number of at least 0"),
-        ("estimator_observe", {"samples": 2}, "argument 3: expected at least 2 numbers, got 1"),
+        ("estimator_correct", {"y": zeros(0)}, "argument 3: expected at least 1 numbers, got 0"),
         ("history_advance", {"known": np.array([1, 2, 4])}, "known: expected numbers of samples"),
         ("flow_over", {"duration": np.inf}, "duration: expected a finite"),
         ("flow_over", {"n": 4097}, "expected sizes within their limits"),
@@ -193,19 +187,23 @@ def test_what_is_left_in_scratch_memory_decides_nothing(outputs: int) -> None:
     y[400:, 0] += 0.2 * np.sin(0.03 * np.arange(count - 400))
     y[600:640], u[700:720], u[900] = y[600], np.nan, 20.0
     y[[100, 101, 300, 1000], 0] = 5.0, 1e150, np.nan, 1e200
-    found = []
+    stamps, found = 10**9 + 5_000_000 * np.arange(1, count + 1), []
     for fill in (0.0, np.nan, 1e300):
-        states, rows = one.new_states(1), one.new_rows(count)
-        made = (one.new_corrections(), one.new_work())
-        scratch = [numbers(each) for each in made]
-        for each in scratch:
-            each[:] = fill
-        native.estimator_observe(
-            numbers(one.model), numbers(states), y, u, one.period, count, *scratch, rows
+        own, rows = Tracker(one), one.new_rows(count)
+        memories = [numbers(each) for each in (one.model, own.memory, own.ring)]
+        scratch = np.full(native.history_scratch_size(memories[0], len(own.ring)), fill)
+        codes = zeros(count, kind=int), zeros(*y.shape, kind=int), zeros(*y.shape), zeros(*y.shape)
+        ticks = (
+            stamps,
+            stamps,
+            np.arange(1, count + 1),
+            zeros(count, kind=int),
+            zeros(count, kind=int),
         )
-        found.append(rows.tobytes() + states.tobytes())
+        native.history_advance(*memories, scratch, stamps, y, u, *codes, *ticks, rows, 10**18)
+        found.append(rows.tobytes() + own.state.tobytes())
         assert np.isfinite(rows).all()
-    assert states["hypotheses"]["live"][0, 1:].any()
+    assert own.state["hypotheses"]["live"][0, 1:].any()
     assert found[0] == found[1] == found[2]
 
 

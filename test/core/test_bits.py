@@ -57,11 +57,16 @@ for file in ("elastic_joint_fixed.design.yaml", "elastic_joint.design.yaml"):
         settle_time=0.0, uncertainty=request.uncertainty_model,
     )
     _, angle, torque = np.load(folder / "arrays.npy")[:, :100, np.newaxis]
-    found = settled.observe([angle], [torque])
+    state, rows = settled.initial(), []
+    for y, u in zip(angle, torque):
+        state, _ = settled.correct(state, y)
+        rows.append(settled.readout(state))
+        state = settled.predict(state, u, settled.period)
+    found = np.stack(rows).view(np.recarray)
     # Where θ is learnt, its bounds are not the certificate's.
     assert (found.basis == 0.0).any() == (settled.shape.k == 0)  # certified
-    numbers = np.concatenate([found.state, found.state_bound, found.disturbance], axis=2)
-    assert np.isnan(numbers[:, 91:]).any()  # after an infinite torque, and not all of one sign
+    numbers = np.concatenate([found.state, found.state_bound, found.disturbance], axis=1)
+    assert np.isnan(numbers[91:]).any()  # after an infinite torque, and not all of one sign
     show("settled", np.where(np.isnan(numbers), np.nan, numbers))
     for method in METHODS if settled.shape.k else ["certified"]:
         settings = ts.ObserverSettings(method=method, settle_time=0.2)

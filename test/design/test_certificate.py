@@ -23,6 +23,8 @@ from tsobs_ros.design.request import (
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import CertificateError
 from tsobs_ros.estimation.records import Basis
+from tsobs_ros.estimation.state import likeliest
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput
@@ -215,17 +217,19 @@ def test_the_covariance_of_the_errors_stays_below_the_bound_and_not_far() -> Non
     runs = Plant(scenario, range(RUNS)).run(SAMPLES + 1)
     parts = [runs.states, runs.disturbances[..., 1:], runs.torque_disturbances[..., 1:]]
     truth, X = np.concatenate(parts, axis=2), design.covariance_bound
-    observer = design.observer()
-    start = observer.initial((RUNS,)).changed(
-        x=truth[:, 0] - rng.standard_normal((RUNS, len(X))) @ np.linalg.cholesky(X).T,
-        covariance=np.tile(X, (RUNS, 1, 1)),
-        settling=np.zeros(RUNS),
-        certified=np.ones(RUNS),
-    )
+    observer, n = design.observer(), len(X)
+    start, tracker = likeliest(observer.model["initial"]), Tracker(observer, max_steps=1)
+    start["covariance"][:n, :n], start["settling"], start["certified"] = X, 0.0, 1
+    away = rng.standard_normal((RUNS, n)) @ np.linalg.cholesky(X).T
+    stamps, rows = 10**9 + np.round(1e9 * runs.times).astype(np.int64), []
     # A last sample that is lost leaves the estimate as it is just before it.
     y = runs.measurements.copy()
     y[:, -1] = np.nan
-    known = observer.observe(y, runs.torques, start=start)
+    for run in range(RUNS):
+        start["x"][:n] = truth[run, 0] - away[run]
+        tracker.reset()
+        rows.append(tracker.follow(stamps, y[run], runs.torques[run]))
+    known = np.stack(rows).view(np.recarray)
     assert (known.basis == Basis.CERTIFIED).all()
     assert max(np.abs(truth[..., 0]).max(), np.abs(known.state[..., 0]).max()) < asked.x_max
     estimate = asked.arm.from_physical(known.state[:, -1])

@@ -16,6 +16,7 @@ from tsobs_ros.estimation.fault_shapes import Fault, FaultKind, shape_of
 from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import NON_FINITE, USED
+from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.estimation.tracker import Outcomes
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
@@ -207,8 +208,9 @@ def test_a_sensor_is_stuck_if_its_noise_is_gone_or_its_arm_moves(
     monitor, seen, state = FaultMonitor([STD]), [], observer.initial()
     for time, y, expected in zip(TIMES, reading, predicted, strict=True):
         stamp, x[0] = SECOND + round(time * SECOND), expected
-        state, _ = observer.correct(state.changed(x=x, covariance=spread), [y])
-        fault = add(monitor, stamp, y, y - expected, 0.0, int(state.repeats.item()))
+        likeliest(state)["x"], likeliest(state)["covariance"] = x, spread
+        state, _ = observer.correct(state, [y])
+        fault = add(monitor, stamp, y, y - expected, 0.0, int(state["sensors"]["repeats"][0, 0]))
         seen.append(fault.kind is FaultKind.STUCK)
     if stuck_after is None:
         assert not any(seen)

@@ -19,7 +19,8 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
 from tsobs_ros.estimation.records import Hypothesis
-from tsobs_ros.estimation.state import State
+from tsobs_ros.estimation.state import likeliest
+from tsobs_ros.model.prediction import Record
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, arm_with, simulate
 from tsobs_ros.simulation.signals import Sinusoid
@@ -144,11 +145,12 @@ def test_one_filter_is_that_of_the_formulas(name: str, gain_mode: str) -> None:
         u, T = 5.0 * rng.standard_normal(1), oracle.T * (2.3 if step % 50 == 45 else 1.0)
         oracle.predict(u, T)
         state = observer.predict(state, u, T)
-        check(state.x, oracle.x, f"x after {step}")
-        assert bool(state.certified) == oracle.certified
+        best, n = likeliest(state), len(oracle.x)
+        check(best["x"][:n], oracle.x, f"x after {step}")
+        assert bool(best["certified"]) == oracle.certified
         P = oracle.X if oracle.certified else oracle.P
         if not oracle.certified:
-            check(state.covariance, P, f"covariance after {step}")
+            check(best["covariance"][:n, :n], P, f"covariance after {step}")
         gains.append(oracle.certified)
         readout, units = observer.readout(state), oracle.flow.to_physical(np.ones(4))
         stds = [np.sqrt(np.einsum("ij,jk,ik->i", rows, P, rows)) for rows in maps]
@@ -159,12 +161,12 @@ def test_one_filter_is_that_of_the_formulas(name: str, gain_mode: str) -> None:
     assert len({*gains}) == (2 if gain_mode == "certified" else 1)
 
 
-def alone(state: State, place: int) -> State:
+def alone(state: Record, place: int) -> Record:
     """Return the state with one hypothesis only."""
     other = state.copy()
-    others = other.records["hypotheses"][0]
+    others = other["hypotheses"][0]
     others["live"] = np.arange(len(others)) == place
-    others["score"], other.records["best"] = 0.0, place
+    others["score"], other["best"] = 0.0, place
     return other
 
 
@@ -189,10 +191,10 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
 
     state, compared = observer.initial(), set()
     for (y,), u in zip(run.measurements[0], run.torques[0], strict=True):
-        before = state.records["hypotheses"][0]
+        before = state["hypotheses"][0]
         state, _ = observer.correct(state, [y])
-        after = state.records["hypotheses"][0]
-        live, scale = np.flatnonzero(before["live"]), max(1.0, float(state.noise_scale.item()))
+        after = state["hypotheses"][0]
+        live, scale = np.flatnonzero(before["live"]), max(1.0, float(state["noise_scale"][0]))
         if len(live) > 1 and all((before[name] == after[name]).all() for name in ("live", "kind")):
             scores = [one["score"] + likelihood(one, y, scale) for one in before[live]]
             check(after["score"][live], np.maximum(scores - max(scores), -BANK["FLOOR"]), "scores")
@@ -220,7 +222,8 @@ def test_some_hypotheses_trust_the_model_less(kind: Hypothesis, power: float) ->
     request = load_design(config_path(SHIPPED_DESIGN)).request
     observer = load_design(config_path(SHIPPED_DESIGN)).supervised(0.5)
     states = [observer.initial(), observer.initial()]
-    states[1].records["hypotheses"]["kind"][0, 0] = kind
-    spreads = [observer.predict(one, [0.0], request.period).covariance for one in states]
+    states[1]["hypotheses"]["kind"][0, 0] = kind
+    moved = [observer.predict(one, [0.0], request.period) for one in states]
+    spreads = [likeliest(one)["covariance"] for one in moved]
     more = (BANK["IMPERFECTION"] ** power - 1.0) * request.flow.nominal.noise[:4, :4]
     check((spreads[1] - spreads[0])[:4, :4], more, "process noise")

@@ -87,7 +87,7 @@ def test_the_first_torque_was_always_there_and_after_a_restart_too() -> None:
     tracker = ts.make_tracker(design_with(TorquePath(delay=5.0 * PERIOD)))
     for stamp, u in ((BEGIN, 3.0), (BEGIN + 10**11, -2.0)):  # a gap that is too long
         tracker.offer(Measurement(stamp, np.zeros(1), np.array([u])), 10**18)
-        assert tracker.state.held.tolist() == [u]
+        assert tracker.state["held"][0].tolist() == [u]
     assert tracker.restarts == 1
 
 

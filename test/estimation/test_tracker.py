@@ -117,15 +117,12 @@ def test_late_samples_change_no_bit_while_hypotheses_compete(batch: int) -> None
         one = Tracker(ADAPTIVE.supervised(0.5), x_max=X_MAX)
         for part in np.split(order, range(batch, count, batch)):
             one.offer_many(stamps[part], y[part], u[part], END)
-            seen |= {*np.flatnonzero(one.state.records["hypotheses"]["live"][0]).tolist()}
-        results.append((probes(one), one.state.records.tobytes(), one.rejected))
+            seen |= {*np.flatnonzero(one.state["hypotheses"]["live"][0]).tolist()}
+        results.append((probes(one), one.state.tobytes(), one.rejected))
     assert len(seen) > 8  # standing ones, and forks
     assert results[0] == results[1]
     whole = Tracker(ADAPTIVE.supervised(0.5), x_max=X_MAX)
-    rows = whole.follow(stamps, y, u)
-    observed = ADAPTIVE.supervised(0.5).observe(y[np.newaxis], u[np.newaxis])
-    for name in ("state", "state_bound"):
-        assert rows[name].tobytes() == observed[name].tobytes()
+    whole.follow(stamps, y, u)
     assert probes(whole) == results[0][0]
 
 

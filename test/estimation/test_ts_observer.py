@@ -12,6 +12,7 @@ from tsobs_ros.design.file import load_request
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.records import Basis, Hypothesis
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.plant import Plant, SimulatedOutput, Trajectories
@@ -42,7 +43,8 @@ def test_adaptation_finds_the_true_parameter(pendulum: Design) -> None:
     theta, observer = -0.15, pendulum.observer(1.0, adapt=True)
     observer.learn(pendulum.request.uncertainty_model, start=1.0)
     runs = simulated(pendulum, 1, 2500, BiasStep(0.05, 0.0), theta=theta, initial_state=(0.5, 0.0))
-    last = observer.observe(runs.measurements, runs.torques)[0, -1]
+    stamps = 10**9 + np.round(1e9 * runs.times).astype(np.int64)
+    last = Tracker(observer).follow(stamps, runs.measurements[0], runs.torques[0])[-1]
     assert last.parameters_valid
     # Adapted, but the certificate was not asked to cover θ.
     assert last.basis != Basis.CERTIFIED
@@ -76,4 +78,4 @@ def test_what_happens_to_one_sensor_is_seen_and_survived(
         assert said.disturbance[1] == pytest.approx(0.55, abs=0.02)
     elif fault == "jump":
         assert said.hypothesis != Hypothesis.AS_DESIGNED
-    assert not state.records["hypotheses"]["live"][0, Hypothesis.FORCE]
+    assert not state["hypotheses"]["live"][0, Hypothesis.FORCE]

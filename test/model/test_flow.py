@@ -19,7 +19,6 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
 from tsobs_ros.model.disturbance import bias, clean, gauss_markov, per_channel, ramp, sinusoid
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, kick_corners
-from tsobs_ros.model.prediction import as_rows
 from tsobs_ros.model.uncertainty import arm_uncertainty
 
 Array = NDArray[np.float64]
@@ -202,7 +201,6 @@ def test_a_wrong_number_is_named() -> None:
             lambda: flow_of(process_noise=ProcessNoise(motor=1e308)),
             r"every entry over a step of 0\.005 s must be finite",
         ),
-        (lambda: as_rows("x", np.zeros(4), (), (5,)), r"x: expected shape \(5,\), got \(4,\)"),
     ]
     for build, message in cases:
         with pytest.raises(ModelError, match=message):

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from tsobs_ros.design.file import load_request
 from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.paper.augmentation import Augmentation, blend
 from tsobs_ros.paper.examples import (
@@ -138,10 +139,10 @@ def test_the_record_with_the_printed_gains_is_the_observer_with_the_sample_held(
     y, u = np.full((201, 1), 0.4), np.full((201, 1), 0.3)
     # The record starts at ξ = 0, which is x̂̄ = E_L⁻¹L y.
     states = observer.follow(y, u, 0.005, estimate=aug.L1 @ y[0])
-    estimates = record.observe(y[np.newaxis], u[np.newaxis])
+    estimates = Tracker(record).follow(10**9 + 5_000_000 * np.arange(201), y, u)
     expected = ElasticJointArm().to_physical(states.x)
-    np.testing.assert_allclose(estimates.state[0], expected, atol=1e-6)
-    np.testing.assert_allclose(estimates.disturbance[0], states.disturbance, atol=1e-6)
+    np.testing.assert_allclose(estimates.state, expected, atol=1e-6)
+    np.testing.assert_allclose(estimates.disturbance, states.disturbance, atol=1e-6)
     assert np.ptp(expected[:, 0]) > 0.01
 
 
@@ -164,9 +165,10 @@ def test_run_on_a_design_file_it_is_the_adaptive_observer_of_the_example(
 
     estimator = paper_system_observer(replace(request, rate=1.0 / T))
     held = np.hstack([u, y[:, :1]])
-    estimates = estimator.observe(y[np.newaxis], held[np.newaxis])
-    np.testing.assert_allclose(estimates.state[0], x, atol=1e-3)
-    np.testing.assert_allclose(estimates.disturbance[0], omega, atol=2e-3)
+    stamps = 10**9 + np.round(1e9 * times).astype(np.int64)
+    estimates = Tracker(estimator).follow(stamps, y, held)
+    np.testing.assert_allclose(estimates.state, x, atol=1e-3)
+    np.testing.assert_allclose(estimates.disturbance, omega, atol=2e-3)
     assert np.abs(states.Xi).max() < 1e-12
     mismatch = np.abs(omega - (y - x @ system.C.T))
     assert mismatch.max() > 0.1, "(29) has nothing to do"

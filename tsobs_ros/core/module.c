@@ -413,48 +413,6 @@ BIND(estimator_read, "ddDD")
     Py_RETURN_NONE;
 }
 
-BIND(estimator_observe, "dDddfiDDD")
-{
-    model m;
-    correction effect;
-    work scratch;
-    const int64_t count = begin_batch(of, t, &m), samples = t[5].integer;
-    if (count < 0 || !is_duration(of, &t[4])) {
-        return NULL;
-    }
-    if (samples < 0 || samples > 1000000000) {
-        return refuse(of, "samples: expected a number of at least 0");
-    }
-    const int64_t p = m.s.p, inputs = m.s.m, all = count * samples;
-    if (!HAVE(2, all * p, all * inputs) ||
-        !HAVE(6, (int64_t)correction_size(&m.s), (int64_t)work_size(&m.s),
-              all * (int64_t)estimate_size(&m.s))) {
-        return NULL;
-    }
-    correction_bind(&effect, &m.s, t[6].numbers);
-    work_bind(&scratch, &m.s, t[7].numbers);
-    Py_BEGIN_ALLOW_THREADS
-    const double *y = t[2].numbers, *u = t[3].numbers;
-    double *row = t[8].numbers;
-    for (int64_t i = 0; i < count; i++) {
-        state at = state_at(&m, t, i);
-        for (int64_t sample = 0; sample < samples; sample++, y += p, u += inputs) {
-            estimate said;
-            if (sample > 0) {
-                predict(&m, &at, t[4].number, 0, &scratch);
-            }
-            take_torque(&m, &at, u);
-            if (count_finite(y, (long)p) > 0) {
-                correct(&m, &at, y, &effect);
-            }
-            row = estimate_bind(&said, &m.s, row);
-            read_out(&m, &at, &said, &scratch);
-        }
-    }
-    Py_END_ALLOW_THREADS
-    Py_RETURN_NONE;
-}
-
 BIND(estimator_innovations, "dDdddfffiDDDDD")
 {
     model m;
@@ -657,7 +615,6 @@ static PyMethodDef methods[] = {
     METHOD(estimator_correct),
     METHOD(estimator_predict),
     METHOD(estimator_read),
-    METHOD(estimator_observe),
     METHOD(estimator_innovations),
     METHOD(history_scratch_size),
     METHOD(history_offer),

@@ -73,8 +73,5 @@ def estimator_predict(
 def estimator_read(model: Any, states: Any, rows: Any, work: Any, /) -> None:
     """Write the estimate of each state."""
 
-def estimator_observe(*arguments: Any) -> None:
-    """Step each state through its samples (samples, p), and write a row after each."""
-
 def estimator_innovations(*arguments: Any) -> None:
     """Write the innovations of a log; see estimator.h."""

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array, as_matrix, non_negative
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.state import Shape, State, new_model, numbers_of, types_of
+from tsobs_ros.estimation.state import Shape, copy_records, new_model, numbers_of, types_of
 from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.matrices import congruent, inverse, joseph
-from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix
+from tsobs_ros.model.prediction import Flow, Record, fill_matrix
 from tsobs_ros.model.uncertainty import Uncertainty
 from tsobs_ros.settings import check, live_setting
 
@@ -84,14 +84,14 @@ class SupervisionOptions:
 
 
 class Correction(NamedTuple):
-    """A measurement's y − ŷ, shape (..., p), and its expected covariance, (..., p, p)."""
+    """A measurement's y − ŷ, shape (p,), and its expected covariance, (p, p)."""
 
     innovation: Array
     innovation_covariance: Array
 
 
 class Estimator:
-    """The estimator of one system, or of a batch of equal ones.
+    """The estimator of one system; its states are records, which no step changes.
 
     `Design.observer` and `Design.supervised` make it for a design; `estimation.baselines` makes
     those to compare with.
@@ -188,9 +188,9 @@ class Estimator:
         """Return a scratch record, for a thread of its own."""
         return np.zeros(1, self._types["work"])
 
-    def new_corrections(self, count: int = 1) -> Record:
-        """Return records for the effects of samples."""
-        return np.zeros(count, self._types["correction"])
+    def new_correction(self) -> Record:
+        """Return a record for the effect of a sample."""
+        return np.zeros(1, self._types["correction"])
 
     def new_rows(self, *shape: int) -> Array:
         """Return NaN for estimates, whose numbers are the last axis; see `as_rows`."""
@@ -200,21 +200,16 @@ class Estimator:
         """Return numbers of `new_rows` as rows of `row_type`, the same memory."""
         return numbers.view(self.row_type)[..., 0].view(np.recarray)
 
-    def new_states(self, count: int) -> Record:
-        """Return records of states before any measurement."""
-        numbers = np.tile(self.model["initial"].reshape(1).view(np.float64), count)
-        return numbers.view(self._types["state"])
+    def initial(self) -> Record:
+        """Return the state before any measurement, shape (1,): zero estimate, wide covariance."""
+        return copy_records(self.model["initial"])
 
-    def initial(self, batch: tuple[int, ...] = ()) -> State:
-        """Return the state before any measurement: zero estimate, wide covariance."""
-        return State(self.new_states(math.prod(batch)), self.shape, batch)
-
-    def correct(self, state: State, y: ArrayLike) -> tuple[State, Correction]:
+    def correct(self, state: Record, y: ArrayLike) -> tuple[Record, Correction]:
         """Use one measurement.
 
         Args:
             state: The state predicted to the measurement's stamp.
-            y: Measurement, NaN of an output that is missing, shape (..., p).
+            y: Measurement, NaN of an output that is missing, shape (p,).
 
         Returns:
             The corrected state, and the innovation.
@@ -222,22 +217,21 @@ class Estimator:
         Raises:
             ModelError: The measurement has another shape.
         """
-        after, samples = state.copy(), as_rows("y", y, state.batch, (self.shape.p,))
-        corrections = self.new_corrections(len(after.records))
+        after, effect = copy_records(state), self.new_correction()
+        sample = _vector("y", y, self.shape.p)
         native.estimator_correct(
-            numbers_of(self.model), numbers_of(after.records), samples, numbers_of(corrections)
+            numbers_of(self.model), numbers_of(after), sample, numbers_of(effect)
         )
-        fields = (corrections[name] for name in Correction._fields)
-        return after, Correction(*(each.reshape(*state.batch, *each.shape[1:]) for each in fields))
+        return after, Correction(*(effect[name][0] for name in Correction._fields))
 
     def predict(
-        self, state: State, u: ArrayLike, duration: float, *, between_samples: bool = False
-    ) -> State:
+        self, state: Record, u: ArrayLike, duration: float, *, between_samples: bool = False
+    ) -> Record:
         """Predict to the next stamp.
 
         Args:
             state: Corrected, or not if the measurement is missing.
-            u: Inputs held over the step, shape (..., m).
+            u: Inputs held over the step, shape (m,).
             duration: Time to the next stamp [s], at least 0.
             between_samples: Whether the result is only read, and not stepped on: the certified
                 bound then serves the whole interval to the next regular sample.
@@ -245,65 +239,38 @@ class Estimator:
         Raises:
             ModelError: The duration is negative or not finite, or the inputs have another shape.
         """
-        non_negative("duration", duration)
-        after, inputs = state.copy(), as_rows("u", u, state.batch, (self.shape.m,))
-        given = inputs, duration, between_samples, numbers_of(self._work)
-        native.estimator_predict(numbers_of(self.model), numbers_of(after.records), *given)
+        given = _vector("u", u, self.shape.m), non_negative("duration", duration), between_samples
+        after = copy_records(state)
+        native.estimator_predict(
+            numbers_of(self.model), numbers_of(after), *given, numbers_of(self._work)
+        )
         return after
 
-    def readout(self, state: State) -> Any:
-        """Return the estimate and its bounds in physical units, of a batch as rows."""
-        numbers = self.new_rows(len(state.records))
+    def readout(self, state: Record) -> Any:
+        """Return the estimate and its bounds in physical units, a row of `row_type`."""
+        numbers = self.new_rows(1)
         native.estimator_read(
-            numbers_of(self.model), numbers_of(state.records), numbers, numbers_of(self._work)
+            numbers_of(self.model), numbers_of(state), numbers, numbers_of(self._work)
         )
-        return self.as_rows(numbers).reshape(state.batch)[()]
+        return self.as_rows(numbers)[0]
 
-    def observe(
-        self,
-        y: ArrayLike,
-        u: ArrayLike,
-        period: float | None = None,
-        start: State | None = None,
-    ) -> Rows:
-        """Return the estimates after each sample of some runs, without holding Python's lock.
-
-        Args:
-            y: Measurements, an output of them NaN if it is missing, shape (runs, samples, p).
-            u: Inputs from each sample to the next, shape (runs, samples, m).
-            period: Time between samples [s]; the nominal one if None.
-            start: States at the first sample, a batch of shape (runs,); the initial one if None.
-
-        Raises:
-            ModelError: The arrays have other shapes, or the period is negative.
-        """
-        samples = np.array(y, np.float64, order="C")
-        if samples.ndim != 3 or samples.shape[2] != self.shape.p:
-            raise ModelError(
-                f"y: expected shape (runs, samples, {self.shape.p}), got {samples.shape}"
-            )
-        runs, count = samples.shape[:2]
-        inputs = as_rows("u", u, (runs,), (count, self.shape.m))
-        length = self.period if period is None else non_negative("period", period)
-        states = self.initial((runs,)) if start is None else start.copy()
-        if states.batch != (runs,):
-            raise ModelError(f"start: expected a batch of {(runs,)}, got {states.batch}")
-        rows, given = self.new_rows(runs, count), (samples, inputs, length, count)
-        scratch = numbers_of(self.new_corrections()), numbers_of(self.new_work())
-        model, records = numbers_of(self.model), numbers_of(states.records)
-        native.estimator_observe(model, records, *given, *scratch, rows)
-        return self.as_rows(rows)
-
-    def events(self, state: State) -> dict[str, int]:
+    def events(self, state: Record) -> dict[str, int]:
         """Return how often what was found so far."""
         if not self.supervised:
             return {}
         return {
-            "outliers left out": int(state.outliers),
-            "sensor jumps": int(state.jumps),
-            "hits": int(state.hits),
-            "losses of track": int(state.losses),
+            "outliers left out": int(state["outliers"][0]),
+            "sensor jumps": int(state["jumps"][0]),
+            "hits": int(state["hits"][0]),
+            "losses of track": int(state["losses"][0]),
         }
+
+
+def _vector(name: str, values: ArrayLike, length: int) -> Array:
+    array = np.array(values, np.float64)
+    if array.shape != (length,):
+        raise ModelError(f"{name}: expected shape {(length,)}, got {array.shape}")
+    return array
 
 
 def riccati_estimator(

@@ -13,7 +13,6 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array
 from tsobs_ros.core import native
@@ -42,68 +41,10 @@ class Shape(NamedTuple):
     k: int = 0
     t: int = 0
 
-    def trim(self, name: str, values: Any) -> Any:
-        """Return a field's numbers, shape (records, ...), of the n states only."""
-        n, square = self.n, (self.n, self.n)
-        wide = {"x": (n,), "upsilon": (self.k, n)}
-        wide |= dict.fromkeys(("covariance", "X", "P", "posterior"), square)
-        return values[(slice(None), *map(slice, wide.get(name, ())))]
 
-
-class State:
-    """All that an estimator remembers, or a batch of such states; it is not changed by a step.
-
-    The fields of core/estimator.h's state are attributes, those of its sensors with an axis of the
-    outputs, and those of its likeliest hypothesis; of a batch with the batch's axis in front.
-
-    Attributes:
-        records: The records, shape (1,) for a single state.
-        shape: Sizes.
-        batch: Shape of the batch, () for a single state.
-    """
-
-    __slots__ = ("batch", "records", "shape")
-
-    def __init__(self, state_records: Record, shape: Shape, batch: tuple[int, ...] = ()) -> None:
-        self.records, self.shape, self.batch = state_records, shape, batch
-
-    def __getattr__(self, name: str) -> Any:
-        if name in State.__slots__:  # of a copy that is still being made
-            raise AttributeError(name)
-        values = self._fields(name, self._likeliest())[0]
-        return values.reshape(*self.batch, *values.shape[1:]) if self.batch else values[0]
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, State):
-            return NotImplemented
-        return self.batch == other.batch and self.records.tobytes() == other.records.tobytes()
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def _likeliest(self) -> Any:
-        return self.records["hypotheses"][np.arange(len(self.records)), self.records["best"]]
-
-    def _fields(self, name: str, likeliest: Any) -> list[Any]:
-        """Return a field of the records and of their sensors, else of hypotheses."""
-        for parts in ((self.records, self.records["sensors"]), (likeliest,)):
-            found = [each[name] for each in parts if name in (each.dtype.names or ())]
-            if found:
-                return [self.shape.trim(name, each) for each in found]
-        raise AttributeError(f"a state has no {name!r}; it has {self.records.dtype.names}")
-
-    def copy(self) -> "State":
-        """Return the same state with records of its own."""
-        return State(copy_records(self.records), self.shape, self.batch)
-
-    def changed(self, **values: ArrayLike) -> "State":
-        """Return the state with some fields replaced, its own, its sensors' or likeliest ones'."""
-        copy = self.copy()
-        likeliest = copy._likeliest()
-        for name, value in values.items():
-            for target in copy._fields(name, likeliest):
-                target[...] = np.reshape(value, target.shape) if self.batch else value
-        copy.records["hypotheses"][np.arange(len(copy.records)), copy.records["best"]] = likeliest
-        return copy
+def likeliest(state: Record) -> Any:
+    """Return the likeliest hypothesis of a state, the same memory."""
+    return state["hypotheses"][0, state["best"][0]]
 
 
 def numbers_of(records: Record) -> Array:

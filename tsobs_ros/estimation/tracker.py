@@ -33,7 +33,7 @@ from tsobs_ros.estimation.records import (
     Measurement,
     RejectReason,
 )
-from tsobs_ros.estimation.state import State, copy_records, numbers_of
+from tsobs_ros.estimation.state import copy_records, numbers_of
 from tsobs_ros.model.prediction import Record
 from tsobs_ros.series import NANOSECONDS, Stamps
 
@@ -131,7 +131,7 @@ class Tracker:
         self.memory["x_max"] = x_max if x_max == math.inf else positive("x_max", x_max)
         self._unused = self.memory.copy()
         slots = max_steps + 2 + _SPARE
-        self.ring: Record = np.zeros(slots, estimator.new_states(0).dtype)
+        self.ring: Record = np.zeros(slots, estimator.model["initial"].dtype)
         model = numbers_of(estimator.model)
         scratch = np.zeros(native.history_scratch_size(model, slots))
         self._records = model, numbers_of(self.memory), numbers_of(self.ring), scratch
@@ -167,9 +167,9 @@ class Tracker:
         return int(self._last["stamp"][0]) or None
 
     @property
-    def state(self) -> State:
-        """The state after the newest measurement."""
-        return State(copy_records(self._last), self.estimator.shape)
+    def state(self) -> Record:
+        """A copy of the state after the newest measurement, shape (1,)."""
+        return copy_records(self._last)
 
     @property
     def used(self) -> int:
@@ -203,7 +203,7 @@ class Tracker:
     @property
     def events(self) -> dict[str, int]:
         """The estimator's counts up to the newest measurement, by name."""
-        return self.estimator.events(self.state)
+        return self.estimator.events(self._last)
 
     @property
     def repeats(self) -> list[int]:

@@ -125,7 +125,7 @@ def innovations(
     states, arm, (motor, link) = np.empty((count, n)), request.arm, joint.friction
     native.estimator_innovations(
         model.view(np.float64),
-        numbers_of(estimator.new_states(1)),
+        numbers_of(estimator.initial()),
         recording.durations,
         recording.y - np.array(joint.of_outputs("offset")),
         u,
@@ -136,7 +136,7 @@ def innovations(
         errors,
         variances,
         states,
-        numbers_of(estimator.new_corrections()),
+        numbers_of(estimator.new_correction()),
         numbers_of(estimator.new_work()),
     )
     return Innovations(errors, variances, states)

@@ -307,20 +307,6 @@ def _norm(A: Array) -> float:
     return float(max((sum(column.tolist()) for column in balanced.T), default=0.0))
 
 
-def as_rows(name: str, values: ArrayLike, batch: tuple[int, ...], shape: tuple[int, ...]) -> Array:
-    """Return a batch's numbers, shape (*batch, *shape) or what can be repeated to it, as new rows.
-
-    Raises:
-        ModelError: The values, called by the name, are of another shape.
-    """
-    array = np.asarray(values, np.float64)
-    try:
-        whole = np.broadcast_to(array, (*batch, *shape))
-    except ValueError:
-        raise ModelError(f"{name}: expected shape {(*batch, *shape)}, got {array.shape}") from None
-    return np.array(whole, order="C").reshape(math.prod(batch), *shape)
-
-
 def fill_matrix(target: Array, matrix: ArrayLike) -> None:
     """Enter a matrix into the first rows and columns of a larger array, or as rows of numbers."""
     values = np.asarray(matrix)

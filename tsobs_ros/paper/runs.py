@@ -20,7 +20,8 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.estimation.baselines import extended_kalman, high_gain, proportional_integral
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.state import State
+from tsobs_ros.estimation.state import likeliest
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
 from tsobs_ros.paper.augmentation import blend
 from tsobs_ros.paper.examples import PaperExample, torque
@@ -31,6 +32,7 @@ from tsobs_ros.paper.observer import (
     runge_kutta,
 )
 from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
+from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -267,12 +269,18 @@ def compare_on_arm(design: Design, seeds: int = 20, *, duration: float = 60.0) -
     arm, asked = ElasticJointArm(), design.arm_request
     period = float(runs.times[1] - runs.times[0])
     known = (period, asked.measurement_std)
+    stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
 
     def errors(
-        observer: Estimator, theta: float = math.nan, start: State | None = None
+        observer: Estimator, theta: float = math.nan, starts: Array | None = None
     ) -> ObserverErrors:
-        physical = observer.observe(runs.measurements, runs.torques, period, start).state
-        estimates, settled = arm.from_physical(physical), runs.times >= WINDOW_START
+        tracker, physical = Tracker(observer, history=0.0, max_steps=1), []
+        for run, samples in enumerate(zip(runs.measurements, runs.torques, strict=True)):
+            if starts is not None:
+                likeliest(observer.model["initial"])["x"] = starts[run]
+            tracker.reset()
+            physical.append(tracker.follow(stamps, *samples).state)
+        estimates, settled = arm.from_physical(np.stack(physical)), runs.times >= WINDOW_START
         error = estimates[..., settled, :] - runs.states[:, settled]
         return ObserverErrors(np.sqrt(np.mean(error**2, axis=-2)), theta, estimates[0])
 
@@ -290,7 +298,7 @@ def compare_on_arm(design: Design, seeds: int = 20, *, duration: float = 60.0) -
     observers = {
         "PO": best(high_gain),
         "PIO": best(proportional_integral),
-        "paper": errors(paper, start=paper.initial((seeds,)).changed(x=xi)),
+        "paper": errors(paper, starts=xi),
         "ours": errors(design.observer()),
         "EKF": kalman(asked),
         "EKF clean": kalman(replace(asked, disturbance=(DisturbanceTerm("clean"),))),
