@@ -20,9 +20,9 @@ from common import parser, use_one_thread
 
 import tsobs_ros as ts
 from tsobs_ros.checks import Array
-from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import ArmRequest, Output, TorqueDisturbance
 from tsobs_ros.model.arm import TorquePath
+from tsobs_ros.model.disturbance import DisturbanceTerm
 from tsobs_ros.model.flow import ProcessNoise
 
 _NUMBERS = ("link_inertia", "motor_inertia", "stiffness", "gravity_torque", "motor_damping")
@@ -91,7 +91,7 @@ def _run(truth: Truth, request: ArmRequest, duration: float, seed: int) -> Any:
 def _observed(request: ArmRequest, run: Any) -> tuple[float, float, float]:
     """Return N, the share that is claimed, and the share of that inside three bounds."""
     chosen = [each for each in request.sensors if each.measures != "link_angle"]
-    one = request.with_outputs(chosen or list(request.sensors))
+    one = replace(request, outputs=chosen or list(request.sensors))
     angle = run.angle.reshape(len(run.time), -1)[:, :1]
     made = ts.estimate(ts.synthesise(one), run.time, angle, run.torque)
     late = run.time > 2.0

@@ -6,14 +6,15 @@ import difflib
 import math
 import reprlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tsobs_ros.errors import ModelError
 
-Array = NDArray[np.float64]
+# Not NDArray: numpy 2.5 makes that an alias without an origin that `schema` could find.
+Array = np.ndarray[tuple[Any, ...], np.dtype[np.float64]]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 T = TypeVar("T")

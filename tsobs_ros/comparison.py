@@ -18,7 +18,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import THETA_STD
 from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
 from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_estimator
-from tsobs_ros.model import disturbance
+from tsobs_ros.model.disturbance import DisturbanceTerm, sum_of
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import arm_uncertainty
 from tsobs_ros.report.metrics import JUMP, measure
@@ -161,10 +161,11 @@ def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str,
     """Return the Cramér–Rao bounds with known parameters, and with those as states."""
     request, arm = design.arm_request, scenario.true_arm
     drifts = [each for each in scenario.outputs[0].disturbance if isinstance(each, GaussMarkov)]
-    model = disturbance.clean()
-    if drifts:
-        model = disturbance.gauss_markov(drifts[0].std, drifts[0].time_constant)
-    flow = ArmFlow(arm, model, scenario.process_noise, 1.0 / scenario.rate)
+    terms = [
+        DisturbanceTerm("gauss_markov", {"std": each.std, "time_constant": each.time_constant})
+        for each in drifts[:1]
+    ]
+    flow = ArmFlow(arm, sum_of(terms), scenario.process_noise, 1.0 / scenario.rate)
     to_arm = arm.from_physical(scenario.arm.to_physical(np.ones(4)))
     # A drift leaves zero at its start.
     start = np.concatenate([np.array(scenario.initial_spread) * to_arm, [1e-9] * len(drifts)])

@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from functools import lru_cache
 from os import PathLike
-from types import NoneType, UnionType
+from types import MappingProxyType, NoneType, UnionType
 from typing import Any, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -37,8 +37,10 @@ _WORDS = {
 """Types of entries in words, in the order in which errors name them."""
 
 
-def decode(data: object, kind: type[T]) -> T:
+def decode(data: object, kind: type[T], **given: Any) -> T:
     """Return plain data as an instance of a type. Entries of unknown names are refused.
+
+    Fields of a dataclass that are given already are no entries.
 
     Text such as 1e-4 counts as a number, which YAML 1.1 does not take for one. The type is a
     dataclass of plain types, lists, tuples, mappings and dataclasses; None in a union is for an
@@ -49,7 +51,7 @@ def decode(data: object, kind: type[T]) -> T:
         DesignFileError: The data is not of this type; the text has the path of the entry.
     """
     with within(""):
-        return cast(T, _decoded(data, kind))
+        return cast(T, _decoded(data, kind, given))
 
 
 def encode(value: Any) -> Any:
@@ -118,7 +120,7 @@ def _entries(kind: Any) -> dict[str, _Entry]:
     }
 
 
-def _decoded(data: Any, kind: Any) -> Any:
+def _decoded(data: Any, kind: Any, given: Mapping[str, Any] = MappingProxyType({})) -> Any:
     choices = get_args(kind) if get_origin(kind) in (UnionType, Union) else (kind,)
     if data is None and NoneType in choices:
         return None
@@ -130,7 +132,7 @@ def _decoded(data: Any, kind: Any) -> Any:
     if Any in shapes:
         return data
     if isinstance(data, dict) and dict in shapes:
-        return _of_mapping(data, shapes[dict])
+        return _of_mapping(data, shapes[dict], given)
     if isinstance(data, list) and list in shapes:
         return _of_list(data, shapes[list])
     return _plain(data, shapes)
@@ -144,10 +146,10 @@ def _shape(kind: Any) -> Any:
     return list if issubclass(origin, Sequence | np.ndarray) else dict
 
 
-def _of_mapping(data: dict[str, Any], kind: Any) -> Any:
+def _of_mapping(data: dict[str, Any], kind: Any, given: Mapping[str, Any]) -> Any:
     origin = get_origin(kind) or kind
     if is_dataclass(origin):
-        known = _entries(cast(Any, origin))
+        known = {k: v for k, v in _entries(cast(Any, origin)).items() if v.field not in given}
         for name, entry in known.items():
             if entry.required and name not in data:
                 raise DesignFileError(f"{name}: missing")
@@ -159,7 +161,8 @@ def _of_mapping(data: dict[str, Any], kind: Any) -> Any:
                 )
         kinds = {name: entry.kind for name, entry in known.items()}
         values = _each(data, kinds)
-        return cast(Any, origin)(**{known[name].field: each for name, each in values.items()})
+        found = {known[name].field: each for name, each in values.items()}
+        return cast(Any, origin)(**found, **given)
     if hasattr(origin, "from_mapping"):
         _each(data, dict.fromkeys(data, str | float))
         return origin.from_mapping(data)

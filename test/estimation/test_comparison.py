@@ -19,7 +19,7 @@ from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
-from tsobs_ros.model.disturbance import gauss_markov
+from tsobs_ros.model.disturbance import DisturbanceTerm
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -120,7 +120,7 @@ START = np.array([0.05, 0.1, 0.5, 0.5, 0.1])
 
 def test_the_bound_of_a_linear_arm_is_the_kalman_filters_covariance() -> None:
     arm = ElasticJointArm(gravity_torque=1e-12)
-    linear = ArmFlow(arm, gauss_markov(0.1, 20.0), ProcessNoise(), PERIOD)
+    linear = ArmFlow(arm, DisturbanceTerm("gauss_markov").model, ProcessNoise(), PERIOD)
     information = np.full(COUNT, white_information(STD))
     information[200:300] = 0.0
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fits of joints whose numbers are known: they are found, and nothing that was not shown."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +81,7 @@ def test_an_observer_of_the_fit_is_as_good_as_one_of_the_truth(rubbing: ts.Fit) 
     run = run_of(LATE, 6.0, 9, RUBBING)
     errors, late = [], run.time > 1.0
     for request in (rubbing.before, rubbing.request):
-        motor = request.with_outputs(request.outputs[:1])
+        motor = replace(request, outputs=request.outputs[:1])
         made = ts.estimate(ts.synthesise(motor), run.time, run.angle[:, 0], run.torque)
         error = made.state[late, 0] - run.state[late, 0]
         errors.append(float(np.sqrt(np.square(error).mean())))

@@ -13,13 +13,13 @@ from identified_joint import ARM, Recorded, recorded, request_of
 
 import tsobs_ros as ts
 from tsobs_ros.cli.main import main
-from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import Output, TorqueDisturbance
 from tsobs_ros.estimation.baselines import extended_kalman
 from tsobs_ros.identification.joint import Joint, with_values
 from tsobs_ros.identification.likelihood import Recording, innovations
 from tsobs_ros.identification.recordings import read
 from tsobs_ros.model.arm import TorquePath
+from tsobs_ros.model.disturbance import DisturbanceTerm
 
 Spoil = Callable[[Any, Any, Any], tuple[Any, Any, Any]]
 

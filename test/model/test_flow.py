@@ -17,9 +17,10 @@ from scipy.linalg import block_diag, expm
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
-from tsobs_ros.model.disturbance import bias, clean, gauss_markov, per_channel, ramp, sinusoid
-from tsobs_ros.model.flow import ArmFlow, ProcessNoise, kick_corners
-from tsobs_ros.model.uncertainty import arm_uncertainty
+from tsobs_ros.model.disturbance import DisturbanceTerm, per_channel, sum_of
+from tsobs_ros.model.flow import ArmFlow, ProcessNoise
+from tsobs_ros.model.prediction import VertexSystem
+from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
 
 Array = NDArray[np.float64]
 PROPERTY = settings(max_examples=8)
@@ -28,11 +29,11 @@ ARMS = st.builds(
     ElasticJointArm, st.floats(0.2, 5.0), st.floats(0.2, 5.0), st.floats(1.0, 50.0),
     st.just(0.0) | st.floats(0.5, 50.0), st.floats(0.0, 3.0), st.floats(0.0, 3.0),
 )  # fmt: skip
+CLEAN, BIAS, RAMP, DRIFT = map(DisturbanceTerm, ("clean", "bias", "ramp", "gauss_markov"))
+TONES = st.floats(0.5, 10.0).map(lambda f: DisturbanceTerm("sinusoid", {"frequency": f}))
 DISTURBANCES = st.one_of(
-    st.builds(clean), st.builds(bias), st.builds(ramp), st.builds(gauss_markov),
-    st.builds(sinusoid, st.floats(0.5, 10.0)),
-    st.builds(lambda frequency: bias() + sinusoid(frequency), st.floats(0.5, 10.0)),
-)  # fmt: skip
+    st.sampled_from([[CLEAN], [BIAS], [RAMP], [DRIFT]]), TONES.map(lambda tone: [BIAS, tone])
+).map(sum_of)
 NOISE = ProcessNoise(3e-4, 2e-5)
 RATES = st.floats(25.0, 1000.0)
 OUTPUTS = st.dictionaries(st.sampled_from(QUANTITIES), DISTURBANCES, min_size=1, max_size=2)
@@ -74,6 +75,14 @@ def density(flow: ArmFlow) -> Array:
     return np.asarray(block_diag(arm, *noises))
 
 
+def vertices_of(
+    flow: ArmFlow, lowest: float, highest: float, known: Uncertainty | None = None
+) -> list[VertexSystem]:
+    known = known or arm_uncertainty(flow.arm, {})
+    bounds = known.limits.tolist()
+    return flow.vertices(flow.corners((lowest, highest), known, bounds, 0.5 * flow.period))
+
+
 def kick(flow: ArmFlow, slope: float, duration: float) -> Array:
     matrix = np.eye(flow.state_count)
     matrix[1, 0] = -0.5 * duration * flow.arm.gravity_torque / flow.arm.link_inertia * slope
@@ -111,7 +120,7 @@ def test_the_flow_over_a_step_long_for_the_arm_is_the_matrix_exponential() -> No
         (ElasticJointArm(link_damping=1e5), 200.0),
         (ElasticJointArm(), 0.1),
     ):
-        flow = ArmFlow(arm, bias(), ProcessNoise(), 1.0 / rate)
+        flow = ArmFlow(arm, BIAS.model, ProcessNoise(), 1.0 / rate)
         for duration in (flow.period, 0.37 * flow.period):
             step, exact = flow.transition(duration), expm(drift(flow) * duration)
             assert np.abs(step.phi - exact).max() < 1e-9 * np.abs(exact).max()
@@ -122,7 +131,8 @@ def test_the_flow_over_a_step_long_for_the_arm_is_the_matrix_exponential() -> No
 
 def test_prediction_is_of_second_order(predicted: Any) -> None:
     """Halving the period quarters the error against an accurate solution of the equations."""
-    arm, model, u = ElasticJointArm(0.7, 1.3, 12.0, 9.0, 0.3, 0.2), sinusoid(3.0), np.array([2.0])
+    arm, u = ElasticJointArm(0.7, 1.3, 12.0, 9.0, 0.3, 0.2), np.array([2.0])
+    model = DisturbanceTerm("sinusoid", {"frequency": 3.0}).model
     x, errors = np.array([0.5, -0.3, 8.0, 0.7, 0.2, -0.1]), []
 
     def rate(_: float, z: Array) -> Array:
@@ -159,19 +169,12 @@ def test_the_error_after_a_step_is_one_of_the_certified_error_systems(
 
     # The corner (i, j) of the vertex list has the weight of its slopes' barycentric coordinates.
     second, first = ((slope - lowest) / (highest - lowest) for slope in slopes[::-1])
-    weights = {
-        (lowest, lowest): (1.0 - first) * (1.0 - second),
-        (lowest, highest): (1.0 - first) * second,
-        (highest, lowest): first * (1.0 - second),
-        (highest, highest): first * second,
-    }
+    weights = [one * other for one in (1.0 - first, first) for other in (1.0 - second, second)]
     if not flow.arm.gravity_torque:
-        weights = {(0.0, 0.0): 1.0}
-    vertices = flow.vertices(lowest, highest)
-    assert [vertex.slopes for vertex in vertices] == list(weights)
-    blend = sum(
-        (weights[vertex.slopes] * vertex.transition for vertex in vertices), np.zeros((n, n))
-    )
+        weights = [1.0]
+    vertices = vertices_of(flow, lowest, highest)
+    pairs = zip(weights, vertices, strict=True)
+    blend = sum((weight * vertex.transition for weight, vertex in pairs), np.zeros((n, n)))
     exact = kick(flow, slopes[1], flow.period) @ expm(drift(flow) * flow.period)
     exact = exact @ kick(flow, slopes[0], flow.period)
     scale = np.abs(exact).max()
@@ -181,11 +184,12 @@ def test_the_error_after_a_step_is_one_of_the_certified_error_systems(
     np.testing.assert_allclose(exact @ error, ahead[0] - ahead[1], rtol=0.0, atol=1e-11 * size)
 
 
-TWO, FAST = per_channel([bias(), bias()]), ElasticJointArm(1e-3, 1e-4, 1e4)
+TWO, FAST = per_channel([BIAS.model, BIAS.model]), ElasticJointArm(1e-3, 1e-4, 1e4)
 
 
 def flow_of(arm: ElasticJointArm = FAST, period: float = 0.005, **others: Any) -> ArmFlow:
-    return ArmFlow(arm, **{"disturbance": bias(), "process_noise": NOISE, **others}, period=period)
+    given = {"disturbance": BIAS.model, "process_noise": NOISE, **others}
+    return ArmFlow(arm, **given, period=period)
 
 
 def test_a_wrong_number_is_named() -> None:
@@ -194,7 +198,7 @@ def test_a_wrong_number_is_named() -> None:
         (lambda: ProcessNoise(link=-1.0), "process noise density of the link: expected"),
         (lambda: ProcessNoise(motor=math.inf), "process noise density of the motor: expected"),
         (lambda: flow_of(disturbance=TWO), "disturbance: expected 1 channels, .* got 2"),
-        (lambda: flow_of(torque_disturbance=bias()), "torque_disturbance: expected 2 channels"),
+        (lambda: flow_of(torque_disturbance=BIAS.model), "torque_disturbance: expected 2 channels"),
         (lambda: flow_of(ElasticJointArm(stiffness=1e150)), "at most 65536 rad in a step of 0.005"),
         (lambda: flow_of(ElasticJointArm(1e-200, 1e-200)), "every entry must be finite"),
         (
@@ -209,8 +213,8 @@ def test_a_wrong_number_is_named() -> None:
 
 def test_what_each_map_reads_of_the_augmented_state() -> None:
     arm = ElasticJointArm(link_inertia=2.0, motor_inertia=0.5, stiffness=8.0, gravity_torque=3.0)
-    torques = per_channel([gauss_markov(), bias() + ramp()])
-    model = per_channel([clean(), bias(), ramp()])
+    torques = per_channel([DRIFT.model, sum_of([BIAS, RAMP])])
+    model = per_channel([CLEAN.model, BIAS.model, RAMP.model])
     outputs = ("motor_angle", "link_angle", "motor_velocity")
     flow = ArmFlow(arm, model, ProcessNoise(), 0.005, outputs, torques)
     state = np.concatenate([arm.from_physical([0.1, 0.2, 0.3, 0.4]), np.arange(1.0, 8.0)])
@@ -232,16 +236,14 @@ def test_uncertain_parameters_have_corners_of_their_own() -> None:
     """A kick at every corner is the derivative of gravity and of the parameters' torques."""
     arm = ElasticJointArm()
     known = arm_uncertainty(arm, {"gravity": 0.1, "link_inverse_inertia": 0.2})
-    corners = list(kick_corners((0.5, 1.0), known, known.limits.tolist()))
-    assert [theta for _, theta in corners] == [(-0.2,)] * 2 + [(0.2,)] * 2
-    slopes = [0.5 * 0.7, 0.9, 0.5 * 1.1, 1.3]
-    assert [slope for slope, _ in corners] == pytest.approx(slopes)
-    vertices = flow_of(arm).vertices(0.5, 1.0, known)
+    vertices = vertices_of(flow_of(arm), 0.5, 1.0, known)
     assert len(vertices) == 16
-    assert vertices[0].where == "slopes (0.35, 0.35), link_inverse_inertia (-0.2, -0.2)"
-    assert [each.where for each in flow_of(ElasticJointArm(gravity_torque=0.0)).vertices(0, 1)] == [
-        "no gravity"
+    assert [each.where for each in vertices[:16:5]] == [
+        f"slopes ({slope}, {slope}), link_inverse_inertia ({theta}, {theta})"
+        for slope, theta in ((0.35, -0.2), (0.9, -0.2), (0.55, 0.2), (1.3, 0.2))
     ]
+    floating = flow_of(ElasticJointArm(gravity_torque=0.0))
+    assert [each.where for each in vertices_of(floating, 0.0, 1.0)] == ["no gravity"]
 
 
 @settings(max_examples=20)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.disturbance import clean
+from tsobs_ros.model.disturbance import CLEAN
 from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
@@ -105,7 +105,7 @@ def test_the_covariance_follows_the_derivative_of_the_weights(
     """Compare with central differences at points away from the corners."""
     rules = RuleBase(((example,), (membership("always"),)))
     plant = TSModel(np.array([[[-1.0]], [[2.0]]]), np.zeros((2, 1, 1)), np.eye(1), rules, np.eye(1))
-    flow, step = TSFlow(plant, clean(), np.zeros(1), 0.01), 1e-6
+    flow, step = TSFlow(plant, CLEAN[0].model, np.zeros(1), 0.01), 1e-6
     z = np.array([-2.5, -1.31, -0.77, -0.21, -1e-3, 4e-4, 0.12, 0.45, 0.83, 1.13, 1.61])
     for x in z[:, np.newaxis]:
         ahead, behind = (predicted(flow, x + sign * step, [0.0], 0.01) for sign in (1.0, -1.0))

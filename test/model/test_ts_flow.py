@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.disturbance import clean
+from tsobs_ros.model.disturbance import CLEAN
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
@@ -39,7 +39,7 @@ def tangled(period: float) -> TSFlow:
         rule_base=BUMPS,
         premise=np.array([[1.0, 0.5, -0.2]]),
     )
-    return TSFlow(model, clean(), np.zeros(3), period)
+    return TSFlow(model, CLEAN[0].model, np.zeros(3), period)
 
 
 def test_it_is_of_second_order(predicted: Any) -> None:
@@ -88,4 +88,4 @@ def test_uncertain_directions_fit_the_system_or_are_named() -> None:
         with pytest.raises(ModelError, match=message):
             system_uncertainty(model, {"k": Direction(E, bound)})
     with pytest.raises(ModelError, match="process_noise: expected densities of at least 0"):
-        TSFlow(model, clean(), [0.0, 0.0, -1.0], 0.1)
+        TSFlow(model, CLEAN[0].model, [0.0, 0.0, -1.0], 0.1)

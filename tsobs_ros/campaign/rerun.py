@@ -15,7 +15,7 @@ from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.campaign.batches import stamps_of
 from tsobs_ros.campaign.definition import Campaign, CampaignError
 from tsobs_ros.campaign.drawing import draw_group
-from tsobs_ros.design.signals import Place, positions, signals
+from tsobs_ros.design.signals import Place, positions
 from tsobs_ros.replay.estimate import Observer, make_runs, open_source, run_all
 from tsobs_ros.replay.places import Layout
 from tsobs_ros.replay.source import MEASUREMENTS
@@ -46,7 +46,7 @@ def rerun(campaign: Campaign, run: int, output: Path) -> Path:
 def _record(campaign: Campaign, run: int, bag: Path) -> None:
     """Write what a plant simulator would have sent."""
     (drawn,) = draw_group(campaign, run, run + 1)
-    own = signals(campaign.file.design.arm_request, JOINT, alone=True)
+    own = campaign.file.design.arm_request.signals(JOINT, alone=True)
     runs = Plant(drawn.scenario, drawn.seed).run(drawn.scenario.sample_count)
     stamps = stamps_of(runs.times)
     measured = np.isfinite(runs.measurements).any(axis=1)

@@ -3,14 +3,16 @@
 """`tsobs design`: design a gain; `tsobs verify`: re-check the certificate of its file."""
 
 import argparse
-from dataclasses import asdict
+import math
 from pathlib import Path
 
-from tsobs_ros.cli.common import Commands, add_command, complain, note, show
+from tsobs_ros.cli.common import Commands, add_command, complain, show
 from tsobs_ros.errors import printable
 from tsobs_ros.files import require_new
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import naming
+
+_UNITS = {"inertia": "kg m^2", "stiffness": "N m/rad", "torque": "N m", "damping": "N m s/rad"}
 
 
 def add_parser(commands: Commands) -> None:
@@ -30,28 +32,32 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Design a gain and write its file."""
-    from tsobs_ros.design.file import load_request, save_design
-    from tsobs_ros.design.plausible import description, questions, resonances
+    from tsobs_ros.design.file import load_request, request_entries, save_design
     from tsobs_ros.design.request import ArmRequest
     from tsobs_ros.design.synthesis import synthesise
 
     require_new([options.output], force=options.force)
     request = load_request(options.request) if options.request else ArmRequest()
-    for question in questions(request):
-        note(f"is it meant so? {question}")
     design = synthesise(request)
     save_design(design, options.output)
-    summary, lines = {"design": str(options.output), **design.summary()}, []
+    entries, lines = request_entries(request), list[str]()
     if isinstance(request, ArmRequest):
-        lines = description(request)
-        summary |= {"arm": asdict(request.arm), "resonances": list(resonances(request.arm))}
+        units = {name: _UNITS[name.rpartition("_")[2]] for name in entries["design"]["arm"]}
+        arm = [f"{k} {v:g} {units[k]}" for k, v in entries["design"]["arm"].items()]
+        held, free = (frequency / math.tau for frequency in request.arm.resonances)
+        lines = [
+            f"arm: {', '.join(arm)}",
+            f"resonances: {held:.3g} Hz with the motor held, {free:.3g} Hz with both free; they "
+            f"want {10.0 * free:.3g} Hz and more, the request has {request.rate:g} Hz",
+        ]
     lines += [design.text(), f"written to {printable(str(options.output))}"]
+    summary = {"design": str(options.output), "request": entries, **design.summary()}
     show(summary, "\n".join(lines), options.json)
     return 0
 
 
 def _verify(options: argparse.Namespace) -> int:
-    from tsobs_ros.design.file import parse_design
+    from tsobs_ros.design.file import parse_design, request_entries
 
     path = options.design or config_path(SHIPPED_DESIGN)
     design = parse_design(path)
@@ -65,7 +71,8 @@ def _verify(options: argparse.Namespace) -> int:
         lines = [*(f"  {each}" for each in proof.inequalities), f"{verdict} in exact arithmetic"]
         text = "\n".join(lines)
     else:
-        holds, plain, text = design.certificate.holds, design.summary(), design.text()
+        holds, text = design.certificate.holds, design.text()
+        plain = {"request": request_entries(design.request), **design.summary()}
     show({"design": str(path), **plain}, f"{printable(str(path))}\n{text}", options.json)
     if not holds:
         complain(f"{path}: the certificate does not hold")

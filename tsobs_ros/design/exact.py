@@ -32,11 +32,8 @@ from scipy.linalg import matrix_balance
 
 from tsobs_ros.design.certificate import UNMODELLED, CertificateReport, Inequality
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY
-from tsobs_ros.model.flow import kick_corners
-from tsobs_ros.model.uncertainty import EXTERNAL, TORQUE
 
 Rational = NDArray[Any]
 """An array of `Fraction`; NumPy's products and sums of such arrays are exact."""
@@ -111,15 +108,24 @@ def _decreases(design: Design) -> Iterator[tuple[str, Rational, Rational]]:
     closed = identity(len(gain)) - gain @ rational(request.flow.output_matrix) @ D
     posterior = closed @ X @ closed.T + (gain * rational(request.output_std) ** 2) @ gain.T
     kept = decay_below(2 * Fraction(request.decay_rate) * period)
-    changes = _kicks(request, period) if isinstance(request, ArmRequest) else _deviations(request)
-    corners = [inverted @ corner @ D for corner in changes]
-    pairs = zip(request.vertices(), product(corners, repeat=2), strict=True)
-    for vertex, (first, second) in pairs:
-        if isinstance(request, ArmRequest):
-            after = second @ _bounded(phi, noise, first @ posterior @ first.T) @ second.T
-        else:
-            after = _after_system_step(phi, noise, period, first, second, posterior)
+    if isinstance(request, ArmRequest):
+        slopes = cosine_below(Fraction(request.x_max)), Fraction(1)
+        bounds = [Fraction(bound) for bound in request.covered.bounds.values()]
+        corners = request.flow.corners(slopes, request.covered, bounds, period / 2, rational)
+    else:
+        corners = request.corners(number=rational)
+    step = _after_arm_step if isinstance(request, ArmRequest) else _after_system_step
+    pairs = product([inverted @ corner.matrix @ D for corner in corners], repeat=2)
+    for vertex, (first, second) in zip(request.vertices(), pairs, strict=True):
+        after = step(phi, noise, period, first, second, posterior)
         yield vertex.where, kept * X - after, period * X
+
+
+def _after_arm_step(
+    phi: Enclosure, noise: Enclosure, T: Fraction, first: Rational, second: Rational, W: Rational
+) -> Rational:
+    """Return an upper bound on the covariance after an arm's step from W."""
+    return np.asarray(second @ _bounded(phi, noise, first @ W @ first.T) @ second.T)
 
 
 def _after_system_step(
@@ -133,41 +139,6 @@ def _after_system_step(
     middle = Enclosure(phi.centre + drive @ phi.centre @ kick, radius)
     half = Enclosure(spread @ noise.centre @ spread.T, noise.radius * _row_sum(spread) ** 2)
     return _bounded(phi, noise, _bounded(middle, half, W))
-
-
-def _kicks(request: ArmRequest, period: Fraction) -> Iterator[Rational]:
-    """Yield half a kick of gravity and of the uncertain parameters at each corner of the domain."""
-    flow, uncertain, half = request.flow, request.uncertainty_model, period / 2
-    covered = uncertain if request.certify_uncertainty else None
-    bounds = [Fraction(bound) for bound in request.uncertainty.values()]
-    slopes = [cosine_below(Fraction(request.x_max))] * bool(flow.gravity_gain) + [Fraction(1)]
-    linear = uncertain.linear_places if covered else []
-    changes = rational(uncertain.directions[linear, 0])
-    torques = rational([flow.motor_torque, flow.link_torque])
-    for slope, thetas in kick_corners(slopes, covered, bounds):
-        kick = identity(flow.state_count)
-        for theta, change in zip(thetas, changes, strict=True):
-            kick[:4, :4] += half * theta * change[:, :4]
-            kick[:4] += half * theta * (change[:, [TORQUE, EXTERNAL]] @ torques)
-        kick[LINK_VELOCITY, LINK_ANGLE] -= half * Fraction(flow.gravity_gain) * slope
-        yield kick
-
-
-def _deviations(request: TSRequest) -> Iterator[Rational]:
-    """Yield the vertex matrices less the mean of the rules, in the order of the vertices."""
-    uncertain, drift = request.uncertainty_model, rational(request.flow.drift)
-    matrices = rational(request.slope_vertices or request.model.A)
-    n = request.flow.plant_count
-    changes = rational(uncertain.linear[:, :1] if request.slope_vertices else uncertain.linear)
-    bounds = rational(uncertain.limits) if request.certify_uncertainty else rational([])
-    for signs in product((-1, 1), repeat=len(bounds)):
-        theta = bounds * np.array(signs, dtype=object)
-        for i, matrix in enumerate(matrices):
-            deviation = 0 * drift
-            deviation[:n, :n] = matrix - drift[:n, :n]
-            for by, change in zip(theta, changes, strict=False):
-                deviation[:n, :n] += by * change[i % len(change)]
-            yield deviation
 
 
 def _bounded(phi: Enclosure, noise: Enclosure, W: Rational) -> Rational:

@@ -9,36 +9,25 @@ about a T–S system given by its matrices has a top-level `system`, one about a
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from tsobs_ros.checks import Array, as_matrix, shown
-from tsobs_ros.design.names import NO_LABELS, Labels
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.request import (
-    AnyRequest,
-    ArmRequest,
-    DisturbanceTerm,
-    TorqueDisturbance,
-    TSRequest,
-)
+from tsobs_ros.design.request import AnyRequest, ArmRequest, TorqueDisturbance, TSRequest
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.files import write_whole
 from tsobs_ros.model.arm import DIRECT
 from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.model.uncertainty import Direction
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode, encode, naming, within
 from tsobs_ros.yaml_files import read_text, read_yaml, yaml_mapping, yaml_text
 
 FilePath: TypeAlias = str | PathLike[str]
-
-# Not NDArray: numpy 2.5 makes that an alias without an origin that `schema` could find.
-Numbers: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 VERSION = 1
 _ANSWER = ("gain", "certificate", "solver")
@@ -48,6 +37,11 @@ _ARM_PARAMETERS = ("link_inertia", "motor_inertia", "stiffness", "gravity_torque
 IDENTITY_LENGTH = 12
 """Digits of a checksum that people are shown."""
 _ARM, _SYSTEM = "tsobs_ros design", "tsobs_ros T-S design"
+_BESIDE_SYSTEM = (
+    "names", "units", "disturbance", "process_noise", "measurement_std", "rate", "decay_rate",
+    "initial_std", "certify_uncertainty", "D_s", "uncertainty",
+)  # fmt: skip
+"""What the file of a T–S system has beside it, in this order: the rest of its request."""
 _HEADERS = {
     _ARM: """\
 # A certified observer design for an arm with an elastic joint, made by `tsobs design`.
@@ -76,18 +70,22 @@ def design_text(design: Design) -> str:
     """Return the content of a design file; see `save_design`."""
     request = design.request
     kind = _ARM if isinstance(request, ArmRequest) else _SYSTEM
-    entries = (
-        _system_entries(request)
-        if isinstance(request, TSRequest)
-        else {"design": arm_entries(request)}
-    )
     answer = {
         "gain": {"K": design.plain_gain},
         "certificate": {"P": design.P},
         "solver": design.solver,
     }
-    data = {"format": kind, "version": VERSION, **entries, **answer}
-    return yaml_text(_HEADERS[kind], encode(data))
+    data = {"format": kind, "version": VERSION, **request_entries(request), **encode(answer)}
+    return yaml_text(_HEADERS[kind], data)
+
+
+def request_entries(request: AnyRequest) -> dict[str, Any]:
+    """Return the entries of a file that describe a request, as plain data."""
+    if isinstance(request, ArmRequest):
+        return {"design": arm_entries(request)}
+    given: dict[str, Any] = {"system": _system_of(request)}
+    given |= {name: getattr(request, name) for name in _BESIDE_SYSTEM}
+    return {name: entry for name, entry in encode(given).items() if entry not in (None, {})}
 
 
 def load_design(path: FilePath | None = None) -> Design:
@@ -161,7 +159,7 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
         raise DesignFileError(f"{path}: version: expected {VERSION}, got {shown(version)}")
     with naming(path):
         answer = decode({name: data.pop(name) for name in _ANSWER if name in data}, _Answer)
-        request = _arm_request(data) if kind == _ARM else decode(data, _SystemFile).request()
+        request = _arm_request(data) if kind == _ARM else _system_request(data)
         p, n = request.flow.output_matrix.shape
         K = as_matrix("gain.K", answer.gain.K, (n,) if kind == _ARM and p == 1 else (n, p))
         P = as_matrix("certificate.P", answer.certificate.P, (n, n))
@@ -194,7 +192,7 @@ def load_request(path: FilePath) -> AnyRequest:
     with naming(path):
         request: AnyRequest
         if "system" in data:
-            request = decode(data, _SystemFile).request()
+            request = _system_request(data)
         else:
             data = data if "design" in data else {"design": data}
             request = _arm_request(data)
@@ -242,12 +240,12 @@ def _arm_request(data: dict[Any, Any]) -> ArmRequest:
 
 @dataclass
 class _Gain:
-    K: Numbers
+    K: Array
 
 
 @dataclass
 class _Certificate:
-    P: Numbers
+    P: Array
 
 
 @dataclass
@@ -268,8 +266,8 @@ class _ArmFile:
 class _Premise:
     """A premise variable, linear in the state and in scheduled signals."""
 
-    state: Numbers | None = None
-    scheduled: Numbers | None = None
+    state: Array | None = None
+    scheduled: Array | None = None
 
 
 @dataclass(kw_only=True)
@@ -277,9 +275,9 @@ class _Rule:
     """One rule: the memberships of its premises by shape and parameters, and its matrices."""
 
     if_: dict[str, dict[str, str | float]] = field(default_factory=dict, metadata={"name": "if"})
-    A: Numbers
-    B: Numbers
-    C: Numbers | None = None
+    A: Array
+    B: Array
+    C: Array | None = None
 
     def memberships(self, premises: Iterable[str]) -> Iterator[Membership]:
         """Yield the memberships of all premises; one that the rule leaves out is always met."""
@@ -300,8 +298,8 @@ class _System:
 
     premises: dict[str, _Premise]
     rules: list[_Rule]
-    C: Numbers
-    slope_vertices: list[Numbers] = field(default_factory=list)
+    C: Array
+    slope_vertices: list[Array] = field(default_factory=list)
 
     def model(self) -> TSModel:
         """Return the system; matrices of other shapes raise `ModelError`."""
@@ -337,42 +335,21 @@ class _System:
         )
 
 
-@dataclass(kw_only=True)
-class _SystemFile:
-    """What a design file of a T–S system has of its request; see `TSRequest`."""
-
-    system: _System
-    names: Labels = NO_LABELS
-    units: Labels = NO_LABELS
-    disturbance: list[list[DisturbanceTerm]] = field(default_factory=list)
-    process_noise: Numbers
-    measurement_std: Numbers
-    rate: float
-    decay_rate: float = 0.0
-    initial_std: Numbers
-    certify_uncertainty: bool = False
-    D_s: Numbers | None = None
-    uncertainty: dict[str, Direction] = field(default_factory=dict)
-
-    def request(self) -> TSRequest:
-        """Return the request; values out of range raise `ModelError`."""
-        with within("system"):
-            model = self.system.model()
-        given = {name: getattr(self, name) for name in _OF_REQUEST}
-        return TSRequest(model=model, slope_vertices=self.system.slope_vertices, **given)
+def _system_request(data: dict[Any, Any]) -> TSRequest:
+    """Return the request for a T–S system; values out of range raise `ModelError`."""
+    with within("system"):
+        system = decode(data.pop("system", None), _System)
+        model = system.model()
+    return decode(data, TSRequest, model=model, slope_vertices=system.slope_vertices)
 
 
-_OF_REQUEST = [each.name for each in fields(_SystemFile) if each.name != "system"]
-"""Entries of a system's file that its request has under the same name."""
-
-
-def _system_entries(request: TSRequest) -> dict[str, Any]:
-    """Return the entries of a file that describe a system's request."""
+def _system_of(request: TSRequest) -> _System:
+    """Return the system of a request as files have it."""
     model, names = request.model, [f"z{j + 1}" for j in range(len(request.model.premise))]
     premises = zip(names, model.premise, model.schedule, strict=True)
     outputs = model.rule_count * [None] if model.outputs is None else model.outputs
     rules = zip(model.rule_base.rules, model.A, model.B, outputs, strict=True)
-    system = _System(
+    return _System(
         premises={
             name: _Premise(state, scheduled if scheduled.size else None)
             for name, state, scheduled in premises
@@ -389,5 +366,3 @@ def _system_entries(request: TSRequest) -> dict[str, Any]:
         C=model.C,
         slope_vertices=[np.asarray(matrix) for matrix in request.slope_vertices],
     )
-    given = {name: encode(getattr(request, name)) for name in _OF_REQUEST}
-    return {"system": system, **{k: v for k, v in given.items() if v is not None and v != {}}}

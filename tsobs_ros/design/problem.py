@@ -1,93 +1,39 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The interface of requests of both kinds, and the terms of their disturbances."""
+"""The interface of requests of both kinds."""
 
-import inspect
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from itertools import chain
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
-from tsobs_ros.checks import Array, Fixed, finite, fixed, non_negative, positive, shown
-from tsobs_ros.design.names import Labels
+from tsobs_ros.checks import Array, fixed, non_negative, positive
+from tsobs_ros.design.signals import Labels, Signals
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import TorqueLimits
-from tsobs_ros.model import disturbance as disturbances
-from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.prediction import Flow, VertexSystem
-
-DISTURBANCE_KINDS: Mapping[str, Callable[..., DisturbanceModel]] = {
-    name: getattr(disturbances, name)
-    for name in ("clean", "arbitrary", "bias", "gauss_markov", "sinusoid", "ramp")
-}
-
-
-class DisturbanceTerm(Fixed[Any]):
-    """One term of the disturbance: its kind and its parameters, the rest filled with defaults.
-
-    Raises:
-        ModelError: The kind is unknown, or a parameter is not one of that kind or out of range.
-
-    >>> DisturbanceTerm("bias", {"density": 1e-4})
-    {'kind': 'bias', 'density': 0.0001, 'initial_std': 0.3}
-    """
-
-    def __init__(self, kind: str, parameters: Mapping[str, float] | None = None) -> None:
-        if not isinstance(kind, str) or kind not in DISTURBANCE_KINDS:
-            raise ModelError(
-                f"kind: expected one of {', '.join(DISTURBANCE_KINDS)}, got {shown(kind)}"
-            )
-        known = dict(inspect.signature(DISTURBANCE_KINDS[kind]).parameters)
-        known.pop("channels", None)
-        given = parameters or {}
-        for name in given:
-            if name not in known:
-                raise ModelError(
-                    f"{name}: no parameter of {kind}, expected some of {', '.join(known) or 'none'}"
-                )
-        entries: dict[str, Any] = {"kind": kind}
-        for name, parameter in known.items():
-            if parameter.default is inspect.Parameter.empty and name not in given:
-                raise ModelError(f"{name}: missing, {kind} has no default for it")
-            entries[name] = finite(f"{kind} {name}", given.get(name, parameter.default))
-        super().__init__(entries)
-        self.model()
-
-    @classmethod
-    def from_mapping(cls, entries: Mapping[str, Any]) -> "DisturbanceTerm":
-        """Return the term that a file gives by its kind and parameters."""
-        parameters = dict(entries)
-        return cls(parameters.pop("kind", None), parameters)
-
-    @property
-    def kind(self) -> str:
-        """The name of the exosystem, one of `DISTURBANCE_KINDS`."""
-        return str(self["kind"])
-
-    def model(self) -> DisturbanceModel:
-        """Return the exosystem of this term."""
-        return DISTURBANCE_KINDS[self.kind](**{k: v for k, v in self.items() if k != "kind"})
-
+from tsobs_ros.model.disturbance import DisturbanceModel, DisturbanceTerm, sum_of
+from tsobs_ros.model.prediction import Corner, Flow, VertexSystem
+from tsobs_ros.model.uncertainty import Uncertainty
 
 Terms: TypeAlias = tuple[DisturbanceTerm, ...]
-CLEAN: Terms = (DisturbanceTerm("clean"),)
 
 
 class Channel(NamedTuple):
-    """A disturbance: where it acts, in words, and its terms."""
+    """A disturbance: where it acts, in words, its terms, and the model of their sum."""
 
     name: str
     terms: Terms
+    model: DisturbanceModel
 
-    @property
-    def model(self) -> DisturbanceModel:
-        """The sum of the terms."""
-        models = [term.model() for term in self.terms] or [disturbances.clean()]
-        return sum(models[1:], start=models[0])
+    @classmethod
+    def of(cls, name: str, terms: Iterable[DisturbanceTerm]) -> "Channel":
+        """Return the disturbance by some terms."""
+        each = tuple(terms)
+        return cls(name, each, sum_of(each))
 
 
 def require_terms(name: str, terms: Sequence[DisturbanceTerm]) -> None:
@@ -121,16 +67,18 @@ class Request(ABC):
         output_names: Names of the p outputs.
         input_names: Names of the inputs and then of the scheduled signals.
         headline: The problem in words, for reports.
-        details: What reports of this kind of problem have, too, as plain data.
+        claim: What of it a certificate covers, in words.
         domain: The domain in words, after "for", e.g. "gravity slopes [0.7317, 1]".
         default_torque_rate: 1σ of the rate at which a torque may move in a gap [N m/s].
         max_angle: Half width of the domain of an arm's link angle [rad], infinite if there is none.
         reach: Largest states of an arm that are likely (rad, rad/s), shape (4,); None of a system.
         torque_sides: The sides of an arm with a torque disturbance, "motor" before "link".
+        starts: Shares of the domain whose Kalman filters are first guesses, the best first.
     """
 
     rate: float
     decay_rate: float
+    certify_uncertainty: bool
     channels: tuple[Channel, ...]
     output_std: Array
     plant_std: Array
@@ -141,23 +89,30 @@ class Request(ABC):
     input_names: tuple[str, ...]
     input_units: tuple[str, ...]
     torque_sides: tuple[str, ...] = ()
+    starts: tuple[float, ...]
 
     @property
     @abstractmethod
     def flow(self) -> Flow: ...
 
+    @property
     @abstractmethod
-    def vertices(self, share: float = 1.0) -> Sequence[VertexSystem]:
-        """Return the error systems the certificate is about.
+    def uncertainty_model(self) -> Uncertainty: ...
 
-        Args:
-            share: How much of the domain and of the certified uncertainty: 0 is its middle, of an
-                arm the nominal one hanging down; 1 is all that was asked for.
+    @abstractmethod
+    def corners(self, share: float = 1) -> Iterable[Corner]:
+        """Return the corners of a share of the domain and of the certified uncertainty.
+
+        Share 0 is the middle, of an arm the nominal one hanging down; 1 is all that was asked for.
         """
 
     @abstractmethod
-    def starts(self) -> Sequence[VertexSystem]:
-        """Return systems whose Kalman filters are first guesses, the best first."""
+    def signals(self, joint: str, alone: bool, both_sides: bool = False) -> Signals:
+        """Return the places of a joint's signals in measurements and estimates.
+
+        The joint's name is before those of a T–S system's entries if it is not alone in its node.
+        An arm may have encoders on both sides although its design measures one.
+        """
 
     @abstractmethod
     def at_rate(self, rate: float) -> Self:
@@ -175,10 +130,20 @@ class Request(ABC):
         """Return which torques a drive of the arm can have; None for a T–S system."""
         return None
 
+    def vertices(self, share: float = 1) -> list[VertexSystem]:
+        """Return the error systems that the certificate of a share of the domain is about."""
+        return self.flow.vertices(self.corners(share))
+
     @property
     def period(self) -> float:
         """Sampling period T [s]."""
         return 1.0 / self.rate
+
+    @cached_property
+    def covered(self) -> Uncertainty:
+        """The uncertain parameters that the certificate covers up to their bounds."""
+        known = self.uncertainty_model
+        return known if self.certify_uncertainty else Uncertainty({}, known.directions[:0])
 
     @property
     def disturbance_labels(self) -> list[str]:

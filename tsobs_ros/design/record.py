@@ -11,8 +11,8 @@ import numpy as np
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.design.certificate import CertificateReport, check_certificate
-from tsobs_ros.design.names import labelled
 from tsobs_ros.design.request import AnyRequest, ArmRequest
+from tsobs_ros.design.signals import labelled
 from tsobs_ros.errors import ModelError, printable
 from tsobs_ros.estimation.estimator import Estimator, SupervisionOptions, certified_estimator
 from tsobs_ros.model.matrices import inverse
@@ -189,7 +189,7 @@ class Design:
             "gain": self.plain_gain,
             "bound_std": self.bound_std.tolist() if report.holds else None,
             "disturbance": request.disturbance_model.label,
-            **request.details,
+            "claim": request.claim,
             "rate": request.rate,
             "solver": f"{self.solver.name} {self.solver.version}",
             "solver_status": self.solver.status,

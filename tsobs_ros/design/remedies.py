@@ -11,9 +11,10 @@ from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
-from tsobs_ros.design.problem import CLEAN, DisturbanceTerm, Terms
+from tsobs_ros.design.problem import Terms
 from tsobs_ros.design.request import AnyRequest, ArmRequest, Output
 from tsobs_ros.model.arm import ANGLES
+from tsobs_ros.model.disturbance import CLEAN, DisturbanceTerm
 from tsobs_ros.model.flow import ProcessNoise
 
 _BIAS, _DECAYING = DisturbanceTerm("bias"), DisturbanceTerm("gauss_markov")
@@ -93,14 +94,16 @@ def _without_arbitrary(request: AnyRequest) -> Iterator[Family]:
     if isinstance(request, ArmRequest) and len(request.sensors) == 1:
         text = "another sensor in its place that is known to be clean:"
         yield (
-            Remedy(f"{text} {name}", request.with_outputs([Output(name, request.measurement_std)]))
+            Remedy(
+                f"{text} {name}", replace(request, outputs=[Output(name, request.measurement_std)])
+            )
             for name in ("motor_angle", "link_angle")
             if name not in request.output_names
         )
 
 
 def _fewer_terms(request: AnyRequest) -> Iterator[Family]:
-    for place, (name, terms) in enumerate(request.channels):
+    for place, (name, terms, _) in enumerate(request.channels):
         if len(terms) > 1:
             alike = " and ".join(term.kind for term in terms)
             yield (
@@ -138,7 +141,7 @@ def _further_outputs(request: AnyRequest) -> Iterator[Family]:
     if isinstance(request, ArmRequest):
         std = request.measurement_std
         for name in (name for name in ANGLES if name not in request.output_names):
-            added = request.with_outputs([*request.sensors, Output(name, std)])
+            added = replace(request, outputs=[*request.sensors, Output(name, std)])
             text = f"a further output without disturbance: {name} with 1σ of {std:.3g} rad"
             yield [Remedy(text, added)]
 

@@ -10,8 +10,8 @@ error exactly. Without them only the blend of the rules is proved, and `TSReques
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import Any, ClassVar, Self, TypeAlias
@@ -20,15 +20,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, Fixed, as_matrix, finite, non_negative, positive, shown
-from tsobs_ros.design.names import NO_LABELS, Labels, checked_labels, labelled
-from tsobs_ros.design.problem import (
-    CLEAN,
-    Channel,
-    DisturbanceTerm,
-    Request,
-    Terms,
-    require_squares,
-    require_terms,
+from tsobs_ros.design.problem import Channel, Request, Terms, require_squares, require_terms
+from tsobs_ros.design.signals import (
+    NO_LABELS,
+    Field,
+    Labels,
+    Place,
+    Signals,
+    checked_labels,
+    labelled,
+    positions,
 )
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import TORQUE_RATE, TorqueLimits
@@ -42,9 +43,15 @@ from tsobs_ros.model.arm import (
     TorquePath,
     require_delay,
 )
-from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
+from tsobs_ros.model.disturbance import (
+    CLEAN,
+    DisturbanceModel,
+    DisturbanceTerm,
+    per_channel,
+    sum_of,
+)
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise
-from tsobs_ros.model.prediction import VertexSystem
+from tsobs_ros.model.prediction import Corner
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import (
@@ -69,6 +76,8 @@ NO_LIMIT = 1e9
 
 _MAX_MATRICES = 16
 """Vertex matrices; l of them make l² inequalities."""
+
+_MOTION: tuple[Field, Field] = ("position", "velocity")
 
 
 @dataclass(frozen=True)
@@ -108,7 +117,7 @@ class Output:
     @property
     def model(self) -> DisturbanceModel:
         """The sum of the disturbance's terms."""
-        return Channel(self.measures, tuple(self.disturbance)).model
+        return sum_of(self.disturbance)
 
 
 @dataclass(frozen=True)
@@ -187,34 +196,26 @@ class ArmRequest(Request):
     torque_limit: float | None = None
     torque_rate_limit: float | None = None
 
-    default_torque_rate = TORQUE_RATE
+    default_torque_rate, starts = TORQUE_RATE, (0.5, 0)
     sensors = tuple[Output, ...]()
     """What is measured, one entry per output."""
 
     def __post_init__(self) -> None:
-        self._take(outputs=tuple(self.outputs), disturbance=tuple(self.disturbance))
-        for name in ("disturbance", "measurement_std") if self.outputs else ():
-            given, first = getattr(self, name), getattr(self.outputs[0], name)
-            if given not in (first, getattr(ArmRequest, name)):
-                raise ModelError(
-                    f"{name}: expected in outputs, one per output, got {shown(given)} beside them"
-                )
-            self._take(**{name: first})
-        link_angle = Output(QUANTITIES[LINK_ANGLE], self.measurement_std, self.disturbance)
-        sensors = self.outputs or (link_angle,)
-        torques, measured = self.torque_disturbance, tuple(each.measures for each in sensors)
-        sides = [Channel(f"the torque at the {side}", getattr(torques, side)) for side in SIDES]
+        link_angle = QUANTITIES[LINK_ANGLE], self.measurement_std, self.disturbance
+        sensors = tuple(self.outputs) or (Output(*link_angle),)
+        measured = tuple(each.measures for each in sensors)
+        sides = {side: getattr(self.torque_disturbance, side) for side in SIDES}
         self.arm.measured(measured, [each.delay for each in sensors])
         self._take(
             sensors=sensors,
+            outputs=tuple(self.outputs),
+            disturbance=sensors[0].disturbance,
             measurement_std=sensors[0].measurement_std,
             channels=(
-                *(Channel(each.measures, tuple(each.disturbance)) for each in sensors),
-                *sides,
+                *(Channel.of(each.measures, each.disturbance) for each in sensors),
+                *(Channel.of(f"the torque at the {side}", sides[side]) for side in SIDES),
             ),
-            torque_sides=tuple(
-                side for side, one in zip(SIDES, sides, strict=True) if one.model.state_count
-            ),
+            torque_sides=tuple(side for side in SIDES if sum_of(sides[side]).state_count),
             output_std=np.array([each.measurement_std for each in sensors]),
             x_max=finite("x_max", self.x_max),
             initial_std=tuple(as_matrix("initial_std", self.initial_std, (4,)).tolist()),
@@ -245,7 +246,7 @@ class ArmRequest(Request):
             require_delay(f"outputs[{place}].delay", output.delay, self.period)
         uncertain = self.uncertainty_model
         if self.certify_uncertainty:
-            if not self.uncertainty:
+            if not uncertain.count:
                 raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
             _ = uncertain.linear_places
 
@@ -317,25 +318,13 @@ class ArmRequest(Request):
         parts = [f"disturbance {self.disturbance_model.label}"]
         if self.outputs:
             parts = [f"{output.measures} ({output.model.label})" for output in self.outputs]
-        parts += [f"torque at the {side} ({label})" for side, label in self._torque_labels.items()]
+        parts += [
+            f"{channel.name.removeprefix('the ')} ({channel.model.label})"
+            for channel in self.channels[len(self.sensors) :]
+            if channel.model.state_count
+        ]
         gravity = f"|q1| <= {self.x_max:.4g} rad" if self.arm.gravity_torque else "no gravity"
         return ", ".join([*parts, gravity])
-
-    @property
-    def _torque_labels(self) -> dict[str, str]:
-        torques = dict(zip(SIDES, self.channels[len(self.sensors) :], strict=True))
-        return {side: torques[side].model.label for side in self.torque_sides}
-
-    @property
-    def details(self) -> dict[str, Any]:
-        details: dict[str, Any] = {"x_max": self.x_max} if self.arm.gravity_torque else {}
-        if self.outputs:
-            details["outputs"] = self.output_names
-        if self.torque_sides:
-            details["torque_disturbance"] = self._torque_labels
-        if self.torque != DIRECT:
-            details["torque"] = asdict(self.torque)
-        return details
 
     @property
     def domain(self) -> str:
@@ -347,16 +336,35 @@ class ArmRequest(Request):
         bounds = " and ".join(f"{name} ± {bound:.4g}" for name, bound in self.uncertainty.items())
         return f"{slopes}, {bounds}"
 
-    def vertices(self, share: float = 1.0) -> list[VertexSystem]:
-        lowest, highest = self.slope_range
-        if share != 1.0:
-            lowest = highest - share * (highest - lowest)
-        covered = self.uncertainty_model if self.certify_uncertainty else None
-        return self.flow.vertices(lowest, highest, covered, share)
+    @property
+    def claim(self) -> str:
+        return f"covers {self.domain}"
 
-    def starts(self) -> list[VertexSystem]:
-        middle = sum(self.slope_range) / 2
-        return [self.flow.vertices(slope, slope)[0] for slope in (middle, 1.0)]
+    def corners(self, share: float = 1) -> Iterator[Corner]:
+        lowest, highest = self.slope_range
+        slopes = share * lowest + (1 - share) * highest, highest
+        bounds = [share * bound for bound in self.covered.limits.tolist()]
+        return self.flow.corners(slopes, self.covered, bounds, 0.5 * self.period)
+
+    def signals(self, joint: str, alone: bool, both_sides: bool = False) -> Signals:
+        link, motor, names = f"{joint}_link", f"{joint}_motor", self.output_names
+        sides = [name.partition("_")[0] for name in names]
+        both = both_sides or len(set(sides)) == 2
+        return Signals(
+            tuple(
+                Place(
+                    motor if both and side == "motor" else joint,
+                    "position" if name in ANGLES else "velocity",
+                )
+                for name, side in zip(names, sides, strict=True)
+            ),
+            (Place(joint, "effort"),),
+            tuple(Place(link, f) for f in _MOTION) + tuple(Place(motor, f) for f in _MOTION),
+            (joint,) if len(names) == 1 else tuple(f"{joint}/{name}" for name in names),
+            tuple(Place(f"{joint}_{side}", "effort") for side in self.torque_sides),
+            (Place(motor, "effort"),) if both else (),
+            self.output_units,
+        )
 
     def at_rate(self, rate: float) -> Self:
         # Delays of few periods are many short ones, and move no error.
@@ -372,12 +380,7 @@ class ArmRequest(Request):
             return replace(self, disturbance=terms)
         outputs = list(self.outputs)
         outputs[place] = replace(outputs[place], disturbance=terms)
-        return self.with_outputs(outputs)
-
-    def with_outputs(self, outputs: Sequence[Output]) -> Self:
-        """Return the request with other outputs."""
-        first = {name: getattr(outputs[0], name) for name in ("disturbance", "measurement_std")}
-        return replace(self, outputs=tuple(outputs), **first)
+        return replace(self, outputs=outputs)
 
     def on_share(self, share: float) -> tuple[str, Self] | None:
         x_max = share * self.x_max
@@ -410,20 +413,20 @@ class TSRequest(Request):
     """
 
     model: TSModel
-    process_noise: ArrayLike
-    measurement_std: ArrayLike
+    process_noise: Sequence[float] | Array
+    measurement_std: Sequence[float] | Array
     rate: float
-    initial_std: ArrayLike
+    initial_std: Sequence[float] | Array
     disturbance: Sequence[Sequence[DisturbanceTerm]] = ()
     decay_rate: float = 0.0
     slope_vertices: Sequence[ArrayLike] = ()
-    D_s: ArrayLike | None = None
+    D_s: Sequence[Sequence[float]] | Array | None = None
     uncertainty: Mapping[str, Direction] = Fixed({})
     certify_uncertainty: bool = False
     names: Labels = NO_LABELS
     units: Labels = NO_LABELS
 
-    default_torque_rate, max_angle, reach = 0.0, math.inf, None
+    default_torque_rate, max_angle, reach, starts = 0.0, math.inf, None, (0, 1)
 
     def __post_init__(self) -> None:
         model, (n, p) = self.model, (self.model.state_count, len(self.model.C))
@@ -451,7 +454,7 @@ class TSRequest(Request):
         numbered = [f"channel {i + 1}" for i in range(len(self.disturbance))]
         names = numbered if self.D_s is not None else self.output_names
         pairs = zip(names, self.disturbance, strict=False)  # a wrong number is refused by `flow`
-        self._take(channels=tuple(Channel(name, tuple(terms)) for name, terms in pairs))
+        self._take(channels=tuple(Channel.of(*each) for each in pairs))
         self._check_rates()
         _ = self.flow
         if self.slope_vertices and self.model.premise_known:
@@ -486,7 +489,7 @@ class TSRequest(Request):
     def disturbance_model(self) -> DisturbanceModel:
         for place, terms in enumerate(self.disturbance):
             require_terms(f"disturbance[{place}]", terms)
-        joined = per_channel([Channel("", tuple(terms)).model for terms in self.disturbance])
+        joined = per_channel([sum_of(terms) for terms in self.disturbance])
         return joined if self.D_s is None else joined.through(self.D_s)
 
     @property
@@ -529,49 +532,41 @@ class TSRequest(Request):
         )
 
     @property
-    def details(self) -> dict[str, Any]:
-        return {
-            "states": self.state_names,
-            "outputs": self.output_names,
-            "inputs": self.input_names,
-            "units": {
-                "states": self.state_units,
-                "outputs": self.output_units,
-                "inputs": self.input_units,
-            },
-            "claim": self.claim,
-            "covers_estimated_premise": self.covers_estimated_premise,
-        }
-
-    @property
     def domain(self) -> str:
         return f"the hull of {', '.join(self.vertex_matrices()[1])}"
 
-    def vertex_matrices(self, share: float = 1.0) -> tuple[Array, list[str]]:
+    def vertex_matrices(
+        self, share: float = 1, number: Callable[[Any], Any] = np.asarray
+    ) -> tuple[Array, list[str]]:
         """Return the plant matrices whose pairs are the vertices, (l, n, n), and their names."""
-        what = "slope vertex" if self.slope_vertices else "rule"
-        matrices = np.array(self.slope_vertices or self.model.A)
-        names = [f"{what} {i + 1}" for i in range(len(matrices))]
-        if self.certify_uncertainty:
-            uncertain = self.uncertainty_model
-            changes = uncertain.linear[:, :1] if self.slope_vertices else uncertain.linear
-            corners, labels = [], []
-            for signs in product((-1.0, 1.0), repeat=uncertain.count):
-                theta = signs * uncertain.limits
-                corners.append(matrices + np.tensordot(theta, changes, 1))
-                at = ", ".join(f"{k} {v:+.4g}" for k, v in zip(uncertain.names, theta, strict=True))
-                labels += [f"{name} ({at})" for name in names]
-            matrices, names = np.concatenate(corners), labels
-        return _closer(matrices, share), names
+        what, known = "slope vertex" if self.slope_vertices else "rule", self.covered
+        matrices, limits = number(self.slope_vertices or self.model.A), number(known.limits)
+        corners, names = [], list[str]()
+        for signs in product((-1, 1), repeat=known.count):
+            pairs = zip(known.names, signs * known.limits, strict=True)
+            at = ", ".join(f"{name} {theta:+.4g}" for name, theta in pairs)
+            names += [f"{what} {i + 1}{at and f' ({at})'}" for i in range(len(matrices))]
+            changes = number(known.linear[:, :1] if self.slope_vertices else known.linear)
+            corners.append(matrices + (np.tensordot(signs * limits, changes, 1) if at else 0))
+        return _closer(np.concatenate(corners), share), names
 
-    def vertices(self, share: float = 1.0) -> list[VertexSystem]:
-        return self.flow.vertices(*self.vertex_matrices(share))
+    def corners(
+        self, share: float = 1, number: Callable[[Any], Any] = np.asarray
+    ) -> Iterator[Corner]:
+        n, size = self.model.state_count, self.flow.state_count
+        mean = number(self.flow.drift[:n, :n])
+        for matrix, name in zip(*self.vertex_matrices(share, number), strict=True):
+            deviation = number(np.zeros((size, size)))
+            deviation[:n, :n] = matrix - mean
+            yield Corner({"": name}, deviation)
 
-    def starts(self) -> list[VertexSystem]:
-        matrices, names = self.vertex_matrices()
-        singles = [("the mean of the vertices", matrices.mean(axis=0))]
-        singles += zip(names, matrices, strict=True)
-        return [self.flow.vertices(matrix[np.newaxis], [name])[0] for name, matrix in singles]
+    def signals(self, joint: str, alone: bool, both_sides: bool = False) -> Signals:
+        outputs, inputs, states = (
+            tuple(name if alone else f"{joint}/{name}" for name in names)
+            for names in (self.output_names, self.input_names, self.state_names)
+        )
+        places = positions(outputs), positions(inputs), positions(states)
+        return Signals(*places, outputs, (), (), self.output_units)
 
     def at_rate(self, rate: float) -> Self:
         return replace(self, rate=rate)

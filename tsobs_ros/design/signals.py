@@ -1,18 +1,100 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The places of a design's signals in messages, which are all JointStates.
+"""Signals of a design: their names and units, and their places in messages, all JointStates.
 
 An arm has angles, velocities and torques. A driver publishes the side that its encoder is on under
 the joint's name; only with encoders on both sides the motor has an entry of its own. A T–S system
-has an entry per signal, whose value is its `position`.
+has an entry per signal, named as its file does, whose value is its `position`.
 """
 
-from collections.abc import Iterable
-from typing import Literal, NamedTuple, TypeAlias
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
-from tsobs_ros.design.request import AnyRequest, ArmRequest
+from tsobs_ros.checks import shown
+from tsobs_ros.errors import ModelError
 
 Field: TypeAlias = Literal["position", "velocity", "effort"]
+
+_PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_MAX_LENGTH = 60
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Names, or units, of signals in the order of the model; a group left out has none.
+
+    Attributes:
+        states: Of x.
+        outputs: Of y.
+        inputs: Of u, scheduled signals not among them.
+        scheduled: Of s.
+    """
+
+    OMIT_EMPTY: ClassVar[bool] = True
+    """Groups without names are left out of files."""
+
+    states: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    scheduled: tuple[str, ...] = ()
+
+
+NO_LABELS = Labels()
+"""Those of a request that gives none."""
+
+
+def checked_labels(names: Labels, units: Labels, counts: Sequence[int]) -> tuple[Labels, Labels]:
+    """Return the names and units of all signals, of which a request may give some.
+
+    Groups without names get x1, y1, u1, s1 and so on; units without any are empty texts. A
+    scheduled signal with the name of an output is that measurement. Else the names of outputs,
+    inputs and scheduled signals differ, as these are entries of one message, and so do those of
+    the states.
+
+    Raises:
+        ModelError: There is not one text per signal, one is not plain, or two signals share a name;
+            the text has the place of the entry.
+    """
+    groups = zip(vars(names).values(), counts, "xyus", strict=True)
+    names = Labels(
+        *(given or tuple(f"{x}{i + 1}" for i in range(count)) for given, count, x in groups)
+    )
+    if units == NO_LABELS:
+        units = Labels(*(("",) * count for count in counts))
+    for entry, labels in (("names", names), ("units", units)):
+        for (group, given), count in zip(vars(labels).items(), counts, strict=True):
+            if len(given) != count:
+                raise ModelError(
+                    f"{entry}.{group}: expected {count}, one per signal, got {len(given)}"
+                )
+            for i, text in enumerate(given):
+                is_good = _PLAIN.fullmatch(text) if entry == "names" else text.isprintable()
+                if len(text) > _MAX_LENGTH or not is_good:
+                    plain = "a letter, then letters, digits and underscores"
+                    what = plain if entry == "names" else "printable characters"
+                    raise ModelError(
+                        f"{entry}.{group}[{i}]: expected {what}, {_MAX_LENGTH} at most, "
+                        f"got {shown(text)}"
+                    )
+    for together in (("states",), ("outputs", "inputs"), ("inputs", "scheduled")):
+        places: dict[str, str] = {}
+        for group in together:
+            for i, name in enumerate(getattr(names, group)):
+                place = f"names.{group}[{i}]"
+                if (other := places.setdefault(name, place)) != place:
+                    raise ModelError(
+                        f"{place}: expected a name that no other has, got {shown(name)}, "
+                        f"which {other} has"
+                    )
+    return names, units
+
+
+def labelled(names: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
+    """Return each name with its unit, if it has one, as in "angle [rad]"."""
+    pairs = zip(names, units, strict=True)
+    return tuple(f"{name} [{unit}]" if unit else name for name, unit in pairs)
 
 
 class Place(NamedTuple):
@@ -52,44 +134,6 @@ class Signals(NamedTuple):
     def entries(self) -> frozenset[str]:
         """The entries of measurements that have something of the joint."""
         return frozenset(place.name for place in self.outputs + self.inputs + self.other_inputs)
-
-
-def signals(request: AnyRequest, joint: str, alone: bool, both_sides: bool = False) -> Signals:
-    """Return the places of a joint's signals in measurements and estimates.
-
-    The joint's name is before those of a T–S system's entries if it is not alone in its node. An
-    arm may have encoders on both sides although its design measures one.
-
-    >>> signals(ArmRequest(), "elbow", alone=True).outputs
-    (Place(name='elbow', field='position'),)
-    """
-    if isinstance(request, ArmRequest):
-        return _of_arm(request, joint, both_sides)
-    outputs, inputs, states = (
-        tuple(name if alone else f"{joint}/{name}" for name in names)
-        for names in (request.output_names, request.input_names, request.state_names)
-    )
-    places = (positions(outputs), positions(inputs), positions(states))
-    return Signals(*places, outputs, (), (), request.output_units)
-
-
-def _of_arm(request: ArmRequest, joint: str, both_sides: bool) -> Signals:
-    link, motor, names = f"{joint}_link", f"{joint}_motor", request.output_names
-    sides = [name.partition("_")[0] for name in names]
-    both = both_sides or len(set(sides)) == 2
-    fields: list[Field] = ["position" if name.endswith("angle") else "velocity" for name in names]
-    return Signals(
-        tuple(
-            Place(motor if both and side == "motor" else joint, field)
-            for side, field in zip(sides, fields, strict=True)
-        ),
-        (Place(joint, "effort"),),
-        tuple(Place(name, f) for name in (link, motor) for f in ("position", "velocity")),
-        (joint,) if len(names) == 1 else tuple(f"{joint}/{name}" for name in names),
-        tuple(Place(f"{joint}_{side}", "effort") for side in request.torque_sides),
-        (Place(motor, "effort"),) if both else (),
-        request.output_units,
-    )
 
 
 def positions(names: Iterable[str]) -> tuple[Place, ...]:

@@ -119,7 +119,7 @@ def solve_gain(
 
 def _walk_to_domain(problem: AnyRequest, margin: float, smallest_step: float) -> _Solution:
     """Solve for all that is asked, from its middle in as few steps as the solver bears."""
-    starts = problem.starts()
+    starts = [problem.vertices(share)[0] for share in problem.starts]
     found = [_kalman_covariance(problem, start) for start in starts]
     guesses = [guess for guess in found if guess is not None]
     if not guesses:

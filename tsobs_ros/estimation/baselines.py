@@ -38,7 +38,7 @@ from tsobs_ros.core import native
 from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, TorqueLimits, riccati_estimator
 from tsobs_ros.estimation.state import Shape, new_model
 from tsobs_ros.model.arm import DIRECT, ElasticJointArm, TorquePath
-from tsobs_ros.model.disturbance import clean
+from tsobs_ros.model.disturbance import CLEAN, per_channel
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.matrices import product
@@ -162,7 +162,8 @@ class ArmOfSamples(Flow):
         rates = np.concatenate([F, U, Y], axis=2)
         mean = sum(rates[1:], start=rates[0]) / len(rates)
         self._deviations = rates - mean
-        super().__init__((mean[:, :n], mean[:, n:], C), np.zeros(n), clean(p), period)
+        undisturbed = per_channel(p * [CLEAN[0].model])
+        super().__init__((mean[:, :n], mean[:, n:], C), np.zeros(n), undisturbed, period)
 
     def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
         shapes, parameters = self._rules.coded

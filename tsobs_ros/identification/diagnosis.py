@@ -10,7 +10,6 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import TorqueDisturbance
 from tsobs_ros.identification.joint import (
     DELAY,
@@ -22,6 +21,7 @@ from tsobs_ros.identification.joint import (
 )
 from tsobs_ros.identification.likelihood import GATE, Recording, innovations
 from tsobs_ros.identification.result import OutputFit, Traces
+from tsobs_ros.model.disturbance import DisturbanceTerm
 
 HORIZON = 1.0
 """Time for which a free run is compared [s]: longer ones of an arm without gravity drift away."""

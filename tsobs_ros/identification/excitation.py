@@ -496,7 +496,7 @@ def _thinned(request: ArmRequest, fastest: float) -> ArmRequest:
         for each in request.sensors
     ]
     try:
-        return replace(request.with_outputs(outputs), rate=request.rate / fewer)
+        return replace(request, outputs=outputs, rate=request.rate / fewer)
     except ModelError:  # a disturbance would be too fast for the samples
         return request
 

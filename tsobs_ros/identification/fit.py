@@ -12,7 +12,6 @@ import numpy as np
 from scipy.optimize import OptimizeResult, minimize
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.identification.diagnosis import news, output_fits, tones, unseen
@@ -39,6 +38,7 @@ from tsobs_ros.identification.likelihood import (
 from tsobs_ros.identification.recordings import Samples, read, require_torque
 from tsobs_ros.identification.result import Fit
 from tsobs_ros.model.arm import SIDES
+from tsobs_ros.model.disturbance import DisturbanceTerm
 
 Advance = Callable[[int], None]
 """Called with the number of filtered samples."""

@@ -17,10 +17,10 @@ import numpy as np
 
 from tsobs_ros.checks import Array, meant
 from tsobs_ros.design.file import arm_entries
-from tsobs_ros.design.problem import DisturbanceTerm
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import SIDES, TorquePath
+from tsobs_ros.model.disturbance import DisturbanceTerm
 from tsobs_ros.schema import decode
 
 TORQUE_GAIN, OFFSET, DELAY = "torque.gain", "torque.offset", "torque.delay"

@@ -10,6 +10,7 @@ x = [q₁, q̇₁, (k/J₁) q₂, (k/J₁) q̇₂], in which the spring enters t
 Here they are called *design coordinates*; [q₁, q̇₁, q₂, q̇₂] are the *physical* ones.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -74,6 +75,12 @@ class ElasticJointArm:
     def gravity_gain(self) -> float:
         """mgl/J₁ [1/s²]: the link's angular acceleration by gravity when it is horizontal."""
         return self.gravity_torque / self.link_inertia
+
+    @property
+    def resonances(self) -> tuple[float, float]:
+        """Frequencies of the link against a motor that is held, and against a free one [rad/s]."""
+        held = self.stiffness / self.link_inertia
+        return math.sqrt(held), math.sqrt(held + self.stiffness / self.motor_inertia)
 
     @property
     def reference_torque(self) -> float:

@@ -11,11 +11,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, non_negative, positive
+from tsobs_ros.checks import Array, Fixed, as_matrix, non_negative, positive, shown
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.matrices import block_diagonal, product
 
@@ -45,11 +46,6 @@ class DisturbanceModel:
         """Number of exosystem states q."""
         return int(self.S.shape[0])
 
-    @property
-    def channel_count(self) -> int:
-        """Number of output channels p."""
-        return int(self.H.shape[0])
-
     @cached_property
     def rate_map(self) -> Array:
         """Exosystem states to the disturbance's modelled rate dω/dt, shape (p, q)."""
@@ -60,83 +56,110 @@ class DisturbanceModel:
         """G Gᵀ, density of the noise on the exosystem's derivative, shape (q, q)."""
         return product(self.G, self.G.T)
 
-    def __add__(self, other: "DisturbanceModel") -> "DisturbanceModel":
-        """Return the model of the sum of two independent disturbances on the same channels."""
-        if self.channel_count != other.channel_count:
-            raise ModelError(
-                f"disturbance sum: expected the same number of channels, "
-                f"got {self.channel_count} and {other.channel_count}"
-            )
-        labels = [model.label for model in (self, other) if model.state_count or model.arbitrary]
-        return _joined("+".join(labels) or "clean", np.hstack([self.H, other.H]), (self, other))
-
     def through(self, D_s: ArrayLike) -> "DisturbanceModel":
         """Return the model acting on the outputs through D_s, shape (p, channels)."""
-        rows = np.shape(D_s)[0] if np.ndim(D_s) == 2 else 0
-        mixing = as_matrix("D_s", D_s, (rows, self.channel_count))
-        if np.linalg.matrix_rank(mixing) < self.channel_count:
+        rows, channels = np.shape(D_s)[0] if np.ndim(D_s) == 2 else 0, len(self.H)
+        mixing = as_matrix("D_s", D_s, (rows, channels))
+        if np.linalg.matrix_rank(mixing) < channels:
             raise ModelError(f"D_s: expected full column rank, got {mixing.tolist()}")
         return replace(self, H=product(mixing, self.H))
 
 
-def clean(channels: int = 1) -> DisturbanceModel:
-    """Return the model of a sensor known to carry noise only."""
-    zero = np.zeros((0, 0))
-    return DisturbanceModel("clean", zero, np.zeros((channels, 0)), zero, np.zeros(0))
+KINDS: Mapping[str, Mapping[str, float | None]] = {
+    "clean": {},
+    "arbitrary": {},
+    "bias": {"density": 1e-4, "initial_std": 0.3},
+    "gauss_markov": {"std": 0.1, "time_constant": 20.0},
+    "sinusoid": {"frequency": None, "density": 1e-4, "initial_std": 0.3},
+    "ramp": {
+        "density": 1e-4, "rate_density": 1e-6, "initial_std": 0.3, "initial_rate_std": 0.02,
+    },
+}  # fmt: skip
+"""Parameters of each kind of term with their defaults, None of one that has to be given."""
 
 
-def arbitrary() -> DisturbanceModel:
-    """Return the method's assumption on one channel: any signal, no model at all."""
-    return replace(clean(), label="arbitrary", arbitrary=True)
+class DisturbanceTerm(Fixed[Any]):
+    """One term of a disturbance: its kind and its parameters, the rest filled with defaults.
 
+    - `clean`: nothing but the sensor's white noise.
+    - `arbitrary`: the method's assumption, any signal; nothing can be proved for it.
+    - `bias`: a constant that may wander. `density`: growth of its variance [rad²/s].
+    - `gauss_markov`: a drift ẇ = −w/τ + noise. `std`: its stationary 1σ [rad], `time_constant`: τ
+      [s].
+    - `sinusoid`: a tone of a known `frequency` [rad/s], whose amplitude and phase wander.
+      `density`: growth of the variance of each of its two states [rad²/s].
+    - `ramp`: a bias that grows at a wandering rate. `density` as of a bias, `rate_density`: growth
+      of the rate's variance [rad²/s³], `initial_rate_std`: 1σ of the rate before any measurement
+      [rad/s].
 
-def bias(density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
-    """Return a constant that may wander: a random walk.
+    `initial_std` is the 1σ of each state before any measurement [rad].
 
-    Args:
-        density: Growth of its variance [rad²/s].
-        initial_std: 1σ before any measurement [rad].
+    Raises:
+        ModelError: The kind is unknown, or a parameter is not one of that kind or out of range.
+
+    >>> DisturbanceTerm("bias", {"density": 1e-4})
+    {'kind': 'bias', 'density': 0.0001, 'initial_std': 0.3}
     """
-    return _exosystem("bias", [[0.0]], {"density": density}, {"initial_std": initial_std})
+
+    def __init__(self, kind: str, parameters: Mapping[str, float] | None = None) -> None:
+        if not isinstance(kind, str) or kind not in KINDS:
+            raise ModelError(f"kind: expected one of {', '.join(KINDS)}, got {shown(kind)}")
+        known, given = KINDS[kind], parameters or {}
+        for name in given:
+            if name not in known:
+                raise ModelError(
+                    f"{name}: no parameter of {kind}, expected some of {', '.join(known) or 'none'}"
+                )
+        entries: dict[str, Any] = {"kind": kind}
+        for name, default in known.items():
+            value = given.get(name, default)
+            if value is None:
+                raise ModelError(f"{name}: missing, {kind} has no default for it")
+            check = positive if name in ("std", "time_constant", "frequency") else non_negative
+            entries[name] = check(f"{kind} {name}", value)
+        super().__init__(entries)
+
+    @classmethod
+    def from_mapping(cls, entries: Mapping[str, Any]) -> "DisturbanceTerm":
+        """Return the term that a file gives by its kind and parameters."""
+        parameters = dict(entries)
+        return cls(parameters.pop("kind", None), parameters)
+
+    @property
+    def kind(self) -> str:
+        """The name of the exosystem, one of `KINDS`."""
+        return str(self["kind"])
+
+    @cached_property
+    def model(self) -> DisturbanceModel:
+        """The exosystem, whose first state is the disturbance."""
+        S: list[list[float]] = []
+        roots, std = [], [self.get("initial_std", 0.0)]
+        if self.kind == "bias":
+            S, roots = [[0.0]], [math.sqrt(self["density"])]
+        elif self.kind == "gauss_markov":
+            tau, std = self["time_constant"], [self["std"]]
+            S, roots = [[-1.0 / tau]], [std[0] * math.sqrt(2.0 / tau)]
+        elif self.kind == "sinusoid":
+            w0, std = self["frequency"], 2 * std
+            S, roots = [[0.0, w0], [-w0, 0.0]], 2 * [math.sqrt(self["density"])]
+        elif self.kind == "ramp":
+            S, std = [[0.0, 1.0], [0.0, 0.0]], [*std, self["initial_rate_std"]]
+            roots = [math.sqrt(self[name]) for name in ("density", "rate_density")]
+        q = len(S)
+        matrices = np.reshape(S, (q, q)), np.eye(1, q), np.diag(roots) if q else np.zeros((0, 0))
+        return DisturbanceModel(self.kind, *matrices, np.array(std[:q]), self.kind == "arbitrary")
 
 
-def gauss_markov(std: float = 0.1, time_constant: float = 20.0) -> DisturbanceModel:
-    """Return a drift with a stationary 1σ `std` [rad]: ẇ = −w/τ + noise, τ [s]."""
-    tau = positive("gauss_markov time_constant", time_constant)
-    root = positive("gauss_markov std", std) * math.sqrt(2.0 / tau)
-    matrices = np.array([[-1.0 / tau]]), np.eye(1), np.array([[root]])
-    return DisturbanceModel("gauss_markov", *matrices, np.array([std]))
+CLEAN = (DisturbanceTerm("clean"),)
+"""The terms of what is known to be undisturbed."""
 
 
-def sinusoid(frequency: float, density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
-    """Return a tone of a known frequency and slowly wandering amplitude and phase.
-
-    Args:
-        frequency: ω₀ [rad/s].
-        density: Growth of the variance of each of its two states [rad²/s].
-        initial_std: 1σ of each state before any measurement [rad].
-    """
-    w0, std = positive("sinusoid frequency", frequency), {"initial_std": initial_std}
-    return _exosystem("sinusoid", [[0.0, w0], [-w0, 0.0]], {"density": density}, std)
-
-
-def ramp(
-    density: float = 1e-4,
-    rate_density: float = 1e-6,
-    initial_std: float = 0.3,
-    initial_rate_std: float = 0.02,
-) -> DisturbanceModel:
-    """Return a bias that grows at a slowly wandering rate: a double integrator.
-
-    Args:
-        density: Growth of the bias's variance [rad²/s].
-        rate_density: Growth of the rate's variance [rad²/s³].
-        initial_std: 1σ of the bias before any measurement [rad].
-        initial_rate_std: 1σ of the rate before any measurement [rad/s].
-    """
-    densities = {"density": density, "rate_density": rate_density}
-    stds = {"initial_std": initial_std, "initial_rate_std": initial_rate_std}
-    return _exosystem("ramp", [[0.0, 1.0], [0.0, 0.0]], densities, stds)
+def sum_of(terms: Sequence[DisturbanceTerm]) -> DisturbanceModel:
+    """Return the model of the sum of independent terms on one channel, of none as of `CLEAN`."""
+    models = [term.model for term in terms or CLEAN]
+    labels = [each.label for each in models if each.state_count or each.arbitrary]
+    return _joined("+".join(labels) or "clean", np.hstack([each.H for each in models]), models)
 
 
 def per_channel(models: Sequence[DisturbanceModel]) -> DisturbanceModel:
@@ -157,17 +180,3 @@ def _joined(label: str, H: Array, models: Sequence[DisturbanceModel]) -> Disturb
         np.concatenate([model.initial_std for model in models]),
         any(model.arbitrary for model in models),
     )
-
-
-def _exosystem(
-    label: str,
-    S: Sequence[Sequence[float]],
-    densities: Mapping[str, float],
-    stds: Mapping[str, float],
-) -> DisturbanceModel:
-    """Return a model of one channel, its first state, with a noise per state; one may be of all."""
-    density, start = (
-        np.resize([non_negative(f"{label} {name}", each[name]) for name in each], len(S))
-        for each in (densities, stds)
-    )
-    return DisturbanceModel(label, np.array(S), np.eye(1, len(S)), np.diag(np.sqrt(density)), start)

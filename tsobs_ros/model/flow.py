@@ -15,9 +15,9 @@ the domain (mean value theorem), so four vertices describe every error system ex
 the estimate that serves as premise.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,7 @@ from tsobs_ros.model.arm import (
     TorquePath,
 )
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.prediction import NO_TORQUES, Flow, VertexSystem
+from tsobs_ros.model.prediction import NO_TORQUES, Corner, Flow
 from tsobs_ros.model.uncertainty import EXTERNAL, SINE, TORQUE, Uncertainty
 
 
@@ -52,43 +52,6 @@ class ProcessNoise:
         for name in ("link", "motor"):
             density = non_negative(f"process noise density of the {name}", getattr(self, name))
             object.__setattr__(self, name, density)
-
-
-def kick_corners(
-    slopes: Sequence[Any], uncertainty: Uncertainty | None, bounds: Sequence[Any] = ()
-) -> Iterator[tuple[Any, tuple[Any, ...]]]:
-    """Yield the corners of half a kick; of those on one line only its two ends.
-
-    Half a kick multiplies the error by I + (T/2)(Σ θ_k ∂a_k/∂x − c mgl/J₁ e₂e₁ᵀ), which is affine
-    in the slope c and in each parameter θ_k on its own (gravity's θ multiplies the slope). So over
-    a box of parameters it is a convex combination of its values at the corners. Floats and
-    fractions go through the same formula: an exact proof needs exact corners.
-
-    Args:
-        slopes: Smallest and largest cosine of the domain; any single number without gravity.
-        uncertainty: The uncertain parameters, if any are to be covered, up to their bounds.
-
-    Yields:
-        The slope c, that of uncertain gravity and inertia included, and θ of every direction that
-        acts on the state linearly.
-    """
-    linear, pulls = [], []
-    if uncertainty is not None:
-        linear = uncertainty.linear_places
-        # A direction that scales gravity adds θ c to the slope; none kicks the motor by it.
-        pulls = [bool(each.any()) for each in uncertainty.directions[..., SINE]]
-    free = [bounds[k] for k, pulled in enumerate(pulls) if pulled and k not in linear]
-    for signs in product((-1, 1), repeat=len(linear)):
-        theta = tuple(sign * bounds[k] for sign, k in zip(signs, linear, strict=True))
-        pull = 1 + sum(value for value, k in zip(theta, linear, strict=True) if pulls[k])
-        ends = [
-            slope * (pull + sum(sign * bound for sign, bound in zip(turn, free, strict=True)))
-            for slope in slopes
-            for turn in product((-1, 1), repeat=len(free))
-        ]
-        yield min(ends), theta
-        if len(ends) > 1:
-            yield max(ends), theta
 
 
 class ArmFlow(Flow):
@@ -162,52 +125,57 @@ class ArmFlow(Flow):
             numbers["effects"] = np.hstack([rows[..., :4].reshape(-1, 8), *columns])
         return numbers
 
-    def vertices(
+    def error_map(self, first: Array, second: Array) -> tuple[Array, Array]:
+        noise = second @ self.nominal.noise @ second.T
+        return second @ self.nominal.phi @ first, (noise + noise.T) / 2
+
+    def corners(
         self,
-        slope_min: float,
-        slope_max: float,
-        uncertainty: Uncertainty | None = None,
-        share: float = 1.0,
-    ) -> list[VertexSystem]:
-        """Return the vertex error systems of a nominal step: of known parameters four with gravity
-        and one without.
+        slopes: tuple[Any, Any],
+        uncertainty: Uncertainty,
+        bounds: Sequence[Any],
+        half_step: Any,
+        number: Callable[[Any], Any] = np.asarray,
+    ) -> Iterator[Corner]:
+        """Yield the error's map over half a kick at the corners; of those on one line its two ends.
+
+        It is I + (T/2)(Σ θ_k ∂a_k/∂x − c mgl/J₁ e₂e₁ᵀ), affine in the slope c and in each parameter
+        θ_k on its own (gravity's θ multiplies the slope). So over a box of parameters it is a
+        convex combination of its values at the corners. Unknown torques meet what known ones do.
+        Floats and fractions go through the same formula: an exact proof needs exact corners.
 
         Args:
-            slope_min: Smallest cosine of the domain; `slope_max` is the largest.
-            uncertainty: Parameters whose errors are to be covered in both half kicks, up to a
-                share of their bounds.
+            slopes: Smallest and largest cosine of the domain; without gravity there is none.
+            uncertainty: The uncertain parameters that are covered.
+            bounds: How far each of them is covered.
+            half_step: T/2 [s].
+            number: Makes an array of such numbers of one of floats.
         """
-        step, bounds, names = self.nominal, [], []
-        if uncertainty is not None:
-            bounds = [share * bound for bound in uncertainty.limits.tolist()]
-            names = [uncertainty.names[k] for k in uncertainty.linear_places]
-        slopes = (slope_min, slope_max) if self.arm.gravity_torque else (0.0,)
-        corners = [
-            (corner, self._kick_matrix(*corner, uncertainty))
-            for corner in kick_corners(slopes, uncertainty, bounds)
-        ]
-        systems = []
-        for (first, before), (second, after) in product(corners, repeat=2):
-            noise, kicks = after @ step.noise @ after.T, (first[0], second[0])
-            words = ["slopes ({:.4g}, {:.4g})".format(*kicks)]
-            words = words if self.arm.gravity_torque else ["no gravity"]
-            pairs = zip(names, first[1], second[1], strict=True)
-            words += [f"{name} ({one:.4g}, {other:.4g})" for name, one, other in pairs]
-            transition, noise = after @ step.phi @ before, (noise + noise.T) / 2
-            systems.append(VertexSystem(transition, noise, ", ".join(words), kicks))
-        return systems
-
-    def _kick_matrix(
-        self, slope: float, theta: tuple[float, ...], uncertainty: Uncertainty | None
-    ) -> Array:
-        """Return the Jacobian of half a kick at one corner, shape (n, n)."""
-        matrix = np.eye(self.state_count)
-        if uncertainty is not None:
-            change = uncertainty.directions[uncertainty.linear_places, 0]
-            sum_of_changes = 0.5 * self.period * np.tensordot(theta, change, 1)
-            matrix[:4, :4] += sum_of_changes[:, :4]
-            # Unknown torques meet what known ones do.
-            for column, torque in ((TORQUE, self.motor_torque), (EXTERNAL, self.link_torque)):
-                matrix[:4] += np.outer(sum_of_changes[:, column], torque)
-        matrix[LINK_VELOCITY, LINK_ANGLE] -= self.nominal.half_kick * slope
-        return matrix
+        places, torques = uncertainty.linear_places, (self.motor_torque, self.link_torque)
+        changes = number(uncertainty.directions[places, 0])
+        # A direction that scales gravity adds θ c to the slope; none kicks the motor by it.
+        pulls = [bool(each.any()) for each in uncertainty.directions[..., SINE]]
+        free = [bounds[k] for k, pulled in enumerate(pulls) if pulled and k not in places]
+        for signs in itertools.product((-1, 1), repeat=len(places)):
+            theta = [sign * bounds[k] for sign, k in zip(signs, places, strict=True)]
+            matrix = number(np.eye(self.state_count))
+            if theta:
+                change = half_step * np.tensordot(theta, changes, 1)
+                matrix[:4, :4] += change[:, :4]
+                for column, torque in zip((TORQUE, EXTERNAL), torques, strict=True):
+                    matrix[:4] += np.outer(change[:, column], number(torque))
+            names = [uncertainty.names[k] for k in places]
+            at: dict[str, float | str] = dict(zip(names, map(float, theta), strict=True))
+            if not self.gravity_gain:
+                yield Corner({"no gravity": "", **at}, matrix)
+                continue
+            pull = 1 + sum(each for each, k in zip(theta, places, strict=True) if pulls[k])
+            ends = [
+                slope * (pull + sum(sign * bound for sign, bound in zip(turn, free, strict=True)))
+                for slope in slopes
+                for turn in itertools.product((-1, 1), repeat=len(free))
+            ]
+            for slope in (min(ends), max(ends)):
+                kick = matrix.copy()
+                kick[LINK_VELOCITY, LINK_ANGLE] -= half_step * number(self.gravity_gain) * slope
+                yield Corner({"slopes": float(slope), **at}, kick)

@@ -14,8 +14,9 @@ sum of positive semidefinite terms, so the noise stays a covariance.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
+from itertools import product as pairs_of
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -26,14 +27,14 @@ from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import DIRECT, TorquePath
-from tsobs_ros.model.disturbance import DisturbanceModel, clean
+from tsobs_ros.model.disturbance import CLEAN, DisturbanceModel, per_channel
 from tsobs_ros.model.matrices import block_diagonal, product
 from tsobs_ros.model.uncertainty import Uncertainty
 
 Record = np.ndarray[Any, np.dtype[Any]]
 """An array of records."""
 
-NO_TORQUES = clean(2)
+NO_TORQUES = per_channel(2 * [CLEAN[0].model])
 """The torque disturbance of a plant without: no states."""
 
 MAX_TERMS = 60
@@ -59,6 +60,14 @@ class FlowSizes(NamedTuple):
     premises: int = 0
 
 
+class Corner(NamedTuple):
+    """A corner of what a certificate covers: its numbers or names, by what they are of, and what an
+    error system has of it, shape (n, n); see `Flow.error_map`."""
+
+    place: Mapping[str, float | str]
+    matrix: Any
+
+
 class VertexSystem(NamedTuple):
     """The error system e⁺ = transition·e + noise at one vertex, which `where` names for reports.
 
@@ -66,13 +75,11 @@ class VertexSystem(NamedTuple):
         transition: Shape (n, n).
         noise: Covariance of the noise, shape (n, n).
         where: The vertex in words.
-        slopes: Gravity slopes of an arm's first and second half kick.
     """
 
     transition: Array
     noise: Array
     where: str
-    slopes: tuple[float, float] = (0.0, 0.0)
 
 
 class Transition(NamedTuple):
@@ -139,10 +146,9 @@ class Flow(ABC):
     ) -> None:
         A, B, C = plant
         n, m = len(A), B.shape[1]
-        if disturbance.channel_count != len(C):
+        if (channels := len(disturbance.H)) != len(C):
             raise ModelError(
-                f"disturbance: expected {len(C)} channels, one per output, "
-                f"got {disturbance.channel_count}"
+                f"disturbance: expected {len(C)} channels, one per output, got {channels}"
             )
         self.disturbance, self.torque_disturbance = disturbance, torque_disturbance
         self.period, self.plant_count = positive("period", period), n
@@ -228,6 +234,18 @@ class Flow(ABC):
         native.flow_over(*series, self.linear_share * duration, phi, gamma, noise, scratch, n, m)
         return Transition(duration, phi, gamma, noise, 0.5 * duration * self.gravity_gain)
 
+    def error_map(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Return the transition of the error over a nominal step, and the covariance of its noise,
+        by the matrices of two corners, shapes (..., n, n), that hold in its halves."""
+        raise NotImplementedError(f"no certificate is about a {type(self).__name__}")
+
+    def vertices(self, corners: Iterable[Corner]) -> list[VertexSystem]:
+        """Return the vertex error systems of a nominal step: those of every pair of corners."""
+        return [
+            VertexSystem(*self.error_map(first.matrix, second.matrix), _between(first, second))
+            for first, second in pairs_of(corners, repeat=2)
+        ]
+
     @abstractmethod
     def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
         """Return what only this kind of model has in its record, by name."""
@@ -252,6 +270,18 @@ class Flow(ABC):
         }.items():
             fill_matrix(record[name] if np.ndim(values) == 0 else record[name][0], values)
         return record
+
+
+def _between(first: Corner, second: Corner) -> str:
+    """Return the vertex of two corners in words."""
+    words = []
+    for name, one in first.place.items():
+        other = second.place[name]
+        if isinstance(one, float):
+            words.append(f"{name} ({one:.4g}, {other:.4g})")
+        else:
+            words += filter(None, (name, one, str(other)))
+    return ", ".join(words)
 
 
 @np.errstate(all="ignore")

@@ -21,7 +21,7 @@ with N₁ and N₂ two matrices that g(x) − g(x̂) = N (x − x̂) holds for, 
 So the ordered pairs of such matrices are vertices of all error systems of a step, at any period.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.prediction import Flow, Transition, VertexSystem
+from tsobs_ros.model.prediction import Flow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty
 
@@ -65,9 +65,8 @@ class TSFlow(Flow):
         self.scheduled_count = int(model.schedule.shape[1])
         self.rule_counts = model.rule_count, len(model.premise)
         mean = sum(model.rates[1:], start=model.rates[0]) / model.rule_count
-        self._mean = mean[:, :n]
         self.deviations = model.rates - mean
-        super().__init__((self._mean, mean[:, n:], model.C), densities, disturbance, period)
+        super().__init__((mean[:, :n], mean[:, n:], model.C), densities, disturbance, period)
 
     def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
         shapes, parameters = self.model.rule_base.coded
@@ -80,25 +79,10 @@ class TSFlow(Flow):
             **({} if uncertainty is None else {"directions": uncertainty.directions}),
         }
 
-    def error_map(self, first: Array, second: Array, step: Transition) -> tuple[Array, Array]:
-        """Return the transition of the error and the covariance of its noise over a step, by N₁ at
-        its start and N₂ at its middle, shapes (..., n, n)."""
+    def error_map(self, first: Array, second: Array) -> tuple[Array, Array]:
+        step, one = self.nominal, np.eye(self.state_count)
         T, phi = step.duration, step.phi
-        kick = phi @ (np.eye(self.state_count) + 0.5 * T * first)
-        transition = phi @ (phi + T * second @ kick)
-        spread = phi @ (np.eye(self.state_count) + T * second)
+        transition = phi @ (phi + T * second @ (phi @ (one + 0.5 * T * first)))
+        spread = phi @ (one + T * second)
         noise = spread @ step.noise @ np.swapaxes(spread, -1, -2) + step.noise
         return transition, 0.5 * (noise + np.swapaxes(noise, -1, -2))
-
-    def vertices(self, matrices: ArrayLike, names: Sequence[str]) -> list[VertexSystem]:
-        """Return the vertex error systems of a nominal step: every ordered pair of plant matrices,
-        whose convex hull covers the error systems, shape (l, n, n); with names for reports."""
-        n = self.model.state_count
-        stack = as_matrix("vertex matrices", matrices, (len(names), n, n))
-        padded = np.zeros((len(names), self.state_count, self.state_count))
-        padded[:, :n, :n] = stack - self._mean
-        return [
-            VertexSystem(*self.error_map(padded[i], padded[j], self.nominal), f"{one}, {other}")
-            for i, one in enumerate(names)
-            for j, other in enumerate(names)
-        ]

@@ -10,7 +10,6 @@ being a torque at the link. The arm is a single rule of them.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -132,7 +131,7 @@ class Direction:
         bound: Of |θ|.
     """
 
-    E: np.ndarray[Any, np.dtype[np.float64]]  # not Array, which `schema` cannot take apart
+    E: Array
     bound: float
 
 

@@ -27,7 +27,7 @@ from tsobs_ros.bag.reader import UNCHECKED, BagReader
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.request import AnyRequest, ArmRequest, TSRequest
-from tsobs_ros.design.signals import Signals, signals
+from tsobs_ros.design.signals import Signals
 from tsobs_ros.errors import BagReadError, MessageError, ModelError
 from tsobs_ros.estimation.records import USED
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
@@ -224,7 +224,7 @@ class BagSource:
     def signals_of(self, requests: Sequence[AnyRequest]) -> tuple[Signals, ...]:
         """Return the places of the joints' signals if they have these designs."""
         each = zip(requests, self.joints, strict=True)
-        return tuple(signals(one, joint, self.alone, self.both_sides) for one, joint in each)
+        return tuple(one.signals(joint, self.alone, self.both_sides) for one, joint in each)
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:

@@ -24,7 +24,6 @@ from tsobs_ros.bag.joint_states import JOINT_STATE, JointState, JointStateDecode
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.design.file import parse_design
 from tsobs_ros.design.request import TSRequest
-from tsobs_ros.design.signals import signals
 from tsobs_ros.errors import BagReadError, ExportError, MessageError, TsobsError
 from tsobs_ros.files import written_whole
 from tsobs_ros.replay.designs import recorded_observer
@@ -204,7 +203,7 @@ def _units_of_systems(reader: BagReader) -> dict[str, dict[str, str]]:
             for joint, (design, *_) in ran.designs.items():
                 request = parse_design(design.file, design.text).request
                 if isinstance(request, TSRequest):
-                    own = signals(request, joint, alone=len(ran.designs) == 1)
+                    own = request.signals(joint, alone=len(ran.designs) == 1)
                     places = (*own.states, *own.inputs, *own.outputs)
                     given = (*request.state_units, *request.input_units, *request.output_units)
                     for place, unit in zip(places, given, strict=True):

@@ -18,7 +18,6 @@ from std_msgs.msg import Header
 
 from tsobs_ros.design.file import load_request
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
-from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation.records import Estimate
 from tsobs_ros.nodes.observer.messages import EstimatePublisher
 from tsobs_ros.replay.samples import MISSING, NOT_NAMED, WRONG, Batch, MeasurementReader
@@ -30,7 +29,7 @@ VELOCITIES = ArmRequest(outputs=[Output("motor_velocity", 1e-3), Output("motor_a
 WAVE = (DisturbanceTerm("gauss_markov", {"std": 1.0, "time_constant": 1.0}),)
 HIP, KNEE, DRIVE = "hip", "knee", ["drive", "gyroscope", "encoder"]
 STAMP, NAN = 12_000_000_345, math.nan
-JOINTS = {joint: signals(ARM, joint, alone=False) for joint in (HIP, KNEE)}
+JOINTS = {joint: ARM.signals(joint, alone=False) for joint in (HIP, KNEE)}
 
 
 def message(names: list[str], position: list[float], effort: list[float], **header: Any) -> bytes:
@@ -85,7 +84,7 @@ def test_each_joint_finds_its_sample(
 def test_what_a_message_lacks_of_several_outputs_is_nan(
     request_: Any, names: list[str], fields: dict[str, list[float]], expected: Any
 ) -> None:
-    reader = MeasurementReader({HIP: signals(request_, HIP, alone=True)}, assume_zero_torque=False)
+    reader = MeasurementReader({HIP: request_.signals(HIP, alone=True)}, assume_zero_torque=False)
     data = bytes(serialize_message(JointState(name=names, **fields)))
     assert str(shown(reader.read([data]))) == str([expected])  # NaN equals NaN in text
     if isinstance(expected, int):
@@ -155,7 +154,7 @@ def test_what_is_published_is_what_rclpy_would_send(ros: Any) -> None:
     node = ros.node("observer")
     pushed = ArmRequest(torque_disturbance=TorqueDisturbance(link=WAVE, motor=WAVE))
     requests: dict[str, Any] = {"hip": ArmRequest(), "arm": pushed, "tank": SYSTEM}
-    joints = {joint: signals(each, joint, alone=False) for joint, each in requests.items()}
+    joints = {joint: each.signals(joint, alone=False) for joint, each in requests.items()}
     publisher = EstimatePublisher(node, joints, [("stiffness",), (), ()])
     topics = [each for each in node.publishers if each.msg_type is JointState]
     kept: dict[str, JointState] = {}

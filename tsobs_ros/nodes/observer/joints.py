@@ -11,7 +11,6 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.request import ArmRequest
-from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation import health, records
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import Event, EventLog
@@ -111,7 +110,7 @@ class ObservedJoint:
         self.loaded = loaded
         self.method = parameters.method
         self.request, settings = loaded.design.request, parameters.settings
-        self.signals = signals(self.request, name, alone=len(parameters.joints) == 1)
+        self.signals = self.request.signals(name, alone=len(parameters.joints) == 1)
         self.learnt = settings.learnt(loaded.design)
         self.tracker: Tracker = make_tracker(loaded.design, settings, estimator)
         self._parameters = parameters

@@ -17,7 +17,7 @@ from std_msgs.msg import Float64MultiArray
 
 from tsobs_ros.bag.estimate_topics import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, sides
 from tsobs_ros.design.request import ArmRequest
-from tsobs_ros.design.signals import Place, positions, signals
+from tsobs_ros.design.signals import Place, positions
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
@@ -85,7 +85,7 @@ class SamplePublisher:
     def __init__(self, node: Node, parameters: PlantSimulatorParameters) -> None:
         requests = parameters.requests
         joints = [
-            signals(request, joint, alone=len(requests) == 1) for joint, request in requests.items()
+            request.signals(joint, alone=len(requests) == 1) for joint, request in requests.items()
         ]
         # Outputs last: of an output that is an input too, a lost value shall be NaN. A reliable
         # publisher suits all usual subscribers; only this one is asked about mismatches.
