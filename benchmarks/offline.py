@@ -14,7 +14,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -60,13 +59,9 @@ def _record(path: Path, design: Design, seconds: float) -> None:
                 own.encode_rows(stamps, runs.disturbances[0]),
             ]
             logs = (stamps + _LATENCY).tolist()
-            writer.write_all(
-                [
-                    (topic, JOINT_STATE, one.tobytes(), log, log)
-                    for *row, log in zip(*data, logs, strict=True)
-                    for topic, one in zip(_TOPICS, row, strict=True)
-                ]
-            )
+            for *row, log in zip(*data, logs, strict=True):
+                for topic, one in zip(_TOPICS, row, strict=True):
+                    writer.write(topic, one.tobytes(), log, log)
 
 
 def _estimate(bag: Path, design: Design, output: Path | None) -> None:
@@ -82,11 +77,9 @@ def _record_again(bag: Path, new: Path) -> None:
     """Write a bag's messages as a recorder does, in order of time."""
     reader = BagReader(bag)
     with BagWriter(new) as writer:
-        for one in reader.topics.values():
-            writer.add_topic(one.name, one.type, one.qos_profiles, definition=one.definition)
-        messages = reader.messages()
-        while block := list(islice(messages, _BLOCK)):
-            writer.write_all(block)
+        writer.add_topics(reader.topics.values())
+        for one in reader.messages():
+            writer.write(one.topic, one.data, one.log_time, one.publish_time)
 
 
 def _measure(folder: Path, design: Design, seconds: float, repeats: int) -> dict[str, Any]:

@@ -36,20 +36,14 @@ def repeat(bag: Path, output: Path, seconds: float) -> int:
             if not is_first and one.log_time <= times[-1]]  # fmt: skip
     count = max(1, round(1e9 * seconds / length))
     with BagWriter(output) as writer:
-        for topic in reader.topics.values():
-            writer.add_topic(
-                topic.name, topic.type, topic.qos_profiles, definition=topic.definition
-            )
-        writer.write_all(first)
+        writer.add_topics(reader.topics.values())
+        for one in first:
+            writer.write(one.topic, one.data, one.log_time, one.publish_time)
         for place in range(count):
             later = place * length
-            writer.write_all(
-                [
-                    (one.topic, one.type, _shifted(one.data, later), one.log_time + later,
-                     one.publish_time + later)
-                    for one in rest
-                ]
-            )  # fmt: skip
+            for one in rest:
+                data, times = _shifted(one.data, later), (one.log_time, one.publish_time)
+                writer.write(one.topic, data, *(time + later for time in times))
     return len(first) + count * len(rest)
 
 

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType
 
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
-from tsobs_ros.bag.copying import add_topics, copy_chunks
 from tsobs_ros.bag.metadata import profiles_to_yaml
 from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.bag.verification import verify
@@ -56,9 +55,9 @@ def copy(source: Path, target: Path, topics: tuple[str, ...], **options: Any) ->
     """Copy as an estimation does, and write some messages of another topic."""
     reader = BagReader(source)
     with BagWriter(target, **options) as writer:
-        add_topics(reader, writer, topics)
+        writer.add_topics(one for one in reader.topics.values() if one.name in topics)
         writer.add_topic("/made", BYTES, [QosProfile()])
-        copy_chunks(reader, writer, topics)
+        writer.copy_topics(reader, topics)
         for time in (14, 29, 60):
             writer.write("/made", message(0), time, time)
     return target

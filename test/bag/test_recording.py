@@ -14,12 +14,11 @@ from hypothesis import strategies as st
 
 from tsobs_ros.bag import BagReader, QosProfile
 from tsobs_ros.bag.metadata import read_metadata
-from tsobs_ros.bag.recording import BufferedMessage, Latch, LatchedMessages, Recording
+from tsobs_ros.bag.recording import LatchedMessages, Received, Recording
 from tsobs_ros.bag.verification import verify
 from tsobs_ros.errors import BagWriteError
 
 EMPTY, MAP = cdr(""), cdr("map")
-ONE = Latch(number=1, publishers=1)
 
 
 def begin(path: Path, **options: Any) -> Recording:
@@ -29,8 +28,8 @@ def begin(path: Path, **options: Any) -> Recording:
     return recording
 
 
-def message(topic: str, time: int, data: bytes = EMPTY) -> BufferedMessage:
-    return BufferedMessage(topic, data, time, time)
+def message(topic: str, time: int, data: bytes = EMPTY, *latch: int | None) -> Received:
+    return Received(topic, data, time, time, *latch)
 
 
 def stored(path: Path) -> list[tuple[str, int, int]]:
@@ -48,12 +47,12 @@ def folder(tmp_path: Path) -> Iterator[Path]:
 
 def test_every_file_begins_with_what_is_latched(folder: Path) -> None:
     recording = begin(folder, max_duration_ns=9)
-    recording.record(message("/map", 1, MAP), ONE)
+    recording.record(message("/map", 1, MAP, 1, 1))
     for time in range(2, 25):
         recording.record(message("/a", time))
     recording.split()
     recording.split()
-    recording.record(message("/map", 30, MAP), ONE)
+    recording.record(message("/map", 30, MAP, 1, 1))
     recording.close()
 
     files = [BagReader(folder / f.path) for f in read_metadata(folder).files]
@@ -82,7 +81,7 @@ def kept(*arrivals: tuple[str, int | None, int]) -> list[int]:
     """Return which messages, by their order of arrival, are kept of publishers and numbers."""
     latched = LatchedMessages()
     for k, (_, number, publishers) in enumerate(arrivals):
-        latched.keep(message("/x", k), Latch(number, publishers))
+        latched.keep(message("/x", k, EMPTY, number, publishers))
     return [m.publish_time_ns for m in latched.before(1000)]
 
 

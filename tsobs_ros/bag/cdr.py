@@ -12,7 +12,7 @@ and not counted.
 import struct
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -107,10 +107,6 @@ def encode_text(text: str) -> bytes:
     return struct.pack(f"<4sI{len(raw)}s", LITTLE, len(raw), raw)
 
 
-Message: TypeAlias = tuple[str, str, bytes, int, int]
-"""A `BagMessage` as a plain tuple, whose class would cost more than the rest of it."""
-
-
 class MessageSeries(NamedTuple):
     """Messages of a topic that have the same size, n of them.
 
@@ -122,12 +118,6 @@ class MessageSeries(NamedTuple):
     log_times: NDArray[np.int64]
     publish_times: NDArray[np.int64]
     data: NDArray[np.uint8]
-
-    def messages(self) -> list[Message]:
-        """Return them one by one."""
-        times = zip(self.log_times.tolist(), self.publish_times.tolist(), strict=True)
-        rows = zip(self.data, times, strict=True)
-        return [(self.topic, self.type, row.tobytes(), *each) for row, each in rows]
 
 
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"

@@ -115,8 +115,6 @@ def split_records(data: bytes) -> Records:
     if count < 0:
         many = f", or more than {MAX_MESSAGES} messages" if found.shape[1] == MAX_MESSAGES else ""
         raise RecordError(f"it holds bytes that are no record{many}")
-    if len(data) - MESSAGE.size * count - int(found[-1, :count].sum()) > _MAX_DESCRIPTIONS:
-        raise RecordError(f"more than {_MAX_DESCRIPTIONS} bytes of it are no messages")
     rows = np.zeros(count, ROW)
     for field, values in zip(fields, found, strict=True):
         rows[field] = values[:count]
@@ -133,6 +131,19 @@ def by_channel(rows: Rows) -> Iterator[tuple[int, NDArray[np.intp]]]:
 def pieces(data: NDArray[np.uint8], size: int) -> NDArray[np.void]:
     """Return the `size` bytes that begin at each place of some data, which are not copied."""
     return np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))
+
+
+def read_chunk(chunk: Chunk) -> Records:
+    """Return what is in a chunk, checked.
+
+    Raises:
+        RecordError: As `chunk_records` and `split_records`, or too much of it are no messages.
+    """
+    content = split_records(chunk_records(chunk))
+    size = MESSAGE.size * len(content.rows) + int(content.rows["size"].sum())
+    if len(content.data) - size > _MAX_DESCRIPTIONS:
+        raise RecordError(f"more than {_MAX_DESCRIPTIONS} bytes of it are no messages")
+    return content
 
 
 def chunk_records(chunk: Chunk) -> bytes:
@@ -371,7 +382,7 @@ def read_span(stream: IO[bytes], span: Span) -> tuple[Records, Chunk]:
     if size != span.size:
         raise RecordError("the index states another size")
     chunk.data = record[data_at:]
-    return split_records(chunk_records(chunk)), chunk
+    return read_chunk(chunk), chunk
 
 
 def chunk_head(head: bytes) -> tuple[Chunk, int, int]:

@@ -8,10 +8,8 @@ Unlike the library's, this writer takes whole chunks: of arrays, and of another 
 import os
 import struct
 import zlib
-from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +30,6 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from numpy.typing import NDArray
 
 from tsobs_ros.bag.container import (
     INDEX_HEAD,
@@ -41,7 +38,9 @@ from tsobs_ros.bag.container import (
     RECORD,
     RecordError,
     Records,
+    by_channel,
     parse_record,
+    split_records,
 )
 from tsobs_ros.bag.metadata import FileMetadata, TopicInfo, profiles_to_yaml
 
@@ -51,9 +50,6 @@ _OPCODE = int(Opcode.MESSAGE)
 _BODY_SIZE = MESSAGE.size - RECORD.size
 _FOOTER_HEAD = struct.Struct("<BQQQ")
 _NO_TIME = 2**63
-
-_Entries = Mapping[int, NDArray[np.uint64]]
-"""Log time and place of the messages of a chunk, by channel."""
 
 
 class FileWriter:
@@ -82,7 +78,10 @@ class FileWriter:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.ids: dict[str, int] = {}
-        self._begin_chunk()
+        self._schema_ids: dict[tuple[str, str, str], int] = {}
+        # The records of the chunk in progress, their size, and whether messages are among them.
+        self._records: list[bytes] = []
+        self._size, self._has_messages = 0, False
         self._counts: Counter[int] = Counter()
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
@@ -102,62 +101,54 @@ class FileWriter:
         """Return the file's duration, ns, if a message of this log time were in it too."""
         return max(self._end, log_time_ns) - min(self._start, log_time_ns)
 
-    def add_topic(self, topic: TopicInfo, ids: tuple[int, int] = (0, 0)) -> None:
-        """Describe a topic and its type, with these ids of channel and schema if they are free."""
+    def add_topic(self, topic: TopicInfo) -> None:
+        """Describe a topic and its type."""
         definition = topic.definition
         assert definition is not None
-        data, encoding = definition.text.encode(), definition.encoding
-        for schema in self.schemas.values():
-            if (schema.name, schema.encoding, schema.data) == (topic.type, encoding, data):
-                break
-        else:
-            schema = Schema(_free(ids[1], self.schemas), data, encoding, topic.type)
-            self.schemas[schema.id] = schema
-            self._describe(schema)
+        key = topic.type, definition.encoding, definition.text
+        if (schema_id := self._schema_ids.get(key)) is None:
+            schema_id = self._schema_ids[key] = len(self.schemas) + 1
+            data = definition.text.encode()
+            self.schemas[schema_id] = Schema(schema_id, data, definition.encoding, topic.type)
+            self._add(_packed(self.schemas[schema_id]))
         metadata = {
             "offered_qos_profiles": profiles_to_yaml(topic.qos_profiles),
             "topic_type_hash": topic.type_hash,
         }
-        id_ = self.ids[topic.name] = _free(ids[0], self.channels)
-        self.channels[id_] = Channel(id_, topic.name, "cdr", metadata, schema.id)
-        self._describe(self.channels[id_])
-
-    def _describe(self, record: McapRecord) -> None:
-        self._pieces.append(_packed(record))
-        self._size += len(self._pieces[-1])
-        self._finish_full_chunk()
+        id_ = self.ids[topic.name] = len(self.channels) + 1
+        self.channels[id_] = Channel(id_, topic.name, "cdr", metadata, schema_id)
+        self._add(_packed(self.channels[id_]))
 
     def add_message(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
         """Append a message; times are in ns since the epoch."""
-        channel = self.ids[topic]
-        if (entries := self._entries.get(channel)) is None:
-            entries = self._entries[channel] = array("Q")
-        entries.extend((log_time, self._size))
-        head = MESSAGE.pack(_OPCODE, _BODY_SIZE + len(data), channel, 0, log_time, publish_time)
-        self._pieces += head, data
-        self._size += MESSAGE.size + len(data)
+        size, channel = _BODY_SIZE + len(data), self.ids[topic]
+        self._records.append(MESSAGE.pack(_OPCODE, size, channel, 0, log_time, publish_time))
+        self._size += MESSAGE.size
         if log_time < self._start:
             self._start = log_time
         if log_time > self._end:
             self._end = log_time
         self.message_count += 1
-        self._finish_full_chunk()
+        self._has_messages = True
+        self._add(data)
+
+    def _add(self, data: bytes) -> None:
+        self._records.append(data)
+        self._size += len(data)
+        if self._size > self._chunk_size:
+            self._finish_chunk()
 
     def add_chunk(self, content: Records, chunk: Chunk | None = None) -> None:
         """Append messages as a chunk: as it is, if one is given; else it is compressed here."""
         self._finish_chunk()
-        if self._pieces:  # what describes topics comes first
-            self._stream.write(b"".join(self._pieces))
-            self._begin_chunk()
-        rows = content.rows
-        pairs = np.stack([rows["log_time"], rows["begin"] - MESSAGE.size], axis=1).astype("<u8")
-        known, first = np.unique(rows["channel"], return_index=True)
-        # The channel of the first message comes first.
-        entries = {k: pairs[rows["channel"] == k] for k in known[np.argsort(first)].tolist()}
-        self._write_chunk(content.data, entries, chunk)
-        self.message_count += len(rows)
-        self._start = min(self._start, int(rows["log_time"].min()))
-        self._end = max(self._end, int(rows["log_time"].max()))
+        if self._records:  # what describes topics comes first
+            self._stream.write(b"".join(self._records))
+            self._records, self._size = [], 0
+        self._write_chunk(content, chunk)
+        times = content.rows["log_time"]
+        self.message_count += len(times)
+        self._start = min(self._start, int(times.min()))
+        self._end = max(self._end, int(times.max()))
 
     def can_have(self, chunk: Chunk, content: Records, ids: Mapping[int, int]) -> bool:
         """Return whether a chunk of another file may be in this one as it is.
@@ -236,45 +227,34 @@ class FileWriter:
 
     def close(self) -> None:
         """Force everything to the disk; the descriptor is released even if that fails."""
-        with self._stream:
-            os.fsync(self._stream.fileno())
-
-    def _begin_chunk(self) -> None:
-        # Its content, and log time and place of its messages.
-        self._pieces: list[bytes] = []
-        self._size = 0
-        self._entries: dict[int, array[int]] = {}
-
-    def _finish_full_chunk(self) -> None:
-        if self._size > self._chunk_size:
-            self._finish_chunk()
+        if not self._stream.closed:
+            self._chunks.clear()
+            with self._stream:
+                os.fsync(self._stream.fileno())
 
     def _finish_chunk(self) -> None:
         # Without messages descriptions wait: the summary has them too.
-        if self._entries:
-            entries = {
-                channel: np.array(each, "<u8").reshape(-1, 2)
-                for channel, each in self._entries.items()
-            }
-            self._write_chunk(b"".join(self._pieces), entries)
-            self._begin_chunk()
+        if self._has_messages:
+            self._write_chunk(split_records(b"".join(self._records)))
+            self._records, self._size, self._has_messages = [], 0, False
 
-    def _write_chunk(self, content: bytes, entries: _Entries, chunk: Chunk | None = None) -> None:
+    def _write_chunk(self, content: Records, chunk: Chunk | None = None) -> None:
         """Write a chunk, compressed here unless it is there already, and its message indexes."""
+        rows, data = content.rows, content.data
         if chunk is None:
-            start = min(int(each[:, 0].min()) for each in entries.values())
-            end = max(int(each[:, 0].max()) for each in entries.values())
-            data, crc = self._compress(content), zlib.crc32(content)
-            chunk = Chunk(self._compression, data, end, start, crc, len(content))
-        record = _packed(chunk)
-        at = self._stream.tell()
+            start, end = int(rows["log_time"].min()), int(rows["log_time"].max())
+            packed, crc = self._compress(data), zlib.crc32(data)
+            chunk = Chunk(self._compression, packed, end, start, crc, len(data))
+        record, at = _packed(chunk), self._stream.tell()
+        entries = np.stack([rows["log_time"], rows["begin"] - MESSAGE.size], axis=1).astype("<u8")
         offsets, indexes = {}, bytearray()
-        for channel, each in entries.items():
+        # The channel of the first message comes first.
+        for channel, places in sorted(by_channel(rows), key=lambda each: int(each[1][0])):
             offsets[channel] = at + len(record) + len(indexes)
-            length = INDEX_HEAD.size - RECORD.size + each.nbytes
-            indexes += INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, length, channel, each.nbytes)
-            indexes += each.tobytes()
-            self._counts[channel] += len(each)
+            own = entries[places].tobytes()
+            length = INDEX_HEAD.size - RECORD.size + len(own)
+            indexes += INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, length, channel, len(own)) + own
+            self._counts[channel] += len(places)
         self._stream.write(record + indexes)
         index = ChunkIndex(
             chunk_length=len(record),
@@ -304,13 +284,6 @@ def pick(content: Records, ids: Mapping[int, int]) -> Records:
         at = rows["begin"] - MESSAGE.size + RECORD.size + byte
         picked[at] = rows["channel"] >> 8 * byte & 255
     return Records(picked.tobytes(), rows)
-
-
-def _free(wanted: int, taken: Mapping[int, object]) -> int:
-    """Return an id that is not taken: the wanted one, if it is any, else the next one."""
-    if wanted and wanted not in taken:
-        return wanted
-    return next(id_ for id_ in count(len(taken) + 1) if id_ not in taken)
 
 
 def _packed(record: McapRecord) -> bytes:

@@ -19,25 +19,20 @@ from tsobs_ros.errors import BagWriteError
 _MAX_PUBLISHERS = 64
 
 
-class BufferedMessage(NamedTuple):
-    """A message as it goes to the bag; times in ns since the epoch."""
+class Received(NamedTuple):
+    """A message as it arrived; times in ns since the epoch.
+
+    Attributes:
+        number: Its publisher's count of its messages; None if the middleware gives none.
+        latched: The number of latched publishers the topic has had so far; 0 if it is not latched.
+    """
 
     topic: str
     data: bytes
     log_time_ns: int
     publish_time_ns: int
-
-
-class Latch(NamedTuple):
-    """A latched message's publisher.
-
-    Attributes:
-        number: The publisher's count of its messages; None if the middleware gives none.
-        publishers: The number of latched publishers the topic has had so far.
-    """
-
-    number: int | None
-    publishers: int
+    number: int | None = None
+    latched: int = 0
 
 
 class Recording(BagWriter):
@@ -59,10 +54,9 @@ class Recording(BagWriter):
 
     def __init__(self, path: Path, *, sync_period: float = 5.0, **options: Any) -> None:
         super().__init__(path, **options)
-        self._is_limited = True
         self.counts: Counter[str] = Counter()
         self.bytes = self.discarded = 0
-        self._latched, self._repeating = LatchedMessages(), False
+        self._latched = LatchedMessages()
         self._sync_failure: BagWriteError | None = None
         self._stopping = Event()
         # A disk may take seconds over it.
@@ -77,13 +71,20 @@ class Recording(BagWriter):
                 self._sync_failure = error
                 return
 
-    def record(self, message: BufferedMessage, latch: Latch | None = None) -> None:
-        """Write a message of a registered topic, with its publisher's latch if it is latched."""
-        if latch is not None:
-            self._latched.keep(message, latch)
+    def record(self, message: Received) -> None:
+        """Write a message of a registered topic; in front of the first one of a file the latched.
+
+        Those are repeated in every file but the first, with the log time of its start.
+        """
+        if message.latched:
+            self._latched.keep(message)
+        self._make_room(message.log_time_ns)
+        if self.file_count > 1 and not self._file.message_count:
+            for each in self._latched.before(message.log_time_ns):
+                self.write(each.topic, each.data, message.log_time_ns, each.publish_time_ns)
         self.counts[message.topic] += 1
         self.bytes += len(message.data)
-        self.write(*message)
+        self.write(*message[:4])
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system: it survives a kill."""
@@ -97,15 +98,6 @@ class Recording(BagWriter):
         self._syncing.join()
         super().close()
 
-    def _make_room(self, log_time_ns: int) -> None:
-        super()._make_room(log_time_ns)
-        is_first = self._file.message_count == 0 and self._finished_files
-        if is_first and not self._repeating:
-            self._repeating = True  # the messages come here, too
-            for message in self._latched.before(log_time_ns):
-                self.write(*message)
-            self._repeating = False
-
 
 class LatchedMessages:
     """Keeps the last message of each latched publisher, without knowing whose each one is.
@@ -116,27 +108,25 @@ class LatchedMessages:
     """
 
     def __init__(self) -> None:
-        # The messages of a topic, with their publishers' counts of them.
-        self._topics: dict[str, list[tuple[BufferedMessage, int | None]]] = {}
+        self._topics: dict[str, list[Received]] = {}
 
-    def keep(self, message: BufferedMessage, latch: Latch) -> None:
+    def keep(self, message: Received) -> None:
         """Keep a message, and drop what it replaces."""
-        number = latch.number
-        kept = self._topics.setdefault(message.topic, [])
-        kept.append((message, number))
-        surplus = len(kept) - min(latch.publishers, _MAX_PUBLISHERS)
+        number, kept = message.number, self._topics.setdefault(message.topic, [])
+        kept.append(message)
+        surplus = len(kept) - min(message.latched, _MAX_PUBLISHERS)
         if surplus <= 0:
             return
-        if number is None or latch.publishers == 1:
+        if number is None or message.latched == 1:
             del kept[:surplus]
             return
-        numbers = [other for _, other in kept]
+        numbers = [other.number for other in kept]
         if numbers.count(number - 1) <= numbers.count(number):
-            kept[:] = [each for each in kept if each[1] != number - 1]
+            kept[:] = [other for other in kept if other.number != number - 1]
         del kept[: max(0, len(kept) - _MAX_PUBLISHERS)]
 
-    def before(self, log_time_ns: int) -> list[BufferedMessage]:
-        """Return what was logged before a time [ns] with that log time, by publication."""
-        kept = (message for each in self._topics.values() for message, _ in each)
-        found = [m._replace(log_time_ns=log_time_ns) for m in kept if m.log_time_ns < log_time_ns]
+    def before(self, log_time_ns: int) -> list[Received]:
+        """Return what was logged before a time [ns], by publication."""
+        kept = (message for each in self._topics.values() for message in each)
+        found = [message for message in kept if message.log_time_ns < log_time_ns]
         return sorted(found, key=attrgetter("publish_time_ns"))

@@ -5,7 +5,6 @@
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -140,14 +139,16 @@ def recover(
                     notes = metadata.custom_data if metadata else None
                     new = whole_bag(target, compression=compression, custom_data=notes)
                     writer = stack.enter_context(new)
-                added = _add_topics(writer, topics, added)
+                if added < len(topics):
+                    writer.add_topics(topics.values())
+                    added = len(topics)
                 names = {id_: topic.name for id_, topic in file.topics.items()}
                 chunk = part.record if isinstance(part.record, Chunk) else None
                 if kept is not part.content or (chunk and chunk.compression != packed):
                     chunk = None
                 writer.copy(kept, chunk, names)
         if writer is not None:
-            _add_topics(writer, topics, added)  # those without messages, too
+            writer.add_topics(topics.values())  # those without messages, too
     if writer is None:
         each = (
             f"{file.name}: {file.error or next(map(str, file.damage), 'it holds no messages')}"
@@ -155,12 +156,6 @@ def recover(
         )
         raise BagReadError(f"{source}: no message can be recovered: {'; '.join(each)}")
     return Recovery(source, target, tuple(files), tuple(_remarks(there, files)))
-
-
-def _add_topics(writer: BagWriter, topics: dict[str, TopicInfo], begin: int) -> int:
-    for each in islice(topics.values(), begin, None):
-        writer.add_topic(each.name, each.type, each.qos_profiles, definition=each.definition)
-    return len(topics)
 
 
 def _remarks(there: BagFiles, files: list[DamagedFile]) -> Iterator[str]:

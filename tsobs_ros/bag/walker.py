@@ -38,9 +38,9 @@ from tsobs_ros.bag.container import (
     Records,
     Summary,
     chunk_head,
-    chunk_records,
     parse_record,
     parse_summary,
+    read_chunk,
     split_records,
 )
 
@@ -250,7 +250,7 @@ class FileWalker:
         """Return what a chunk holds."""
         self._bytes_left -= min(chunk.uncompressed_size, MAX_SIZE) if chunk.compression else 0
         if self._bytes_left >= 0:
-            content = split_records(chunk_records(chunk))
+            content = read_chunk(chunk)
             self._records_left -= len(content.rows)
             for count, description in enumerate(content.descriptions()):
                 # They take ten times as long as messages.

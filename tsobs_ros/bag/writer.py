@@ -4,13 +4,13 @@
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
-from operator import itemgetter
+from operator import attrgetter
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -18,20 +18,22 @@ from mcap.records import Chunk
 from numpy.typing import NDArray
 
 from tsobs_ros import __version__
-from tsobs_ros.bag.cdr import Message, MessageSeries
+from tsobs_ros.bag.cdr import MessageSeries
 from tsobs_ros.bag.container import MESSAGE, RECORD, ROW, Records, pieces
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter, pick
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     BagMetadata,
-    FileMetadata,
     QosProfile,
     TopicInfo,
     write_metadata,
 )
 from tsobs_ros.errors import BagWriteError
 from tsobs_ros.files import fsync_folder, written_whole
+
+if TYPE_CHECKING:
+    from tsobs_ros.bag.reader import BagReader
 
 LIBRARY = "tsobs_ros"
 CHUNK_SIZE = 786_432
@@ -74,18 +76,14 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._compression = compression
         self._max_size, self._max_duration_ns = max_size, max_duration_ns
         self._custom_data = custom_data
-        self._is_limited = bool(max_size or max_duration_ns)
         self._topics: dict[str, TopicInfo] = {}
         self._counts = Counter[str]()
-        self._finished_files: list[FileMetadata] = []
-        self._unsynced: list[FileWriter] = []
+        self._files: list[FileWriter] = []
         self._on_disk = (0, 0)
         self._closed = False
         self._failure = ""
-        # A disk may take seconds to sync, and a split must not wait for it: `_disk` is held as long
-        # as syncing takes, `_files` only while the list of files is read or changed.
+        # Held while the disk is forced to take something, which may last for seconds.
         self._disk = Lock()
-        self._files = Lock()
         try:
             self.path.mkdir(parents=True)
             fsync_folder(self.path.parent)
@@ -93,8 +91,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise BagWriteError(f"{self.path}: exists already, bags are not overwritten") from error
         except OSError as error:
             raise BagWriteError(f"{self.path}: cannot create it: {error}") from error
-        self._file = self._open_file(())
-        self._write_metadata(self.metadata())
+        self._start_file()
+        self._write_metadata()
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:
@@ -106,13 +104,16 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     @property
     def file_count(self) -> int:
         """The number of files of the bag."""
-        return len(self._finished_files) + 1
+        return len(self._files)
 
     def metadata(self) -> BagMetadata:
         """Return the bag's metadata as of now."""
-        return BagMetadata(
-            self.topics, (*self._finished_files, self._file.info()), self._custom_data
-        )
+        files = tuple(file.info() for file in list(self._files))
+        return BagMetadata(self.topics, files, self._custom_data)
+
+    @property
+    def _file(self) -> FileWriter:
+        return self._files[-1]
 
     def add_topic(
         self,
@@ -121,7 +122,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         qos_profiles: Iterable[QosProfile] = (),
         *,
         definition: MessageDefinition | None = None,
-        ids: tuple[int, int] | None = None,
     ) -> None:
         """Register a topic before its first message.
 
@@ -133,7 +133,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             type: The message type, `package/msg/Type`.
             qos_profiles: What its publishers offer.
             definition: Its definition; the installed one by default.
-            ids: Channel and schema that it has in the file, if they are free.
         """
         self._check_open()
         if (known := self._topics.get(name)) is not None:
@@ -146,8 +145,13 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         qos = tuple(qos_profiles)
         topic = TopicInfo(name, definition.type, 0, qos, definition.type_hash, definition)
         with self._writing():
-            self._file.add_topic(topic, ids or (0, 0))
+            self._file.add_topic(topic)
         self._topics[name] = topic
+
+    def add_topics(self, topics: Iterable[TopicInfo]) -> None:
+        """Register topics of another bag, in their order there."""
+        for one in topics:
+            self.add_topic(one.name, one.type, one.qos_profiles, definition=one.definition)
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Append one message.
@@ -163,7 +167,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         is_right = 0 <= log_time_ns < EMPTY_START_NS and 0 <= publish_time_ns < EMPTY_START_NS
         if topic not in self._topics or not is_right:
             self._require(topic, np.array([log_time_ns, publish_time_ns]))
-        if self._is_limited:
+        if self._max_size or self._max_duration_ns:
             self._make_room(log_time_ns)
         try:
             self._file.add_message(topic, data, log_time_ns, publish_time_ns)
@@ -171,32 +175,41 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise self._failed(error) from error
         self._counts[topic] += 1
 
-    def write_all(self, messages: Iterable[Message]) -> None:
-        """Append messages: topic, type, data, log time and publish time of each."""
-        for topic, _, data, log_time_ns, publish_time_ns in messages:
-            self.write(topic, data, log_time_ns, publish_time_ns)
-
     def write_series(self, series: Sequence[MessageSeries]) -> None:
-        """Append messages in order of log time, equal ones in order of the series."""
+        """Append messages in order of log time, equal ones in order of the series.
+
+        Limits of files do not hold.
+        """
         self._check_open()
         series = [one for one in series if len(one.data)]
         for one in series:
             self._require(one.topic, one.log_times, one.publish_times)
-        if self._is_limited:
-            messages = (message for one in series for message in one.messages())
-            self.write_all(sorted(messages, key=itemgetter(3)))
-        elif series:
-            data, rows = packed([(self._file.ids[one.topic], one) for one in series])
-            begins, ends = rows["begin"] - MESSAGE.size, rows["begin"] + rows["size"]
-            # Chunks of the usual size; the message that goes beyond it is the chunk's last.
-            first = 0
-            while first < len(rows):
-                begin = int(begins[first])
-                last = int(np.searchsorted(ends[:-1], begin + CHUNK_SIZE, side="right"))
-                own = rows[first : last + 1]
-                own["begin"] -= begin
-                self._add_chunk(Records(data[begin : int(ends[last])], own))
-                first = last + 1
+        if not series:
+            return
+        data, rows = packed([(self._file.ids[one.topic], one) for one in series])
+        begins, ends = rows["begin"] - MESSAGE.size, rows["begin"] + rows["size"]
+        # Chunks of the usual size; the message that goes beyond it is the chunk's last.
+        first = 0
+        while first < len(rows):
+            begin = int(begins[first])
+            last = int(np.searchsorted(ends[:-1], begin + CHUNK_SIZE, side="right"))
+            own = rows[first : last + 1]
+            own["begin"] -= begin
+            self._add_chunk(Records(data[begin : int(ends[last])], own))
+            first = last + 1
+
+    def copy_topics(self, reader: "BagReader", topics: Collection[str]) -> None:
+        """Copy what the chunks of a bag have of some topics, in the order of its files.
+
+        Raises:
+            BagReadError: A chunk is damaged; those in front of it are copied.
+        """
+        for summary in reader.summaries:
+            each = summary.channels.items()
+            wanted = {id_: one.topic for id_, one in each if one.topic in topics}
+            for span in sorted(summary.spans, key=attrgetter("offset")):
+                if span.channels is None or span.channels & wanted.keys():
+                    self.copy(*reader.read(span), wanted)
 
     def copy(self, content: Records, chunk: Chunk | None, topics: Mapping[int, str]) -> None:
         """Copy what a chunk of another bag has of some topics, as a chunk.
@@ -248,18 +261,13 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._check_open()
         if self._file.message_count == 0:
             return
-        finished = self._file
         self._finish()
         try:
-            started = self._open_file((*self._finished_files, finished.info()))
+            self._start_file()
         except BagWriteError:
             with suppress(BagWriteError):
                 self.close()
             raise
-        with self._files:
-            self._unsynced.append(finished)
-            self._finished_files.append(finished.info())
-            self._file = started
         # Every file must make sense on its own.
         with self._writing():
             for topic in self._topics.values():
@@ -274,17 +282,15 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         with self._disk:
             if self._closed:
                 return
-            with self._files:
-                current, finished, self._unsynced = self._file, self._unsynced, []
-                metadata = self.metadata()
+            *finished, current = self._files
             with _reported(current.path):
                 for file in finished:
                     file.close()
                 current.sync()
             # Not every time: the counts are in the files, but after a power cut the folder should
             # name its topics and files.
-            if self._on_disk != (len(metadata.topics), len(metadata.files)):
-                self._write_metadata(metadata)
+            if self._on_disk != (len(self._topics), len(self._files)):
+                self._write_metadata()
 
     def close(self) -> None:
         """Finish the bag: index, metadata, everything forced to the disk; safe to call twice."""
@@ -293,8 +299,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 return
             self._closed = True
             with _reported(self._file.path), ExitStack() as stack:  # whatever fails, all is done
-                stack.callback(lambda: self._write_metadata(self.metadata()))
-                for file in (self._file, *self._unsynced):
+                stack.callback(self._write_metadata)
+                for file in self._files:
                     stack.callback(file.close)
                 self._finish()
 
@@ -302,20 +308,19 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """Close the bag, also when an error ends the block: what was written is kept."""
         self.close()
 
-    def _open_file(self, finished: tuple[FileMetadata, ...]) -> FileWriter:
-        path = self.path / f"{self.path.name}_{len(finished)}.mcap"
-        metadata = BagMetadata(self.topics, (*finished, FileMetadata(path.name)), self._custom_data)
+    def _start_file(self) -> None:
+        path = self.path / f"{self.path.name}_{len(self._files)}.mcap"
+        library = f"{LIBRARY} {__version__}"
         try:
-            with _reported(path), ExitStack() as undo:
-                file = FileWriter(path, f"{LIBRARY} {__version__}", self._compression, CHUNK_SIZE)
-                undo.callback(file.close)
-                _add_metadata(file, metadata)
+            with _reported(path):
+                file = FileWriter(path, library, self._compression, CHUNK_SIZE)
+                known = self.metadata()
+                _add_metadata(file, replace(known, files=(*known.files, file.info())))
                 file.flush()
-                undo.pop_all()
         except ModuleNotFoundError as error:
             text = f"the library of its compression is not installed: {error}"
             raise BagWriteError(f"{path}: {text}") from error
-        return file
+        self._files.append(file)
 
     def _finish(self) -> None:
         if not self._file.is_finished:
@@ -331,7 +336,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         ):
             self.split()
 
-    def _write_metadata(self, metadata: BagMetadata) -> None:
+    def _write_metadata(self) -> None:
+        metadata = self.metadata()
         write_metadata(self.path, metadata)
         self._on_disk = (len(metadata.topics), len(metadata.files))
 

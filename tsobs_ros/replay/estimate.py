@@ -191,7 +191,7 @@ class Run:
         text = record_text(source.topic, source.joints, observer.files, parameters)
         begin, _ = source.span
         data = encode_text(text)
-        writer.write_all([(self._prefix + topics.DESIGN, STRING, data, begin, begin)])
+        writer.write(self._prefix + topics.DESIGN, data, begin, begin)
         for one in self.windows.live.restarts if self.windows.live else ():
             writer.write_series([one._replace(topic=self._prefix + topics.RESTARTS)])
 

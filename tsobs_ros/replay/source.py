@@ -13,7 +13,6 @@ import numpy as np
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import TICK_LOG
-from tsobs_ros.bag.copying import add_topics, copy_chunks
 from tsobs_ros.bag.joint_series import (
     RawMessages,
     Times,
@@ -240,16 +239,17 @@ class BagSource:
 
     def add_topics(self, writer: BagWriter) -> None:
         """Register `topics` in a new bag."""
-        add_topics(self.reader, writer, [topic.name for topic in self.topics])
+        writer.add_topics(one for one in self.reader.topics.values() if one in self.topics)
 
     def copy(self, writer: BagWriter) -> None:
         """Copy the messages of `topics` into a bag that has these, up to any damage."""
         names = [topic.name for topic in self.topics]
         if self.damage is not None:  # the messages in front of it are wanted, and no others
-            writer.write_all(until_damage(self.reader.messages(names), self.damaged))
+            for one in until_damage(self.reader.messages(names), self.damaged):
+                writer.write(one.topic, one.data, one.log_time, one.publish_time)
             return
         try:
-            copy_chunks(self.reader, writer, names)
+            writer.copy_topics(self.reader, names)
         except BagReadError as error:
             self.damaged(error)
 

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from itertools import chain, count
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -199,14 +200,14 @@ class Recorder(ManagedNode[RecorderParameters]):
             if simulated_ns == 0:
                 return  # no /clock yet: let messages wait rather than stamp them with 1970
         limit, recorded = self.parameters.queue_depth, self._finder.recorded.values()
-        batch = [received for topic in recorded for received in topic.drain(limit)]
+        batch = [message for topic in recorded for message in topic.drain(limit)]
         # Drained topic by topic, but readers of an unfinished file see it in file order.
-        batch.sort(key=lambda received: received[0].log_time_ns)
-        for message, latch in batch:
+        batch.sort(key=attrgetter("log_time_ns"))
+        for message in batch:
             if simulated_ns is not None:
                 message = message._replace(log_time_ns=simulated_ns)
-            if is_recording or latch:
-                self.recording.record(message, latch)
+            if is_recording or message.latched:
+                self.recording.record(message)
             else:
                 self.recording.discarded += 1
 

@@ -14,7 +14,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import QosProfile, QosTime
-from tsobs_ros.bag.recording import BufferedMessage, Latch
+from tsobs_ros.bag.recording import Received
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.managed import ManagedNode
@@ -94,32 +94,29 @@ class RecordedTopic:
             self._subscriptions = dict(sorted([*self._subscriptions.items(), (kind, made)]))
         self.losses.see(_gids(publishers))
 
-    def drain(self, limit: int) -> list[tuple[BufferedMessage, Latch | None]]:
+    def drain(self, limit: int) -> list[Received]:
         """Take what has arrived for the first time, at most `limit` from each subscription.
 
         The log times are those of arrival by the system's clock.
         """
         taken = [(kind, s, s.drain(limit)) for kind, s in self._subscriptions.items()]
-        received: list[tuple[BufferedMessage, Latch | None]] = []
-        numbers: list[int | None] = []
+        received: list[Received] = []
         for (is_latched, _), subscription, messages in reversed(taken):
-            publishers = 0
+            latched = 0
             if is_latched and messages:
-                publishers = max(subscription.publisher_count, len(self._latched_publishers))
+                latched = max(1, subscription.publisher_count, len(self._latched_publishers))
             for data, info in messages:
                 source_ns, number = info["source_timestamp"], info["publication_sequence_number"]
                 key = (source_ns, number, len(data))
                 if len(taken) > 1 and (key in self._recent or key in self._older):
                     continue
                 self._recent.add(key)
-                received_ns = info["received_timestamp"] or time.time_ns()
-                message = BufferedMessage(self.name, data, received_ns, max(source_ns, 0))
-                received.append((message, Latch(number, publishers) if is_latched else None))
-                numbers.append(number)
-        if numbers:
-            self.losses.add(
-                numbers, lambda: _gids(self._node.get_publishers_info_by_topic(self.name))
-            )
+                times = info["received_timestamp"] or time.time_ns(), max(source_ns, 0)
+                received.append(Received(self.name, data, *times, number, latched))
+        self.losses.add(
+            (message.number for message in received),
+            lambda: _gids(self._node.get_publishers_info_by_topic(self.name)),
+        )
         if len(self._recent) > _REMEMBERED:
             self._recent, self._older = set(), self._recent
         return received
