@@ -72,15 +72,8 @@ def test_a_node_without_a_library_ends_with_the_command_that_installs_it(
     assert len(error.splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    ("name", "reason"), [(b"self", "a loop of links"), (b"a\xff", "expected a name in UTF-8")]
-)
-def test_an_output_that_nothing_can_name_is_refused(
-    name: bytes, reason: str, tmp_path: Path
-) -> None:
-    (tmp_path / "self").symlink_to("self")
-    arguments = ["tsobs", "design", "--output", os.fsdecode(name)]
-    shown = os.fsdecode(name).encode("unicode_escape").decode()
-    expected = (1, "", f"error: {shown}: {reason}\n")
+def test_an_output_that_nothing_can_name_is_refused(tmp_path: Path) -> None:
+    arguments = ["tsobs", "design", "--output", os.fsdecode(b"a\xff")]
+    expected = (1, "", "error: a\\udcff: expected a name in UTF-8\n")
     assert ended([*COMMAND, *arguments], cwd=tmp_path) == expected
-    assert [each.name for each in tmp_path.iterdir()] == ["self"]
+    assert not [*tmp_path.iterdir()]

@@ -4,7 +4,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,6 +23,7 @@ from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.replay.health import PROVED
 from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.settings import changed
 from tsobs_ros.simulation.motion import Friction, Payload
 from tsobs_ros.simulation.plant import Plant, TorqueDisturbance
 from tsobs_ros.simulation.signals import KINDS, Signal, parse_kinds
@@ -170,7 +171,7 @@ def simulate(
             at a `distance` [m], `link_inertia` [kg m²] and `gravity_torque` [N m].
 
     Raises:
-        ModelError: A number is out of range, a kind, output or parameter is unknown, a T–S system
+        TsobsError: A number is out of range, a kind, output or parameter is unknown, a T–S system
             is to have what only arms have, or there is not one torque a sample.
 
     >>> import tsobs_ros as ts
@@ -186,20 +187,19 @@ def simulate(
     if request is None or isinstance(request, ElasticJointArm):
         request = ArmRequest(request or ElasticJointArm())
     is_arm, names = isinstance(request, ArmRequest), request.output_names
-    for_arms = {
-        "friction": friction, "payload": payload, "torque_disturbance": torque_disturbance
-    }  # fmt: skip
     others: dict[str, Any] = {"rate": rate or request.rate, "duration": duration}
     if is_arm:
         check_names("torque_disturbance", torque_disturbance or {}, SIDES)
-        others["friction"] = _changed("friction", Friction(), friction or {})
-        others["payload"] = _changed("payload", Payload(), payload or {})
+        others["friction"] = changed(Friction(), friction or {})
+        others["payload"] = changed(Payload(), payload or {})
         others["torque_disturbance"] = TorqueDisturbance(
             **{side: _components(each) for side, each in (torque_disturbance or {}).items()}
         )
-    else:
-        for name in (name for name, given in for_arms.items() if given):
-            raise ModelError(f"{name}: expected none for a T-S system, which has no torques")
+    elif friction or payload or torque_disturbance:
+        raise ModelError(
+            "friction, payload, torque_disturbance: expected none for a T-S system, which has no "
+            "torques"
+        )
     disturbances: Mapping[str, Any] = {names[0]: disturbance}
     if isinstance(disturbance, Mapping) and any(name in names for name in disturbance):
         disturbances = disturbance
@@ -450,13 +450,7 @@ def _components(disturbance: Disturbance) -> tuple[Signal, ...]:
     if not isinstance(disturbance, Mapping):
         return tuple(disturbance)
     kinds = parse_kinds("+".join(disturbance) or "none")
-    return tuple(_changed(f"disturbance {k}", KINDS[k](), disturbance[k]) for k in kinds)
-
-
-def _changed(name: str, record: Any, values: Mapping[str, float]) -> Any:
-    """Return a dataclass record with some of its numbers changed."""
-    check_names(name, values, [item.name for item in fields(record)])
-    return replace(record, **values)
+    return tuple(changed(KINDS[k](), disturbance[k]) for k in kinds)
 
 
 def _estimates(

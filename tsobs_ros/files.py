@@ -43,19 +43,11 @@ def fsync_folder(folder: Path) -> None:
 
 
 def require_nameable(path: Path) -> None:
-    """Refuse a path to write that no bag, page or message can name, or that leads nowhere.
-
-    Raises:
-        OutputError: Its name is no UTF-8, or it is a loop of links.
-    """
+    """Raise `OutputError` for a path to write that no bag, page or message can name."""
     try:
         str(path).encode()
-        path.stat()
     except UnicodeEncodeError as error:
         raise OutputError(f"{path}: expected a name in UTF-8") from error
-    except OSError as error:
-        if error.errno == errno.ELOOP:
-            raise OutputError(f"{path}: a loop of links") from error
 
 
 def require_new(paths: Iterable[Path], *, force: bool) -> None:

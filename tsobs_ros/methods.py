@@ -3,9 +3,7 @@
 """The observers that can be run on a design, by name, and the trackers that run them."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +20,7 @@ from tsobs_ros.paper.observer import (
     paper_observer,
     paper_system_observer,
 )
-from tsobs_ros.settings import changed, check, setting, settings_of
+from tsobs_ros.settings import check, setting
 from tsobs_ros.yaml_files import read_yaml
 
 METHODS = {
@@ -118,26 +116,6 @@ class ObserverSettings:
         learns = self.method == "ekf_augmented" or (self.method == "certified" and self.adapt)
         return design.request.uncertainty_model.names if learns else ()
 
-    def as_parameters(self) -> dict[str, Any]:
-        """Return the settings as `with_parameters` takes them, by `SETTING_NAMES`."""
-        return {name: attrgetter(name)(self) for name in SETTING_NAMES}
-
-    def with_parameters(self, values: Mapping[str, Any]) -> "ObserverSettings":
-        """Return the settings with some of them changed, by `SETTING_NAMES`; text is converted.
-
-        Raises:
-            ParameterError: There is no such parameter, or a value is not accepted.
-        """
-        for name in values:
-            if name not in SETTING_NAMES:
-                known = ", ".join(SETTING_NAMES)
-                raise ParameterError(f"parameter '{name}' decides no estimate; {known} do")
-        return changed(self, values)
-
-
-SETTING_NAMES = tuple(settings_of(ObserverSettings))
-"""The node's parameters that decide estimates."""
-
 
 def read_parameters(path: Path, node: str = "observer") -> dict[str, Any]:
     """Return a node's parameters, by their full names, from a file as for its `--params-file`.
@@ -147,23 +125,23 @@ def read_parameters(path: Path, node: str = "observer") -> dict[str, Any]:
     Raises:
         ParameterError: The file is missing, no YAML, or has no parameters of the node.
     """
-    found: dict[str, Any] = {}
     sections = read_yaml(path, ParameterError)
+    found = dict[str, Any]()
     for name, section in sections.items():
         if str(name).rpartition("/")[2] in (node, "**", "*") and isinstance(section, dict):
-            _flatten(section.get("ros__parameters"), "", found)
+            found |= _flat(section.get("ros__parameters"))
     if not found:
         has = ", ".join(map(str, sections)) or "none"
         raise ParameterError(f"{path}: no ros__parameters of {node}; sections: {has}")
     return found
 
 
-def _flatten(section: Any, name: str, found: dict[str, Any]) -> None:
-    if not isinstance(section, dict):
-        found |= {name: section} if name else {}
-        return
-    for inner, value in section.items():
-        _flatten(value, f"{name}.{inner}" if name else str(inner), found)
+def _flat(section: Any, prefix: str = "") -> dict[str, Any]:
+    found = dict[str, Any]()
+    for name, value in section.items() if isinstance(section, dict) else ():
+        is_group = isinstance(value, dict)
+        found |= _flat(value, f"{prefix}{name}.") if is_group else {f"{prefix}{name}": value}
+    return found
 
 
 def contender(settings: ObserverSettings, name: str) -> ObserverSettings:

@@ -204,10 +204,13 @@ def changed(record: T, values: Mapping[str, Any]) -> T:
         values: By their full names; text is converted.
 
     Raises:
-        ParameterError: A value is not accepted, or they contradict each other.
-        KeyError: There is no such setting.
+        ParameterError: There is no such setting, a value is not accepted, or they contradict each
+            other.
     """
     known = settings_of(type(record))
+    for name in values:
+        if name not in known:
+            raise ParameterError(f"parameter '{name}': expected one of {', '.join(known)}")
     given = {name: known[name].parsed(value) for name, value in values.items()}
     found: T = _changed(record, given)
     return found

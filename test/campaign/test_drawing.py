@@ -158,7 +158,7 @@ def test_disturbances_with_a_model_in_the_design_are_foreseen() -> None:
         ({"runs": 0}, "runs: expected at least 1, got 0"),
         ({"duration": 0.3}, "duration: expected more than settle_time = 0.3 s"),
         ({"design": "paper_example_1.design.yaml"}, "expected one for an arm"),
-        ({"observer": {"gate": 3.0}}, "parameter 'gate' decides no estimate"),
+        ({"observer": {"gate": 3.0}}, "parameter 'gate': expected one of method"),
         ({"scenarios": {"a": {"weight": 0}}}, "scenarios.a.weight: expected a whole number"),
         (
             {"scenarios": {"a": {"disturbance": [{"kind": "ramp", "slope": 1}]}}},

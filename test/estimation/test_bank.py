@@ -353,7 +353,7 @@ def test_limits_of_the_torque_come_from_the_settings_the_request_or_the_arm() ->
     assert (rate, spread) == (1e3 * limit, limit / 3.0)
     assert request.torque_limits(50.0, 7.0) == (50.0, 7.0, 50.0 / 3.0)
     for method in ("certified", "high_gain"):
-        settings = ObserverSettings(method).with_parameters({"torque_limit": "2.5"})
+        settings = ObserverSettings(method, torque_limit=2.5)
         tracker = make_tracker(DESIGNS["fixed"], settings)
         for place, (torque, used) in enumerate([(2.5, True), (-2.6, False)], 1):
             given = Measurement(place * 5_000_000, np.zeros(1), np.array([torque]))

@@ -155,7 +155,7 @@ def test_parameters_are_those_of_the_node(bag: Path, tmp_path, capsys) -> None:
 @pytest.mark.parametrize(
     ("parameter", "said"),
     [
-        ("rate=3", "parameter 'rate' decides no estimate; method, theta"),
+        ("rate=3", "parameter 'rate': expected one of method, theta"),
         ("adapt=maybe", "parameter 'adapt': expected true or false, got 'maybe'"),
         ("settle_time=long", "parameter 'settle_time': expected a finite number"),
         ("gain_mode=best", "parameter 'gain_mode': expected one of: certified, riccati"),

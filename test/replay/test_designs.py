@@ -21,6 +21,7 @@ from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.settings import values_of
 
 SHIPPED, FIXED = (str(config_path(name)) for name in (SHIPPED_DESIGN, FIXED_DESIGN))
 START = 1_700_000_000_000_000_000
@@ -52,7 +53,7 @@ def estimate(bag: object, *options: str) -> int:
 
 def record(*designs: str, joints: tuple[str, ...] = ("elbow",), **parameters: Any) -> bytes:
     files = [load_design_file(each) for each in designs]
-    known = ObserverSettings().as_parameters() | parameters
+    known = values_of(ObserverSettings()) | parameters
     return encode_text(record_text("/joint_measurements", joints, files, known))
 
 
@@ -158,7 +159,7 @@ def test_measurements_of_any_topic_are_found_by_the_record(
 ) -> None:
     """Of a robot's /joint_states, with more joints than are observed."""
     file = load_design_file(FIXED)
-    text = record_text("/joint_states", ["wrist"], [file], ObserverSettings().as_parameters())
+    text = record_text("/joint_states", ["wrist"], [file], values_of(ObserverSettings()))
     moved = [("/joint_states", data, time) for _, data, time in arms.messages(50, joints=2)]
     bag = write_bag([("/arm/observer/design", encode_text(text), START), *moved])
 

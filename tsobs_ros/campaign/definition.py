@@ -18,6 +18,7 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode, encode, naming
+from tsobs_ros.settings import changed
 from tsobs_ros.simulation.motion import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch
 from tsobs_ros.yaml_files import read_text, yaml_mapping, yaml_text
@@ -128,7 +129,7 @@ class Campaign:
     def settings(self) -> ObserverSettings:
         """How the design is run."""
         with naming("observer"):
-            return ObserverSettings().with_parameters(self.entries.observer)
+            return changed(ObserverSettings(), self.entries.observer)
 
     @cached_property
     def estimator(self) -> Estimator:

@@ -82,13 +82,14 @@ def _on_scenarios(options: argparse.Namespace) -> int:
     from tsobs_ros.files import require_new, written_whole
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+    from tsobs_ros.settings import changed
 
     begin = time.monotonic()
     if len(options.design) > 1:
         raise ParameterError(f"--design: expected one file, got {len(options.design)}")
     paths = [options.output / name for name in FILES] if options.output else []
     require_new(paths, force=options.force)
-    settings = ObserverSettings().with_parameters(given_parameters(options))
+    settings = changed(ObserverSettings(), given_parameters(options))
     design = load_design(options.design[0] if options.design else config_path(SHIPPED_DESIGN))
     scenarios, methods = options.scenario or DEFAULT_SCENARIOS, options.method or METHODS
     runs = len(scenarios) * (options.seeds or 20)

@@ -118,17 +118,18 @@ def estimate(
         without_misfits,
     )
     from tsobs_ros.report.comparison import RunScores
+    from tsobs_ros.settings import changed
 
     begin = time.monotonic()
     parameters = given_parameters(options)
-    given = ObserverSettings().with_parameters(parameters)
+    given = changed(ObserverSettings(), parameters)
     source = open_source(
         options.bag,
         **keywords(options, open_source),
         assume_zero_torque=given.assume_zero_torque if _ZERO in parameters else None,
         both_sides=held_out is not None and not held_out.place,
     )
-    settings = source.ran.settings().with_parameters(parameters)
+    settings = changed(source.ran.settings(), parameters)
     designs = source.choose_designs(options.design, others_allowed=options.other_design)
     methods = options.method or options.default_methods or (settings.method,)
     observers = make_observers(designs, methods, settings)
@@ -168,11 +169,13 @@ def estimate(
 
 def given_parameters(options: argparse.Namespace) -> dict[str, Any]:
     """Return the parameters that are given, those of the command line before those of the file."""
-    from tsobs_ros.methods import SETTING_NAMES, read_parameters
+    from tsobs_ros.methods import ObserverSettings, read_parameters
+    from tsobs_ros.settings import settings_of
 
     found = {} if options.params_file is None else read_parameters(options.params_file)
+    known = settings_of(ObserverSettings)
     # The others decide when and where estimates are published.
-    in_file = {name: value for name, value in found.items() if name in SETTING_NAMES}
+    in_file = {name: value for name, value in found.items() if name in known}
     return {**in_file, **joined(options.param)}
 
 

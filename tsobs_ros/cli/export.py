@@ -68,8 +68,9 @@ def _export_c(options: argparse.Namespace) -> int:
     from tsobs_ros.design.file import load_design
     from tsobs_ros.exported import export_c
     from tsobs_ros.methods import ObserverSettings
+    from tsobs_ros.settings import changed
 
-    settings = ObserverSettings().with_parameters(joined(options.param))
+    settings = changed(ObserverSettings(), joined(options.param))
     design = load_design(options.design)
     size, room = export_c(design, options.output, settings, max_steps=options.max_steps)
     show(

@@ -14,8 +14,9 @@ from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.design.file import IDENTITY_LENGTH, DesignFile, checksum, load_design_file
 from tsobs_ros.design.published import Value, read_record
 from tsobs_ros.errors import BagReadError, DesignFileError, MessageError, TsobsError
-from tsobs_ros.methods import SETTING_NAMES, ObserverSettings
+from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.settings import changed, settings_of
 
 STRING = "std_msgs/msg/String"
 
@@ -66,9 +67,9 @@ class RecordedObserver:
         Raises:
             BagReadError: A parameter is of the wrong type or out of range.
         """
-        known = {name: value for name, value in self.parameters.items() if name in SETTING_NAMES}
+        known = settings_of(ObserverSettings).keys() & self.parameters.keys()
         try:
-            return ObserverSettings().with_parameters(known)
+            return changed(ObserverSettings(), {name: self.parameters[name] for name in known})
         except TsobsError as error:
             raise BagReadError(f"{self.source}: {error}") from error
 

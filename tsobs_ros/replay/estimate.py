@@ -51,6 +51,7 @@ from tsobs_ros.replay.loop import WINDOW, Window, Windows
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
 from tsobs_ros.replay.source import BagSource, Records
 from tsobs_ros.series import Spool, Stamps
+from tsobs_ros.settings import values_of
 
 _OF_BAGS = (".mcap", ".yaml", ".db3")
 _STRING = MessageDefinition(STRING, "string data\n", "")
@@ -187,7 +188,7 @@ class Run:
                 known = find_definition(known.type)
             writer.add_topic(self._prefix + end, known.type, [qos], definition=known)
         observer, source = self.observer, self._source
-        parameters = observer.settings.as_parameters()
+        parameters = values_of(observer.settings)
         text = record_text(source.topic, source.joints, observer.files, parameters)
         begin, _ = source.span
         data = encode_text(text)

@@ -20,6 +20,7 @@ from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes.wire import LATCHED
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.settings import changed
 
 README = (Path(__file__).resolve().parents[3] / "README.md").read_text(encoding="utf-8")
 JOINT = "elastic_joint"
@@ -267,6 +268,6 @@ def test_parameters_are_refused_with_a_reason_or_taken_over_by_all_joints_and_pu
     for joint, path in (("hip", own), ("knee", shipped)):
         assert designs[joint].file == str(path)
         assert designs[joint].text == path.read_text(encoding="utf-8")
-    known = ObserverSettings().with_parameters(record.parameters)
+    known = changed(ObserverSettings(), record.parameters)
     assert (known.settle_time, known.supervision.gate) == (1.5, 4.0)
     assert known == node.parameters.settings

@@ -56,6 +56,7 @@ from tsobs_ros.nodes.observer.statuses import TickMeter, statuses_of
 from tsobs_ros.nodes.runtime import Ticker
 from tsobs_ros.nodes.wire import LATCHED, DrainedSubscription
 from tsobs_ros.replay.samples import MeasurementReader
+from tsobs_ros.settings import values_of
 
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
@@ -247,7 +248,7 @@ class Observer(ManagedNode[ObserverParameters]):
             self.resolve_topic_name("joint_measurements"),
             [joint.name for joint in self.joints],
             [joint.loaded for joint in self.joints],
-            self.parameters.settings.as_parameters(),
+            values_of(self.parameters.settings),
         )
         self._record.publish(String(data=text))
 
