@@ -14,19 +14,20 @@ from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import DetectabilityError, ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.paper import examples as printed
-from tsobs_ros.paper.augmentation import Augmentation, blend, check_conditions
+from tsobs_ros.paper.augmentation import Augmentation, blend, check_conditions, failing
 from tsobs_ros.paper.claims import ROUNDING, check_printed_p
 from tsobs_ros.paper.examples import PaperExample, arm_system, example_1, example_2, example_3
 from tsobs_ros.resources import config_path
 
 FIRST = Augmentation(example_1().system)
+NAMED = [("example_1", example_1()), ("example_2", example_2())]
 SIGNS = [np.array(signs) for signs in itertools.product([1.0, -1.0], repeat=6)]
 
 
-@pytest.mark.parametrize("example", [example_1(), example_2()], ids=["1", "2"])
-def test_the_shipped_request_is_the_example(example: PaperExample) -> None:
+@pytest.mark.parametrize(("name", "example"), NAMED)
+def test_the_shipped_request_is_the_example(name: str, example: PaperExample) -> None:
     """Rules, their own outputs, weights by the measured y1, the disturbance's size, and ΔA."""
-    request = load_request(config_path(f"paper_{example.name}.request.yaml"))
+    request = load_request(config_path(f"paper_{name}.request.yaml"))
     assert isinstance(request, TSRequest)
     model, system = request.model, example.system
     for name, matrix in (("A", system.A), ("B", system.B), ("rule_outputs", system.rule_outputs)):
@@ -84,11 +85,12 @@ def test_printed_p_fails_rule_2_for_every_reading_of_its_signs() -> None:
 
 
 def test_printed_p_meets_the_other_conditions() -> None:
-    conditions = check_printed_p(example_1())
-    assert list(conditions.failing) == ["(37) rule 2"]
-    norm = conditions["(38)"]
-    assert norm.limit == pytest.approx(printed.EXAMPLE_1_EPSILON, rel=3e-4)
-    assert norm.number == pytest.approx(printed.EXAMPLE_1_INVERSE_NORM, rel=3e-4)
+    conditions, example = check_printed_p(), example_1()
+    assert failing(conditions) == ["(37) rule 2"]
+    epsilon = FIRST.epsilon(example.alpha, example.xi)
+    assert epsilon == pytest.approx(printed.EXAMPLE_1_EPSILON, rel=3e-4)
+    norm = conditions["(38)"].number
+    assert norm == pytest.approx(printed.EXAMPLE_1_INVERSE_NORM, rel=3e-4)
 
 
 def test_printed_solution_of_example_3_fails_for_every_sign() -> None:
@@ -97,12 +99,12 @@ def test_printed_solution_of_example_3_fails_for_every_sign() -> None:
     assert len({tuple(row) for row in signs}) == 16
     for change in signs:
         P = change[:, None] * printed.EXAMPLE_3_P * change
-        alone = check_conditions(aug, P, alpha_1=[0.0, 0.0])
+        alone = check_conditions(aug, P, np.zeros(2))
         # On {C̄x̄ = 0} no gain helps, so H and its signs do not matter.
         for rule in (1, 2):
             assert alone[f"(37) rule {rule}"].number > 1.0
         H1 = aug.E_L_inverse @ (change[:, None] * printed.EXAMPLE_3_H)
-        assert check_conditions(aug, P, alpha_1=[0.0, 0.0], H1=H1).failing
+        assert failing(check_conditions(aug, P, np.zeros(2), H1=H1))
     on_blind = aug.blind_basis.T @ printed.EXAMPLE_3_P @ aug.blind_basis
     largest = []
     for change in printed.sign_changes(3):
@@ -111,8 +113,10 @@ def test_printed_solution_of_example_3_fails_for_every_sign() -> None:
     assert [1.47, 1.71] in np.round(largest, 2).tolist()
 
 
-@pytest.mark.parametrize("example", [example_1(), example_2()], ids=lambda e: e.name)
-def test_rules_are_stable_and_the_uncertainty_within_its_bounds(example: PaperExample) -> None:
+@pytest.mark.parametrize(("name", "example"), NAMED)
+def test_rules_are_stable_and_the_uncertainty_within_its_bounds(
+    name: str, example: PaperExample
+) -> None:
     assert np.linalg.eigvals(example.system.A).real.max() < -0.5
     norms = np.linalg.norm(example.delta_A, 2, axis=(1, 2))
     np.testing.assert_allclose(norms, example.alpha, rtol=1e-12)

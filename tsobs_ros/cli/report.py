@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from tsobs_ros.cli.common import Commands, add_command, keywords, show
+from tsobs_ros.cli.common import Commands, add_command, at_least_one, keywords, progress, show
 from tsobs_ros.errors import LogError
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
@@ -35,7 +35,7 @@ def add_parser(commands: Commands) -> None:
     text = "the published method: its figures, and what holds"
     add = add_command(commands, "paper", _paper, text).add_argument
     add("--output", type=Path, default=Path("paper"), help="folder to write to")
-    add("--seeds", type=int, default=20, metavar="N", help="runs of Example 3")
+    add("--seeds", type=at_least_one, default=20, metavar="N", help="runs of Example 3")
     add("--force", action="store_true", help="replace existing files")
     text = "print the folder of the shipped parameters, requests and designs"
     commands.add_parser("config", help=text).set_defaults(command=_config)
@@ -68,10 +68,13 @@ def report_on(bag: Path, output: Path, *, as_json: bool, **options: Any) -> int:
 
 
 def _paper(options: argparse.Namespace) -> int:
-    from tsobs_ros.paper.page import make_paper_report
+    from tsobs_ros.report.published import make_paper_report
 
-    result = make_paper_report(options.output, seeds=options.seeds, force=options.force)
-    show(result.as_mapping(), str(result), options.json)
+    with progress(3, " examples", quiet=options.json) as advance:
+        data, text = make_paper_report(
+            options.output, options.seeds, force=options.force, advance=advance
+        )
+    show(data, text, options.json)
     return 0
 
 

@@ -35,7 +35,6 @@ class PaperExample:
     """An example: the uncertain system, what disturbs it and what the observer is given.
 
     Attributes:
-        name: "example_1" and so on.
         system: The T–S system without its uncertainty.
         delta_A: ΔAᵢ at λ = 1, shape (r, n, n).
         alpha: Bounds αᵢ ≥ ‖ΔAᵢ‖, shape (r,).
@@ -45,7 +44,6 @@ class PaperExample:
         disturbance: ω(t) of the outputs; zero for Example 3, whose disturbance is noise.
     """
 
-    name: str
     system: TSModel
     delta_A: Array
     alpha: Array
@@ -69,12 +67,8 @@ def arm_system(arm: ElasticJointArm, x_max: float = math.pi / 2) -> TSModel:
     Sector nonlinearity: sin q₁ = (h₁·1 + h₂·b) q₁ with b = sin(x_max)/x_max, the paper's
     (48)–(49) at x_max = π/2.
 
-    Args:
-        arm: The nonlinear arm.
-        x_max: Half width of the domain [rad], 0 < x_max < π.
-
     Raises:
-        ModelError: The half width is out of range.
+        ModelError: x_max [rad] is not between 0 and π.
     """
     sector = {"half_width": x_max}
     rules = RuleBase(((membership("sine_upper", sector),), (membership("sine_lower", sector),)))
@@ -103,7 +97,6 @@ def _after_2_and_3(first: Signal, second: Signal, third: Signal) -> Signal:
 def example_1() -> PaperExample:
     """Return Example 1: three states, three disturbed outputs, two rules with different C."""
     return PaperExample(
-        name="example_1",
         system=_system(
             [[-1.25, 2.05, 0.0], [-2.025, -1.025, 0.0], [1.05, 0.05, -3.0]],
             [[-2.0, 1.05, 0.0], [0.0, -0.5, 1.025], [-1.05, 0.0, -1.0]],
@@ -124,7 +117,6 @@ def example_1() -> PaperExample:
 def example_2() -> PaperExample:
     """Return Example 2: sensor faults on the system of Gao, Shi and Ding (D_s = I)."""
     return PaperExample(
-        name="example_2",
         system=_system(
             [[-1.0, 2.0, 0.0], [-2.0, -1.0, 0.0], [1.0, 0.0, -3.0]],
             [[-2.0, 1.0, 0.0], [0.0, -0.5, 1.0], [-1.0, 0.0, -1.0]],
@@ -146,7 +138,6 @@ def example_3() -> PaperExample:
     """Return Example 3: the arm with an elastic joint, its T–S form on |q₁| ≤ π/2, no ΔA."""
     arm = ElasticJointArm()
     return PaperExample(
-        name="example_3",
         system=arm_system(arm),
         delta_A=np.zeros((2, 4, 4)),
         alpha=np.zeros(2),
@@ -219,9 +210,7 @@ def sign_changes(count: int) -> Array:
     """Return every change of sign of the last `count` of the coordinates after the first.
 
     The first coordinate of Example 3 is the measured angle; its sign and that of its disturbance
-    are fixed by C̄ = [1 0 0 0 1], so only relative signs of the others are open.
-
-    Returns:
-        Vectors of ±1, shape (2^count, 1 + count), each beginning with +1.
+    are fixed by C̄ = [1 0 0 0 1], so only relative signs of the others are open. Shape (2^count,
+    1 + count), of ±1.
     """
     return np.array([[1.0, *signs] for signs in product((1.0, -1.0), repeat=count)])

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of the method's examples, the plant once and then every observer on its record.
+"""Runs of the method's examples, each with every observer on the same signals.
 
 Examples 1 and 2 run without noise, in five variants of the method's observer. Example 3 is the
 nonlinear arm with a little process noise, u = sin t, and white measurement noise of 5 % of the
@@ -25,29 +25,30 @@ from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
 from tsobs_ros.paper.augmentation import blend
 from tsobs_ros.paper.examples import PaperExample, torque
-from tsobs_ros.paper.observer import (
-    AugmentedEstimates,
-    AugmentedObserver,
-    paper_observer,
-    runge_kutta,
-)
+from tsobs_ros.paper.observer import AdaptiveObserver, clip, paper_observer
 from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
-PERIOD = 4e-3
-"""Step of plant and observer [s]. Between samples y is taken as linear, which is off by
-(T²/8)|ÿ| < 2e-5 for the fastest disturbance of the examples; the tests halve it and see."""
+PERIOD = 8e-3
+"""Runge–Kutta step of plants and observers together [s]."""
 
-DURATION = 20.0
-SETTLED = 10.0
+DURATION, SETTLED = 20.0, 10.0
 """Length of Examples 1 and 2, and the time from which their errors count [s]."""
 
-UNCERTAINTIES = (0.0, 1.0)
+UNCERTAINTIES = np.array([0.0, 1.0])
 """λ of the two plants that are simulated together: without and with the printed ΔA."""
 
-_NOISE_SEED = 20110022
+VARIANTS = ("adaptive", "fixed", "noise_fed", "model_only", "consistent")
+"""adaptive: the method's observer with its adaptation, Ξ̂ᵢ projected on ‖Ξ̂ᵢ‖ ≤ ξᵢ.
+fixed: the same without adaptation.
+noise_fed: as fixed, but y is replaced by noise of standard deviation 1; only the premise z is still
+    the plant's.
+model_only: the model integrated from x̂(0) = 0 with no measurement at all but z.
+consistent: as adaptive, but started at ω̂₀(0) = y(0), so that e_y(0) = 0."""
+
+_NOISE_SEED, _FIRST_SEED = 20110022, 9000
 
 THETAS = tuple(round(float(theta), 3) for theta in np.geomspace(0.5, 8.0, 13))
 """The grid of θ [1/s] of PO and PIO."""
@@ -56,53 +57,46 @@ WINDOW_START = 20.0
 """Time from which the errors of Example 3 count [s]."""
 
 _SCALE = (0.226, 0.60, 3.55, 4.64)  # RMS of the states themselves, in design coordinates
-_FIRST_SEED = 9000
 
 
-class PlantRecord(NamedTuple):
-    """Signals of the plants.
+class Estimates(NamedTuple):
+    """A variant's x̂, ω̂ by (29), e_y and Ξ̂ᵢ; each with axes (samples, 2, …), λ = 0 and 1."""
 
-    Attributes:
-        times: [s], shape (samples,).
-        states: x, shape (samples, 2, n); the second axis is λ ∈ {0, 1}.
-        disturbance: ω, shape (samples, p).
-        outputs: y, shape (samples, 2, p).
-        premises: z = y₁, shape (samples, 2, 1).
-        weights: h, shape (samples, 2, r).
-    """
-
-    times: Array
-    states: Array
+    x: Array
     disturbance: Array
-    outputs: Array
-    premises: Array
-    weights: Array
+    innovation: Array
+    Xi: Array
 
 
 @dataclass(frozen=True)
 class ExampleRun:
-    """An example with its plants and their observers.
+    """An example with its two plants and their observers.
 
     Attributes:
         example: The example.
         design: The gains in use, from (37), re-checked.
-        plant: The plants' signals.
-        estimates: By variant, see `run_example`; the axes of each array begin (samples, 2).
+        times: [s], shape (samples,).
+        states: x, shape (samples, 2, n); the second axis is λ ∈ {0, 1}.
+        disturbance: ω, shape (samples, p).
+        outputs: y, shape (samples, 2, p); the first is the premise.
+        estimates: By variant.
     """
 
     example: PaperExample
     design: AdaptiveDesign
-    plant: PlantRecord
-    estimates: dict[str, AugmentedEstimates]
+    times: Array
+    states: Array
+    disturbance: Array
+    outputs: Array
+    estimates: dict[str, Estimates]
 
     def state_error(self, variant: str) -> Array:
         """Return x − x̂, shape (samples, 2, n)."""
-        return np.asarray(self.plant.states - self.estimates[variant].x)
+        return np.asarray(self.states - self.estimates[variant].x)
 
     def disturbance_error(self, variant: str) -> Array:
         """Return ω − ω̂, shape (samples, 2, p)."""
-        truth = self.plant.disturbance[:, np.newaxis]
-        return np.asarray(truth - self.estimates[variant].disturbance)
+        return np.asarray(self.disturbance[:, np.newaxis] - self.estimates[variant].disturbance)
 
     def adaptation(self, variant: str) -> Array:
         """Return the largest ‖Ξ̂ᵢ‖ over the rules, shape (samples, 2)."""
@@ -117,102 +111,94 @@ class ExampleRun:
         aug, estimates = self.design.augmentation, self.estimates[variant]
         # ē = x̄ − x̂̄ is T e_x on {C̄x̄ = 0} and e_y across it.
         error = self.state_error(variant) @ aug.blind_basis.T
-        error[..., aug.state_count :] += estimates.innovation
-        scaled = np.linalg.solve(self.design.Gamma, estimates.Xi)
+        error[..., aug.system.state_count :] += estimates.innovation
+        scaled = np.linalg.solve(self.example.Gamma, estimates.Xi)
         energy = np.sum(scaled * estimates.Xi, axis=(-3, -2, -1))
         return np.asarray(np.sum(error @ self.design.P * error, axis=-1) + energy)
 
     def settled_error(self, variant: str, uncertainty: int) -> Array:
-        """Return the largest |x − x̂|, |ω − ω̂| from 10 s on, shape (n + p,).
-
-        Args:
-            variant: The observer.
-            uncertainty: 0 for λ = 0, 1 for λ = 1.
-        """
+        """Return the largest |x − x̂|, |ω − ω̂| from 10 s on, shape (n + p,), at λ = 0 or 1."""
         joined = np.concatenate([self.state_error(variant), self.disturbance_error(variant)], -1)
-        return np.asarray(np.abs(joined[self.plant.times >= SETTLED, uncertainty]).max(axis=0))
+        return np.asarray(np.abs(joined[self.times >= SETTLED, uncertainty]).max(axis=0))
 
     def settled_rms(self, variant: str, uncertainty: int) -> Array:
-        """Return the RMS of x − x̂ from 10 s on, shape (n,)."""
-        error = self.state_error(variant)[self.plant.times >= SETTLED, uncertainty]
+        """Return the RMS of x − x̂ from 10 s on, shape (n,), at λ = 0 or 1."""
+        error = self.state_error(variant)[self.times >= SETTLED, uncertainty]
         return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
 
     def difference(self, variant: str, since: float = 0.0) -> float:
         """Return the largest |x̂ − x̂'| of `fixed` and another variant from `since` [s] on."""
         difference = self.estimates["fixed"].x - self.estimates[variant].x
-        return float(np.abs(difference[self.plant.times >= since]).max())
+        return float(np.abs(difference[self.times >= since]).max())
 
 
 def run_example(
     example: PaperExample, *, period: float = PERIOD, duration: float = DURATION
 ) -> ExampleRun:
-    """Design the observer of Example 1 or 2 and run five variants of it with λ = 0 and 1.
-
-    adaptive: the method's observer with its adaptation, Ξ̂ᵢ projected on ‖Ξ̂ᵢ‖ ≤ ξᵢ.
-    fixed: the same without adaptation.
-    noise_fed: as fixed, but y is replaced by white noise of standard deviation 1; only the
-        premise z is still the plant's.
-    model_only: the model integrated from x̂(0) = 0 with no measurement at all but z.
-    consistent: as adaptive, but started at ω̂₀(0) = y(0), so that e_y(0) = 0.
-
-    Args:
-        example: Example 1 or 2.
-        period: Step [s].
-        duration: [s].
-    """
-    design = design_adaptive_observer(
-        example.system, example.alpha, example.xi, Gamma=example.Gamma
-    )
-    plant = _simulate(example, period, duration)
-    aug, fixed = design.augmentation, design.observer(adapt=False)
-    model_only = AugmentedObserver(aug, np.zeros_like(fixed.H1), np.zeros_like(fixed.M))
-    noise = np.random.default_rng(_NOISE_SEED).standard_normal(plant.outputs.shape)
-    # ξ(0) = x̂̄(0) − E_L⁻¹L y(0): with a first sample of noise the observer would start elsewhere.
-    noise[0] = plant.outputs[0]
-    zero = np.zeros((len(UNCERTAINTIES), aug.size))
-    fitting = np.hstack([zero[:, : aug.state_count], plant.outputs[0]])
-    estimates: dict[str, AugmentedEstimates] = {}
-    for observer, variants in (
-        (
-            design.observer(),
-            {"adaptive": (plant.outputs, zero), "consistent": (plant.outputs, fitting)},
-        ),
-        (fixed, {"fixed": (plant.outputs, zero), "noise_fed": (noise, zero)}),
-        (model_only, {"model_only": (plant.outputs, zero)}),
-    ):
-        fed, starts = zip(*variants.values(), strict=True)
-        premises = np.stack([plant.premises] * len(variants), axis=1)
-        y, start = np.stack(fed, axis=1), np.stack(starts)
-        whole = observer.follow(y, torque(plant.times), period, premises, start)
-        for place, name in enumerate(variants):
-            estimates[name] = AugmentedEstimates(*(each[:, place] for each in whole))
-    return ExampleRun(example, design, plant, estimates)
-
-
-def _simulate(example: PaperExample, period: float, duration: float) -> PlantRecord:
-    system, samples = example.system, round(duration / period) + 1
-    # The ends and the middle of each step, so that the signals are exact within it.
-    times = np.asarray(np.arange(2 * samples - 1) * (0.5 * period), dtype=np.float64)
-    disturbance = np.asarray(example.disturbance(times))
-    states = np.empty((samples, len(UNCERTAINTIES), system.state_count))
-    states[0] = example.initial_state
-    driven = np.einsum("rab,nb->nra", system.B, torque(times))[..., np.newaxis]
+    """Design the observer of Example 1 or 2 and run its `VARIANTS` with λ = 0 and 1."""
+    design = design_adaptive_observer(example.system, example.alpha, example.xi)
+    aug, system = design.augmentation, example.system
+    n, p, size = system.state_count, len(aug.C), len(aug.L)
     A = system.A + np.multiply.outer(UNCERTAINTIES, example.delta_A)
+    times: Array = np.arange(round(duration / period) + 1) * np.float64(period)
 
-    def rates(node: int, x: Array) -> Array:
-        """Return x' of the plants, shape (plants, n), by the rules of Examples 1 and 2."""
-        by_rule = (A @ x[:, np.newaxis, :, np.newaxis] + driven[node])[..., 0]
-        z = x[:, :1] + disturbance[node, 0]
-        second = np.minimum(z * z, 1.0)
-        return np.asarray((1.0 - second) * by_rule[:, 0] + second * by_rule[:, 1])
+    def chosen(*names: str) -> Array:
+        return np.isin(VARIANTS, names).astype(float).reshape(-1, 1, 1, 1, 1)
 
-    for k in range(1, samples):
-        states[k] = runge_kutta(rates, 2 * (k - 1), states[k - 1], period)
-    times, disturbance = times[::2], disturbance[::2]
-    premises: Array = states[..., :1] + disturbance[:, np.newaxis, :1]
-    weights = system.rule_base.weights(premises)
-    outputs = blend(system.rule_outputs, weights, states) + disturbance[:, np.newaxis]
-    return PlantRecord(times, states, disturbance, outputs, premises, weights)
+    measured = 1.0 - chosen("model_only")
+    observer = AdaptiveObserver(
+        aug,
+        measured * design.H1,
+        measured[:, 0] * design.M,
+        chosen("adaptive", "consistent") * example.Gamma,
+        example.xi,
+    )
+    noise = np.random.default_rng(_NOISE_SEED).standard_normal((len(times) + 1, p))
+    is_noise = chosen("noise_fed")[..., 0, 0] > 0.0
+
+    def read(x: Array, omega: Array) -> tuple[Array, Array]:
+        """Return the measurements and the weights by z = y₁, the same for both rules."""
+        h = system.rule_base.weights(x[..., :1] + omega[..., :1])
+        return blend(system.rule_outputs, h, x) + omega, h
+
+    def split(state: Array) -> tuple[Array, Array, Array]:
+        x, xi, Xi = np.split(state, [n, n + size], axis=-1)
+        return x, xi, Xi.reshape(*Xi.shape[:-1], -1, p, size)
+
+    def rates(place: float, state: Array) -> Array:
+        """Return the derivative of plants and observers, so many periods after the start."""
+        (x, xi, Xi), time = split(state), np.array(place * period)
+        u, (y, h) = torque(time), read(x, example.disturbance(time))
+        now, share = divmod(place, 1.0)
+        drawn = (1.0 - share) * noise[int(now)] + share * noise[int(now) + 1]
+        own, learnt = observer.rates(xi, Xi, np.where(is_noise, drawn, y), u, h)
+        moved = blend(A, h, x) + blend(system.B, h, u)
+        return np.concatenate([moved, own, learnt.reshape(*own.shape[:-1], -1)], axis=-1)
+
+    states = np.zeros((len(times), len(VARIANTS), 2, n + size + len(A[0]) * p * size))
+    states[0, ..., :n] = example.initial_state
+    start = noise[0] = read(states[0, 0, 0, :n], example.disturbance(times[0]))[0]
+    # ξ(0) = x̂̄(0) − E_L⁻¹L y(0).
+    states[0, ..., n : n + size] = -aug.L1 @ start
+    states[0, ..., 2 * n : n + size] += chosen("consistent")[..., 0, 0] * start
+    for k in range(len(times) - 1):
+        now = states[k]
+        first = rates(k, now)
+        second = rates(k + 0.5, now + 0.5 * period * first)
+        third = rates(k + 0.5, now + 0.5 * period * second)
+        fourth = rates(k + 1, now + period * third)
+        states[k + 1] = now + (period / 6.0) * (first + 2.0 * (second + third) + fourth)
+        Xi = split(states[k + 1])[2]
+        states[k + 1, ..., n + size :] = clip(Xi, example.xi).reshape(*now.shape[:-1], -1)
+    x, xi, Xi = split(states)
+    omega = example.disturbance(times)
+    y, h = read(x, omega[:, np.newaxis, np.newaxis])
+    x_bar, omega_hat, innovation = observer.estimates(xi, y, h)
+    whole = (x_bar[..., :n], omega_hat, innovation, Xi)
+    estimates = {
+        name: Estimates(*(each[:, place] for each in whole)) for place, name in enumerate(VARIANTS)
+    }
+    return ExampleRun(example, design, times, x[:, 0], omega, y[:, 0], estimates)
 
 
 class ObserverErrors(NamedTuple):
@@ -258,12 +244,9 @@ class ArmComparison(NamedTuple):
 
 
 def compare_on_arm(design: Design, seeds: int = 20, *, duration: float = 60.0) -> ArmComparison:
-    """Run every observer on the same noisy arm.
+    """Run every observer on the same noisy arm, above `WINDOW_START` long [s], once a seed.
 
-    Args:
-        design: The certified design; its model and noise densities are the EKF's too.
-        seeds: Number of runs.
-        duration: Of a run [s], above `WINDOW_START`.
+    The model and noise densities of the certified design are the EKF's too.
     """
     runs = simulate(SCENARIOS["noise"], range(_FIRST_SEED, _FIRST_SEED + seeds), duration)
     arm, asked = ElasticJointArm(), design.arm_request

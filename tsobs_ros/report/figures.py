@@ -57,10 +57,11 @@ def _figure(picture: Picture) -> Figure:
         row, column = divmod(place, 2)
         alone = column == 0 and plot is plots[-1]
         where = grid[row, :] if alone else grid[row, column]
-        made.append(figure.add_subplot(where, sharex=made[0] if made else None))
+        shared = made[0] if made and plot.axis == TIME else None
+        made.append(figure.add_subplot(where, sharex=shared))
         _draw(made[-1], plot, picture)
         if row == rows - 1:
-            made[-1].set_xlabel(TIME)
+            made[-1].set_xlabel(plot.axis)
         else:
             made[-1].tick_params(labelbottom=False)
     made[0].xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10]))
@@ -89,11 +90,11 @@ def _legend(picture: Picture) -> list[Line2D | Patch]:
         for name, style in STYLES.items()
         if name in drawn
     ]
-    bands = ((1.0, 2.0 * _FAINT), (SIGMAS, _FAINT))
+    bands = ((1.0, 2.0 * _FAINT), (SIGMAS, _FAINT)) if any(p.bands for p in picture.plots) else ()
     return [
         *entries,
         *(Patch(color=BAND_COLOUR, alpha=a, lw=0, label=f"bound {s:g}σ") for s, a in bands),
-        Patch(color="#E4E7EB", lw=0, label="not counted"),
+        *([Patch(color="#E4E7EB", lw=0, label="not counted")] if picture.unsettled else []),
         *([Line2D([], [], label="true jump", **_JUMP)] if picture.jumps else []),
     ]
 
