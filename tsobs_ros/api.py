@@ -411,13 +411,9 @@ def compare(
     ['certified', 'high_gain']
     """
     from tsobs_ros.report.comparison import compare_observers
-    from tsobs_ros.report.held_out import HeldOut
 
-    sensor = None if held_out is None else HeldOut.of(held_out, held_out_std)
-    both_sides = sensor is not None and not sensor.place
-    source, observers = _observers(path, design, None, methods, joints, both_sides)
-    sensors = [] if sensor is None else sensor.read(source, observers)
-    return Comparison(compare_observers(source, observers, sensors=sensors))
+    source, observers = _observers(path, design, None, methods, joints, held_out)
+    return Comparison(compare_observers(source, observers, held_out_std))
 
 
 def _observers(
@@ -426,13 +422,13 @@ def _observers(
     settings: ObserverSettings | None,
     methods: Sequence[str],
     joints: Sequence[str],
-    both_sides: bool = False,
+    held_out: str | None = None,
 ) -> "tuple[BagSource, list[Observer]]":
     # Not needed for arrays, and slow to import.
     from tsobs_ros.replay.estimate import make_observers, open_source, without_misfits
 
     no_torque = None if settings is None else settings.assume_zero_torque
-    source = open_source(path, joints=joints, assume_zero_torque=no_torque, both_sides=both_sides)
+    source = open_source(path, joints=joints, assume_zero_torque=no_torque, held_out=held_out)
     if design is None:
         designs = source.choose_designs()
     else:

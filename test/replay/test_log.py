@@ -82,7 +82,7 @@ def test_logs_of_many_forms_are_read(tmp_path, name) -> None:
 def test_times_that_begin_at_zero_are_moved(tmp_path) -> None:
     source = opened(log(tmp_path, "t,q,tau", "0,1,2", ",n/a,2", "0.01,1,2"))
 
-    assert source.moved_by == SECOND
+    assert source.remarks == ("note: 1 s was added to all times: 0 means no time",)
     # An empty cell stays without time.
     assert source.samples.stamps.tolist() == [SECOND, 0, SECOND + 10_000_000]
     assert np.isnan(source.samples.y[1, 0, 0])

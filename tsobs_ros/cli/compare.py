@@ -65,14 +65,9 @@ def run(options: argparse.Namespace) -> int:
         if getattr(options, name):
             raise ParameterError(f"--{name.replace('_', '-')}: is for {what}")
     if options.bag:
-        held_out = None
-        if options.held_out is not None:
-            from tsobs_ros.report.held_out import HeldOut
-
-            held_out = HeldOut.of(options.held_out, options.held_out_std)
-        elif options.held_out_std is not None:
+        if options.held_out_std is not None and options.held_out is None:
             raise ParameterError("--held-out-std: is for --held-out")
-        return estimate(options, options.output, skip_misfits=True, held_out=held_out)
+        return estimate(options, options.output, skip_misfits=True)
     return _on_scenarios(options)
 
 

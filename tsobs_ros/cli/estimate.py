@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from tsobs_ros.replay.estimate import Observer, Run
     from tsobs_ros.replay.source import BagSource
     from tsobs_ros.report.comparison import ObserverErrors
-    from tsobs_ros.report.held_out import HeldOut
 
 # Repeated here, so that the parser needs no numpy.
 _ZERO = "assume_zero_torque"
@@ -103,7 +102,6 @@ def estimate(
     *,
     estimates_only: bool = False,
     skip_misfits: bool = False,
-    held_out: "HeldOut | None" = None,
 ) -> int:
     """Run the observers that the options name, show the result, and return the exit code.
 
@@ -118,6 +116,7 @@ def estimate(
         without_misfits,
     )
     from tsobs_ros.report.comparison import RunScores
+    from tsobs_ros.report.held_out import read_held_out
     from tsobs_ros.settings import changed
 
     begin = time.monotonic()
@@ -127,7 +126,6 @@ def estimate(
         options.bag,
         **keywords(options, open_source),
         assume_zero_torque=given.assume_zero_torque if _ZERO in parameters else None,
-        both_sides=held_out is not None and not held_out.place,
     )
     settings = changed(source.ran.settings(), parameters)
     designs = source.choose_designs(options.design, others_allowed=options.other_design)
@@ -143,7 +141,7 @@ def estimate(
         remarks += misfits
     as_live = options.rate is None and options.at != "measurements"
     runs = make_runs(source, observers, rate=options.rate, as_live=as_live)
-    sensors = [] if held_out is None else held_out.read(source, observers)
+    sensors = read_held_out(source, getattr(options, "held_out_std", None))
     scores = RunScores(source, runs, sensors) if sensors or len(runs) > 1 else None
     with progress(source.count * len(runs), " samples", quiet=options.json) as advance:
         run_all(

@@ -49,7 +49,7 @@ from tsobs_ros.replay.live import COMPARED, Agreement, digests
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.loop import WINDOW, Window, Windows
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
-from tsobs_ros.replay.source import BagSource, Records
+from tsobs_ros.replay.source import ARM_QUANTITIES, BagSource, Records
 from tsobs_ros.series import Spool, Stamps
 from tsobs_ros.settings import values_of
 
@@ -417,18 +417,24 @@ def open_source(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     assume_zero_torque: bool | None = None,
-    both_sides: bool = False,
+    held_out: str | None = None,
 ) -> BagSource:
     """Open a bag, or a log if it is a file that is none of a bag's; options as for their classes.
 
     Raises:
         BagReadError: The bag cannot be read, or does not have the measurements.
         LogError: The log cannot be read.
+        ModelError: There is no such quantity to hold out.
     """
     path, zero = Path(path), assume_zero_torque
+    if held_out and (quantity := held_out.partition("=")[0]) not in ARM_QUANTITIES:
+        known = ", ".join(ARM_QUANTITIES)
+        raise ModelError(f"held out: expected one of {known}, got {quantity!r}")
     if is_log(path):
-        return LogSource(path, columns, units, joints, assume_zero_torque=bool(zero))
-    return BagSource(path, topic, joints, assume_zero_torque=zero, both_sides=both_sides)
+        return LogSource(
+            path, columns, units, joints, assume_zero_torque=bool(zero), held_out=held_out
+        )
+    return BagSource(path, topic, joints, assume_zero_torque=zero, held_out=held_out)
 
 
 def make_runs(

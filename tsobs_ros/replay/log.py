@@ -16,14 +16,13 @@ from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.writer import BagWriter
-from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest
-from tsobs_ros.design.signals import Place
+from tsobs_ros.design.signals import Field, Place, signals
 from tsobs_ros.errors import LogError
 from tsobs_ros.replay.csv_file import NO_TIME, Column, CsvFile, naming_file, plain_unit
 from tsobs_ros.replay.places import Layout
 from tsobs_ros.replay.source import MEASUREMENTS, BagSource, passes
-from tsobs_ros.series import NANOSECONDS, Spool
+from tsobs_ros.series import NANOSECONDS
 
 _BLOCK = 4096
 _ONLY = "elastic_joint"
@@ -36,11 +35,15 @@ _NAMES: Mapping[str, tuple[str, ...]] = {
     "torque": ("torque", "effort", "tau"),
 }
 """Usual names of columns by quantity; of a joint with `.JOINT` behind them."""
-_KINDS = {"position": "angle", "velocity": "velocity", "effort": "torque"}
+_FIELDS: Mapping[str, Field] = {"angle": "position", "velocity": "velocity", "torque": "effort"}
+_KINDS = {field: kind for kind, field in _FIELDS.items()}
 
 
 class _Signal(NamedTuple):
-    """A number that a design measures: what it is in errors, possible titles, and where it goes."""
+    """A number to read: what it is in errors, possible titles, its joint, and where it goes.
+
+    Of an arm's number there is the quantity, of a T-S system's the unit.
+    """
 
     label: str
     titles: tuple[str, ...]
@@ -48,6 +51,9 @@ class _Signal(NamedTuple):
     unit: str
     joint: str
     place: Place
+
+
+_TIME = _Signal("time", _NAMES["time"], "time", "", "", Place("", "position"))
 
 
 class LogSource(BagSource):
@@ -64,9 +70,7 @@ class LogSource(BagSource):
         joints: Names of the joints to read; all of them if empty. One name renames the joint of
             columns that name none.
         assume_zero_torque: Take torque as 0 if there is no such column.
-
-    Attributes:
-        moved_by: Shift of the times [ns].
+        held_out: As for `BagSource`, with the name of its column, as in `link_angle=COLUMN`.
 
     Raises:
         LogError: The file cannot be read, lacks a column, or has a cell that is not a number; the
@@ -81,8 +85,10 @@ class LogSource(BagSource):
         joints: Sequence[str] = (),
         *,
         assume_zero_torque: bool = False,
+        held_out: str | None = None,
     ) -> None:
         self.path, self.topic, self.guessed = path, f"/{MEASUREMENTS}", not joints
+        self.held_out, self.both_sides = held_out, held_out is not None
         self._assume_zero_torque = assume_zero_torque
         self._given, self._units = dict(columns or {}), dict(units or {})
         with naming_file(path):
@@ -99,16 +105,16 @@ class LogSource(BagSource):
 
     def _read(self) -> None:
         with naming_file(self.path):
-            self._choose()
-            self._write_bag()
+            self._write_bag(*self._choose())
         super()._read()
 
-    def _choose(self) -> None:
-        """Find the columns of what the designs measure."""
-        time = _Signal("time", _NAMES["time"], "time", "", "", Place("", "position"))
-        signals = [time]
+    def _choose(self) -> tuple[Column, list[tuple[Place, Column]]]:
+        """Return the columns of the time and of all that is read, with their places in the bag."""
+        sensor, _, place = (self.held_out or "").partition("=")
+        self._given |= {sensor: place} if place else {}
+        signals = [_TIME]
         for joint in range(len(self.joints)):
-            signals += self._signals(joint)
+            signals += self._signals(joint, sensor)
         labels = dict.fromkeys(one.label for one in signals)
         quantities = dict.fromkeys(one.quantity for one in signals if one.quantity)
         titles = {title for one in signals for title in one.titles}
@@ -119,25 +125,40 @@ class LogSource(BagSource):
             for key in given:
                 if key not in known:
                     raise LogError(f"{option}: expected some of {', '.join(shown)}, got {key!r}")
-        columns = {one: self._column(one, self._given) for one in signals}
+        columns = {one: self._column(one) for one in signals}
         found = {one: column for one, column in columns.items() if column is not None}
         driven = {one.joint for one in found if one.quantity == "torque"}
         for one in signals:
             is_silent = one.joint in driven or self._assume_zero_torque
             if one not in found and not (one.quantity == "torque" and is_silent):
-                raise self._missing(one)
-        self._time = found.pop(time)
-        self._measured = found
+                raise self._missing(one, "--held-out" if one.label == sensor else "--columns")
+        used = {column.place for one, column in found.items() if one.label != sensor}
+        for column in (column for one, column in found.items() if one.label == sensor):
+            if column.place in used:
+                raise LogError(
+                    f"column {column.title!r} is used by the observer; name that of the held-out "
+                    f"sensor: --held-out {sensor}=COLUMN"
+                )
+            self.held_out_columns += (column.title,)
+        return found.pop(_TIME), [(one.place, column) for one, column in found.items()]
 
-    def _signals(self, joint: int) -> Iterator[_Signal]:
-        """Yield what a joint's design measures, its torque at the places that it may have."""
-        own, request, name = self.signals[joint], self._requests[joint], self.joints[joint]
+    def _signals(self, joint: int, sensor: str) -> Iterator[_Signal]:
+        """Yield what a joint's design measures, its torque at the places that it may have.
+
+        Behind it comes what a sensor measures that is held out.
+        """
+        own, request, name = self.signals[joint], self.requests[joint], self.joints[joint]
         if isinstance(request, ArmRequest):
-            torques = [("torque", place) for place in (*own.inputs, *own.other_inputs)]
-            outputs = zip(request.output_names, own.outputs, strict=True)
-            for label, place in (*outputs, *torques):
+            # With a held-out sensor the only encoder may be in an entry of its side's name.
+            entries = [place.name for place in signals(request, name, self.alone).outputs]
+            outputs = zip(request.output_names, own.outputs, entries, strict=True)
+            torques = [("torque", one, one.name) for one in (*own.inputs, *own.other_inputs)]
+            side, _, kind = sensor.partition("_")
+            entry = f"{name}_motor" if side == "motor" else name
+            held_out = [(sensor, Place(entry, _FIELDS[kind]), name)] if sensor else []
+            for label, place, entry in (*outputs, *torques, *held_out):
                 quantity = _KINDS[place.field]
-                titles = self._titles(label, quantity, name, place.name)
+                titles = self._titles(label, quantity, name, entry)
                 yield _Signal(label, titles, quantity, "", name, place)
             return
         labels = request.output_names + request.input_names
@@ -154,7 +175,7 @@ class LogSource(BagSource):
             titles += [label, *(_NAMES[quantity] if entry == joint else ())]
         return tuple(titles)
 
-    def _missing(self, one: _Signal, option: str = "--columns") -> LogError:
+    def _missing(self, one: _Signal, option: str) -> LogError:
         of = f" of {one.joint}" if one.joint not in ("", _ONLY) else ""
         zero = ", or take it for 0: --param assume_zero_torque=true"
         return LogError(
@@ -162,12 +183,12 @@ class LogSource(BagSource):
             f"{zero if one.quantity == 'torque' else ''}; {self._file.described}"
         )
 
-    def _column(self, one: _Signal, given: Mapping[str, str]) -> Column | None:
+    def _column(self, one: _Signal) -> Column | None:
         """Return a signal's column with its unit: one that is given, else by its title."""
-        for title in sorted(one.titles, key=lambda title: title not in given):
-            name = given.get(title, title)
+        for title in sorted(one.titles, key=lambda title: title not in self._given):
+            name = self._given.get(title, title)
             column = self._file.find(name)
-            if column is None and title in given:
+            if column is None and title in self._given:
                 raise LogError(f"no column is called {name!r}; {self._file.described}")
             if column is None:
                 continue
@@ -180,21 +201,17 @@ class LogSource(BagSource):
             return column._replace(unit=one.unit)
         return None
 
-    def _write_bag(self) -> None:
+    def _write_bag(self, time: Column, measured: Sequence[tuple[Place, Column]]) -> None:
         """Write the measurements into a temporary bag, in the order of the lines."""
-        columns = list(self._measured.values())
-        lines_type = np.dtype([("stamps", np.int64), ("values", np.float64, (len(columns),))])
-        spool = Spool(lines_type)
-        for _, stamps, values in self._file.read(self._time, columns):
-            spool.add(np.rec.fromarrays([stamps, values], lines_type))
-        lines = spool.read()
-        there = lines.stamps != NO_TIME
-        if not there.any():
+        parts = list(self._file.read(time, [column for _, column in measured]))
+        if not any((stamps != NO_TIME).any() for _, stamps, _ in parts):
             raise LogError("no line below the titles has a time")
-        first = int(lines.stamps[there].min())
-        self.moved_by = 0 if first > 0 else NANOSECONDS - first
-        lines.stamps = np.where(there, lines.stamps + self.moved_by, 0)
-        layout, last = Layout([one.place for one in self._measured]), first + self.moved_by
+        stamps, values = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
+        there = stamps != NO_TIME
+        first = int(stamps[there].min())
+        moved_by = 0 if first > 0 else NANOSECONDS - first
+        stamps = np.where(there, stamps + moved_by, 0)
+        layout, last = Layout([place for place, _ in measured]), first + moved_by
         folder = TemporaryDirectory()
         finalize(self, folder.cleanup)
         bag = Path(folder.name, "log")
@@ -202,48 +219,20 @@ class LogSource(BagSource):
             definition = find_definition(JOINT_STATE)
             qos = QosProfile(reliability="best_effort")
             writer.add_topic(self.topic, JOINT_STATE, [qos], definition=definition)
-            for begin, end in passes(lines.stamps):
+            for begin, end in passes(stamps):
                 # Log times rise from line to line: time that has gone back goes on after what was.
-                shift = last + _AFTER_RESTART - int(lines.stamps[begin]) if begin else 0
+                shift = last + _AFTER_RESTART - int(stamps[begin]) if begin else 0
                 for place in range(begin, end, _BLOCK):
-                    part = lines[place : min(place + _BLOCK, end)]
-                    times = np.maximum.accumulate(np.append(last, part.stamps + shift))[1:]
+                    part = slice(place, min(place + _BLOCK, end))
+                    times = np.maximum.accumulate(np.append(last, stamps[part] + shift))[1:]
                     last = int(times[-1])
-                    data = layout.encode(part.stamps, part["values"])
+                    data = layout.encode(stamps[part], values[part])
                     writer.write_series(
                         [MessageSeries(self.topic, JOINT_STATE, times, times, data)]
                     )
         self.reader = BagReader(bag)
         if self._file.cut_off:
             self.remarks += ("note: the last line is cut off, and left out",)
-        if self.moved_by:
-            moved = f"{self.moved_by / NANOSECONDS:g} s"
+        if moved_by:
+            moved = f"{moved_by / NANOSECONDS:g} s"
             self.remarks += (f"note: {moved} was added to all times: 0 means no time",)
-
-    def sensor(self, quantity: str, column: str = "") -> tuple[list[str], Array]:
-        """Return a sensor's column for each joint and its readings line by line, shape (n, joints).
-
-        Args:
-            quantity: Name of a quantity of an arm.
-            column: Its column; empty to find it by its name.
-
-        Raises:
-            LogError: There is no such column, or the observer uses it.
-        """
-        kind, found = quantity.partition("_")[2], list[Column]()
-        used = {self._time.place, *(one.place for one in self._measured.values())}
-        with naming_file(self.path):
-            for joint in self.joints:
-                titles = self._titles(quantity, kind, joint, joint)
-                one = _Signal(quantity, titles, kind, "", joint, Place(joint, "position"))
-                own = self._column(one, {quantity: column} if column else {})
-                if own is None:
-                    raise self._missing(one, "--held-out")
-                if own.place in used:
-                    raise LogError(
-                        f"column {own.title!r} is used by the observer; name that of the held-out "
-                        f"sensor: --held-out {quantity}=COLUMN"
-                    )
-                found.append(own)
-            values = [part for _, _, part in self._file.read(self._time, found)]
-        return [one.title for one in found], np.concatenate(values)

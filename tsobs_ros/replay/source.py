@@ -35,6 +35,7 @@ from tsobs_ros.replay.samples import MISSING, Batch, MeasurementReader
 from tsobs_ros.series import NANOSECONDS, Spool
 
 MEASUREMENTS = "joint_measurements"
+ARM_QUANTITIES = ("link_angle", "link_velocity", "motor_angle", "motor_velocity")
 UNNAMED_SYSTEM = "system"
 """Name of a T–S system that a recording does not name."""
 
@@ -83,7 +84,8 @@ class BagSource:
         joints: Names of the joints to read; by default those that the live observer observed and
             the first messages have, else those of the first messages.
         assume_zero_torque: Take messages without effort as torque 0; None: as the live observer.
-        both_sides: Take a joint with an entry of its motor for one with encoders on both sides.
+        held_out: Sensor that no observer gets: one of `ARM_QUANTITIES`, which may have a place
+            behind it, as in `link_angle=/TOPIC`, `=/TOPIC:ENTRY` or `=:ENTRY`.
 
     Attributes:
         path: The bag or the log.
@@ -103,7 +105,9 @@ class BagSource:
         damage: The error that ended reading early.
         remarks: Notes for the user.
         guessed: Whether the joints are those of the first messages, for want of anything better.
+        requests: Those of the designs, after `observe`.
         both_sides: Whether arms have encoders on both sides, although a design may measure one.
+        held_out_columns: Titles of each joint's held-out sensor in a log.
 
     Raises:
         BagReadError: There is no bag, no such topic, or several topics fit.
@@ -119,10 +123,12 @@ class BagSource:
     truth: Mapping[str, str] = MappingProxyType({})
     damage: BagReadError | None = None
     remarks: tuple[str, ...] = ()
+    requests: tuple[AnyRequest, ...] = ()
     both_sides = False
+    held_out: str | None = None
+    held_out_columns: tuple[str, ...] = ()
     _alone = True
     _live: Mapping[str, str] = MappingProxyType({})
-    _requests: tuple[AnyRequest, ...] = ()
 
     def __init__(
         self,
@@ -131,9 +137,9 @@ class BagSource:
         joints: Sequence[str] = (),
         *,
         assume_zero_torque: bool | None = None,
-        both_sides: bool = False,
+        held_out: str | None = None,
     ) -> None:
-        self.path = path
+        self.path, self.held_out = path, held_out
         self.reader = BagReader(path)
         of_topic = self._recorded_observers()
         self.topic = self._find_measurements(list(of_topic)) if topic is None else topic
@@ -153,7 +159,10 @@ class BagSource:
         self._alone = len(self.ran.designs) <= 1 and not any(
             name.startswith(f"{joint}/") for joint in self.joints for name in first
         )
-        self.both_sides = both_sides and any(topics.sides(one)[1] in first for one in self.joints)
+        # Without a place it is the other one of a joint's two encoders.
+        self.both_sides = held_out in ARM_QUANTITIES and any(
+            topics.sides(one)[1] in first for one in self.joints
+        )
         if assume_zero_torque is None:
             assume_zero_torque = self.ran.settings().assume_zero_torque
         self._assume_zero_torque = assume_zero_torque
@@ -172,21 +181,35 @@ class BagSource:
         Raises:
             BagReadError: The bag does not have the measurements.
             LogError: The log does not.
-            ModelError: What other designs measure is read already.
+            ModelError: What other designs measure is read already, or a sensor cannot be held out.
         """
-        if not self._requests:
-            self._requests = tuple(requests)
+        if not self.requests:
+            self._check_held_out(requests)
+            self.requests = tuple(requests)
             self.signals = self.signals_of(requests)
             self._read()
         has, wanted = (
             [name for one in each for name in (*one.output_names, *one.input_names)]
-            for each in (self._requests, requests)
+            for each in (self.requests, requests)
         )
         if has != wanted:
             raise ModelError(
                 f"{self.path}: designs that are run together must measure the same, got one of "
                 f"{', '.join(has)} and one of {', '.join(wanted)}: run them one after the other"
             )
+
+    def _check_held_out(self, requests: Sequence[AnyRequest]) -> None:
+        quantity, _, place = (self.held_out or "").partition("=")
+        arms = [request for request in requests if isinstance(request, ArmRequest)]
+        problem = ""
+        if len(arms) < len(requests):
+            problem = "expected the design of an arm, got one of a T-S system"
+        elif any(quantity in arm.output_names for arm in arms):
+            problem = f"{quantity} is what the observer measures"
+        elif len(arms) > 1 and place and (place[0] != "/" or ":" in place):
+            problem = f"{place} is of one joint; choose it: --joints NAME"
+        if self.held_out and problem:
+            raise ModelError(f"held out: {problem}")
 
     @property
     def count(self) -> int:
@@ -343,7 +366,7 @@ class BagSource:
     def _require_outputs(self, there: Sequence[Sequence[bool]]) -> None:
         """Raise `BagReadError` if no message has some output, which none lacks by chance."""
         lacking, seen = list[str](), list[str]()
-        each = zip(self.joints, self._requests, self.signals, there, strict=True)
+        each = zip(self.joints, self.requests, self.signals, there, strict=True)
         for joint, request, own, known in each:
             for name, place, given in zip(request.output_names, own.outputs, known, strict=True):
                 (seen if given else lacking).append(f"{name} of {joint} ({place.described})")
@@ -360,7 +383,7 @@ class BagSource:
 
     def _notes(self, without_input: int) -> Iterator[str]:
         """Yield notes on the measurements."""
-        if without_input and any(isinstance(one, ArmRequest) for one in self._requests):
+        if without_input and any(isinstance(one, ArmRequest) for one in self.requests):
             of = "all" if without_input == self.count else f"{without_input:,} of"
             yield (
                 f"warning: effort is empty in {of} {self.count:,} messages, which are not used: if "

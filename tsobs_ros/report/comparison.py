@@ -21,7 +21,7 @@ from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import EKFS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
 from tsobs_ros.replay.source import BagSource
-from tsobs_ros.report.held_out import HeldOutErrors, HeldOutSensor
+from tsobs_ros.report.held_out import HeldOutErrors, HeldOutSensor, read_held_out
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics, innovation_std, measure, root_mean
 from tsobs_ros.report.quantities import outputs_of
 from tsobs_ros.report.run import ESTIMATED, RecordedRun, recorded_parts, run_of
@@ -102,7 +102,9 @@ def best_ekf(source: BagSource, file: DesignFile, settings: ObserverSettings) ->
     """
     methods = EKFS if settings.learnt(file.design) else EKFS[:1]
     observers = [Observer(name, replace(settings, method=name), (file,)) for name in methods]
-    scores = _scores(source, without_misfits(observers)[0])
+    runs = make_runs(source, without_misfits(observers)[0], rate=None, as_live=True)
+    scores = RunScores(source, runs)
+    run_all(source, runs, None, after_window=scores.add)
     best, run = min(scores.results(), key=lambda one: one[0].normalised_rmse)
     if best.metrics is None or run is None:
         raise BagReadError(f"{source.path}: no EKF could be run over the measurements")
@@ -110,22 +112,16 @@ def best_ekf(source: BagSource, file: DesignFile, settings: ObserverSettings) ->
 
 
 def compare_observers(
-    source: BagSource, observers: Sequence[Observer], sensors: Sequence[HeldOutSensor] = ()
+    source: BagSource, observers: Sequence[Observer], held_out_std: float | None = None
 ) -> list[ObserverErrors]:
     """Run observers when the recorded one estimated, if there is one, and measure them.
 
-    Of each joint there may be a sensor that they do not get, to measure them against.
+    What the source holds out is a sensor to measure them against, with this 1σ of its noise.
     """
-    return [errors for errors, _ in _scores(source, observers, sensors).results()]
-
-
-def _scores(
-    source: BagSource, observers: Sequence[Observer], sensors: Sequence[HeldOutSensor] = ()
-) -> "RunScores":
     runs = make_runs(source, observers, rate=None, as_live=True)
-    scores = RunScores(source, runs, sensors)
+    scores = RunScores(source, runs, read_held_out(source, held_out_std))
     run_all(source, runs, None, after_window=scores.add)
-    return scores
+    return [errors for errors, _ in scores.results()]
 
 
 class RunScores:

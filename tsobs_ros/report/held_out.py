@@ -3,7 +3,6 @@
 """A sensor that no observer gets, and the errors of estimates against it."""
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,11 +10,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.checks import Array, positive
-from tsobs_ros.design.request import ArmRequest
-from tsobs_ros.errors import BagReadError, LogError, ModelError
-from tsobs_ros.replay.estimate import Observer
+from tsobs_ros.errors import BagReadError, LogError
 from tsobs_ros.replay.health import CLAIMED
-from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.metrics import QuantityMetrics, Windows, inside_windows, quantity_metrics
 from tsobs_ros.report.quantities import QUANTITIES, Quantity
@@ -27,86 +23,48 @@ _MIN_READINGS, _MAX_READINGS = 20, 50_000
 _NEIGHBOURS, _ROUNDED = 7, 1e-9
 
 
-class HeldOut(NamedTuple):
-    """A sensor to hold out.
+def read_held_out(source: BagSource, std: float | None = None) -> "list[HeldOutSensor]":
+    """Return the held-out sensor of each joint of a source whose designs are known.
 
-    Attributes:
-        quantity: Its quantity: link_angle, link_velocity, motor_angle or motor_velocity.
-        std: 1σ of its noise (rad, rad/s); None: estimated from its high frequencies.
-        place: Its column in a log, `/TOPIC`, `/TOPIC:ENTRY` or `:ENTRY` in a bag; empty to find it.
+    Its noise has a 1σ (rad, rad/s) that is given, or estimated from its high frequencies. There are
+    none if nothing is held out.
+
+    Raises:
+        ModelError: The noise is not above 0.
+        BagReadError: The bag does not have the sensor.
+        LogError: Readings are too few.
     """
-
-    quantity: str
-    std: float | None = None
-    place: str = ""
-
-    @classmethod
-    def of(cls, text: str, std: float | None = None) -> "HeldOut":
-        """Return the sensor of a text such as `link_angle` or `link_angle=PLACE`.
-
-        Raises:
-            ModelError: There is no such quantity, or the noise is not above 0.
-        """
-        quantity, _, place = text.partition("=")
-        if quantity not in _ARM:
-            raise ModelError(f"held out: expected one of {', '.join(_ARM)}, got {quantity!r}")
-        return cls(quantity, None if std is None else positive("held_out_std", std), place)
-
-    def read(self, source: BagSource, observers: Sequence[Observer]) -> "list[HeldOutSensor]":
-        """Return the sensor of each joint.
-
-        Raises:
-            ModelError: An observer measures the quantity or is of no arm, or one place is named for
-                several joints.
-            BagReadError: The bag does not have the sensor.
-            LogError: The log does not, or readings are too few.
-        """
-        quantity, requests = _ARM[self.quantity], [d.request for d in observers[0].designs]
-        source.observe(requests)
-        arms = [request for request in requests if isinstance(request, ArmRequest)]
-        if len(arms) < len(requests):
-            raise ModelError("held out: expected the design of an arm, got one of a T-S system")
-        if any(quantity.key in arm.output_names for arm in arms):
-            raise ModelError(f"held out: {quantity.key} is what the observer measures")
-        is_topic = self.place.startswith("/") and ":" not in self.place
-        if len(arms) > 1 and self.place and not is_topic:
-            raise ModelError(f"held out: {self.place} is of one joint; choose it: --joints NAME")
-        if isinstance(source, LogSource):
-            titles, values = source.sensor(self.quantity, self.place)
-            samples, each = source.samples, zip(titles, values.T[:, :, np.newaxis], strict=True)
-            read = {
-                f"column {title!r}": Series(samples.stamps, y, samples.log_times)
-                for title, y in each
-            }
-        else:
-            read = self._read_bag(source, arms)
-        return [self._sensor(quantity, where, series) for where, series in read.items()]
-
-    def _sensor(self, quantity: Quantity, where: str, readings: Series) -> "HeldOutSensor":
-        found = readings.take(slice(_MAX_READINGS))
-        found = found.take(np.isfinite(found.values[:, 0]))
-        _require_enough(len(found.stamps), quantity, where)
-        std = self.std or _noise_std(found.stamps, found.values[:, 0])
-        return HeldOutSensor(quantity, where, std, self.std is None, readings)
-
-    def _read_bag(self, bag: BagSource, arms: Sequence[ArmRequest]) -> dict[str, Series]:
-        """Return each joint's readings by their place."""
-        place, (side, _, kind) = self.place, self.quantity.partition("_")
-        topic, _, entry = place.partition(":") if place[:1] in ("/", ":") else ("", "", place)
-        topic, field = topic or bag.topic, "position" if kind == "angle" else "velocity"
-        asked = {}
-        for joint, arm, own in zip(bag.joints, arms, bag.signals, strict=True):
-            names = [entry or topics.sides(joint)[side == "motor"]]
-            # In measurements the joint's name is of the side that the observer takes it for.
-            link = bag.both_sides or any("link" in name for name in arm.output_names)
-            if not entry and (topic != bag.topic or link == (side == "link")):
-                names.insert(0, joint)
-            groups = [[(name, field)] for name in names]
-            where = f"{field} of {' or '.join(names)} on {topic}"
-            if topic == bag.topic and groups[0][0] in own.outputs:
-                raise BagReadError(f"{bag.path}: {where} is what the observer measures")
-            asked[where] = topic, groups
-        return read_series(bag, asked)
+    name, _, place = (source.held_out or "").partition("=")
+    if not name:
+        return []
+    (side, _, kind), columns = name.partition("_"), source.held_out_columns
+    topic, _, entry = place.partition(":") if place[:1] in ("/", ":") else ("", "", place)
+    topic, entry = ("", "") if columns else (topic, entry)
+    topic, field = topic or source.topic, "position" if kind == "angle" else "velocity"
+    asked = {}
+    for number, (joint, own) in enumerate(zip(source.joints, source.signals, strict=True)):
+        names = [entry or topics.sides(joint)[side == "motor"]]
+        # In measurements the joint's name is of the side that the observer takes it for.
+        outputs = source.requests[number].output_names
+        link = source.both_sides or any("link" in output for output in outputs)
+        if not entry and (topic != source.topic or link == (side == "link")):
+            names.insert(0, joint)
+        groups = [[(each, field)] for each in names]
+        where = f"{field} of {' or '.join(names)} on {topic}"
+        if columns:
+            where = f"column {columns[number]!r}"
+        elif topic == source.topic and groups[0][0] in own.outputs:
+            raise BagReadError(f"{source.path}: {where} is what the observer measures")
+        asked[where] = topic, groups
+    quantity, given = _ARM[name], None if std is None else positive("held_out_std", std)
+    sensors = []
+    for where, readings in read_series(source, asked).items():
+        some = readings.take(slice(_MAX_READINGS))
+        some = some.take(np.isfinite(some.values[:, 0]))
+        _require_enough(len(some.stamps), quantity, where)
+        noise = given or _noise_std(some.stamps, some.values[:, 0])
+        sensors.append(HeldOutSensor(quantity, where, noise, given is None, readings))
+    return sensors
 
 
 class HeldOutSensor(NamedTuple):
