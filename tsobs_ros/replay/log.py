@@ -17,7 +17,7 @@ from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.request import ArmRequest
-from tsobs_ros.design.signals import Field, Place, signals
+from tsobs_ros.design.signals import Field, Place
 from tsobs_ros.errors import LogError
 from tsobs_ros.replay.csv_file import NO_TIME, Column, CsvFile, naming_file, plain_unit
 from tsobs_ros.replay.places import Layout
@@ -150,7 +150,7 @@ class LogSource(BagSource):
         own, request, name = self.signals[joint], self.requests[joint], self.joints[joint]
         if isinstance(request, ArmRequest):
             # With a held-out sensor the only encoder may be in an entry of its side's name.
-            entries = [place.name for place in signals(request, name, self.alone).outputs]
+            entries = [place.name for place in request.signals(name, self.alone).outputs]
             outputs = zip(request.output_names, own.outputs, entries, strict=True)
             torques = [("torque", one, one.name) for one in (*own.inputs, *own.other_inputs)]
             side, _, kind = sensor.partition("_")
