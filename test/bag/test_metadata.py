@@ -4,7 +4,6 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,18 +26,16 @@ from tsobs_ros.bag.metadata import (
 )
 from tsobs_ros.errors import BagReadError
 
-METADATA = BagMetadata(
-    topics=(
-        TopicInfo("/a", "std_msgs/msg/String", 3, (QosProfile(),), "RIHS01_" + "0" * 64),
-        TopicInfo("/b", "std_msgs/msg/Empty"),
-    ),
-    files=(
-        FileMetadata.of("bag_0.mcap", 1_000, 1_500, 2),
-        FileMetadata.of("bag_1.mcap", 1_400, 2_000, 1),
-        FileMetadata("bag_2.mcap"),
-    ),
-    custom_data={"why": "Prüfstand: 1"},
+TOPICS = (
+    TopicInfo("/a", "std_msgs/msg/String", 3, (QosProfile(),), "RIHS01_" + "0" * 64),
+    TopicInfo("/b", "std_msgs/msg/Empty"),
 )
+FILES = (
+    FileMetadata.of("bag_0.mcap", 1_000, 1_500, 2),
+    FileMetadata.of("bag_1.mcap", 1_400, 2_000, 1),
+    FileMetadata("bag_2.mcap"),
+)
+METADATA = BagMetadata.of(TOPICS, FILES, {"why": "Prüfstand: 1"})
 
 
 def test_every_key_of_the_format_is_written(tmp_path: Path) -> None:
@@ -107,7 +104,7 @@ def test_what_is_no_metadata_is_refused(
 @pytest.mark.parametrize("name", ["bag\0.mcap", "bag_1.mcap"])
 def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path, name: str) -> None:
     files = (FileMetadata(name), FileMetadata("bag_1.mcap"))
-    write_metadata(tmp_path, replace(METADATA, files=files))
+    write_metadata(tmp_path, BagMetadata.of((), files))
     with pytest.raises(BagReadError, match="needs a name that no other has"):
         read_metadata(tmp_path)
 
@@ -143,6 +140,7 @@ def test_profiles_survive_yaml_and_policies_by_number_are_those_of_the_rmw() -> 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        (of(reliability=1.0), "Expected `str`, got `float`"),
         (of(reliability="sometimes"), "reliability is 'sometimes', but must be one of"),
         (of(depth=-1), "`int` >= 0 - at .*depth"),
         (of(deadline={"sec": math.inf, "nsec": 0}), "got `float` - at .*deadline.sec"),

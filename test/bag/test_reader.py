@@ -146,8 +146,8 @@ def test_what_is_not_there_is_named(bag: Path, tmp_path: Path) -> None:
     ("options", "reason"),
     [
         ({"profile": "ros1"}, "not a bag of ROS 2: its profile is 'ros1'"),
-        ({"channels": [("/a", "json", 1, {})]}, "/a is encoded in 'json', not in cdr"),
-        ({"channels": [("/a", "cdr", 7, {})]}, "/a has no type"),
+        ({"channels": [("/a", "json", 1, {})]}, "/a: is encoded in 'json', not in cdr"),
+        ({"channels": [("/a", "cdr", 7, {})]}, "/a: has no type"),
         ({"repeat_channels": False}, "damaged: 1 channels, but 0 in the index"),
     ],
 )  # fmt: skip

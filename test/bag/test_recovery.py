@@ -261,7 +261,7 @@ def test_what_no_bag_can_hold_is_counted(tmp_path: Path) -> None:
     (file,) = result.files
     assert file.kept == {"/a": 1, "/idl": 1}
     assert sorted(file.dropped) == [
-        "/a: is a std_msgs/msg/Empty here, but not elsewhere",
+        "/a: is std_msgs/msg/Empty here, but std_msgs/msg/String before",
         "/a: times do not fit 63 bits",
         "/json: is encoded in 'json', not in cdr",
         "/lost: has no type",

@@ -79,7 +79,8 @@ def test_qos_is_the_first_and_what_is_flushed_can_be_read_unfinished(tmp_path: P
         stored = [r for r in records(tmp_path / "bag" / "bag_0.mcap") if isinstance(r, Message)]
         assert [message.data for message in stored] == [b"one", b"two"]
     assert BagReader(tmp_path / "bag").topics["/a"].qos_profiles == tuple(offers)
-    assert read_metadata(tmp_path / "bag").topics[0].qos_profiles == tuple(offers)
+    (topic,) = read_metadata(tmp_path / "bag").topics_with_message_count
+    assert topic.topic_metadata.offered_qos_profiles == tuple(offers)
 
 
 @pytest.mark.parametrize("options", [{"max_size": 1_000_000}, {"max_duration_ns": 299}])

@@ -4,19 +4,19 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from mcap.records import Channel, Header, McapRecord, Metadata, Schema
 
-from tsobs_ros.bag.container import Records, Summary, by_channel
+from tsobs_ros.bag.container import Records, by_channel
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     BagMetadata,
+    Descriptions,
     TopicInfo,
-    TopicReader,
     read_metadata,
 )
 from tsobs_ros.bag.walker import Damage, FileWalker, Part, Progress
@@ -24,7 +24,6 @@ from tsobs_ros.errors import BagReadError
 from tsobs_ros.files import open_regular
 from tsobs_ros.yaml_files import MAX_BYTES, load_yaml
 
-_MAX_DESCRIPTIONS = 2**26
 _NUMBER = re.compile(r"_(\d+)$")
 
 
@@ -45,9 +44,7 @@ class DamagedFile:
         missing: The number of messages that the file states, but does not hold, by topic.
         damage: The parts that are lost.
         error: The reason why it was not read at all; empty if it was.
-        schemas, channels: The first description with each number.
-        topics: The topics of channels whose messages can be kept.
-        problems: What is wrong with descriptions, by the number of a channel or otherwise.
+        described: Its topics, those whose messages can be kept.
         counts: The number of messages found, by channel.
         times: The smallest and the largest log time kept of each topic, ns since the epoch.
         profile: The profile in its header; None without one.
@@ -61,16 +58,12 @@ class DamagedFile:
         self.kept, self.dropped, self.missing = Counter[str](), Counter[str](), Counter[str]()
         self.damage: list[Damage] = []
         self.error = ""
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.topics: dict[int, TopicInfo] = {}
-        self.problems: dict[int | str, str] = {}
+        self.described = Descriptions(of_bag)
         self.counts = Counter[int]()
         self.times: dict[str, tuple[int, int]] = {}
         self.profile: str | None = None
         self.metadata: BagMetadata | None = None
-        self._of_bag, self._read_topic = of_bag, TopicReader()
-        self._room, self._metadata_room = _MAX_DESCRIPTIONS, MAX_BYTES
+        self._metadata_room = MAX_BYTES
 
     @property
     def is_whole(self) -> bool:
@@ -104,7 +97,7 @@ class DamagedFile:
                 walker = FileWalker(stream, self.bytes_read, is_trusted=is_trusted)
                 self.damage, self.finished = walker.damage, walker.has_end
                 if described_by_summary and walker.summary is not None:
-                    self.describe(walker.summary)
+                    self.described.add_all(walker.summary.schemas, walker.summary.channels)
                     counts = walker.summary.statistics.channel_message_counts
                 for part in walker.parts(progress):
                     for record in part.described():
@@ -112,14 +105,9 @@ class DamagedFile:
                     yield part, None if part.content is None else self._keep(part, part.content)
         except OSError as error:
             self.error = error.strerror or str(error)
-        names = {id_: topic.name for id_, topic in self.topics.items()}
+        names = {id_: topic.name for id_, topic in self.described.topics.items()}
         stated = Counter({names.get(id_, f"channel {id_}"): n for id_, n in counts.items()})
         self.missing = stated - self.kept
-
-    def describe(self, summary: Summary) -> None:
-        """Take what a summary describes."""
-        for record in (*summary.schemas.values(), *summary.channels.values()):
-            self._describe(record)
 
     def _keep(self, part: Part, content: Records) -> Records:
         rows, kept = content.rows, np.zeros(len(content.rows), np.bool_)
@@ -127,9 +115,9 @@ class DamagedFile:
         fits = (times.min(axis=0) >= 0) & (times.max(axis=0) < EMPTY_START_NS)
         for id_, places in by_channel(rows):
             self.counts[id_] += len(places)
-            if (topic := self.topics.get(id_)) is None:
+            if (topic := self.described.topics.get(id_)) is None:
                 lost = f"channel {id_} is not described before its messages"
-                self.dropped[self.problems.get(id_, lost)] += len(places)
+                self.dropped[self.described.problems.get(id_, lost)] += len(places)
                 continue
             own = places[fits[places]]
             if len(own) < len(places):
@@ -146,7 +134,7 @@ class DamagedFile:
     def _describe(self, record: McapRecord | None) -> None:
         match record:
             case None:
-                self.problems["record"] = "a record between its messages is malformed"
+                self.described.problems["record"] = "a record between its messages is malformed"
             case Header() if self.profile is None:
                 self.profile = record.profile
             case Metadata(name="rosbag2"):
@@ -155,46 +143,8 @@ class DamagedFile:
                 if self._metadata_room >= 0 and self.metadata is None:
                     with suppress(ValueError):
                         self.metadata = BagMetadata.from_map(load_yaml(text))
-            case Schema():
-                schema = self.schemas.get(record.id)
-                if schema is None and self._has_room(len(record.data)):
-                    self.schemas[record.id] = record
-                elif schema is not None and schema != record:
-                    ids = [i for i, one in self.channels.items() if one.schema_id == record.id]
-                    self._contradict("schema", record.id, ids if schema.name != record.name else [])
-            case Channel():
-                channel = self.channels.get(record.id)
-                texts = (*record.metadata, *record.metadata.values())
-                if channel is None and self._has_room(sum(map(len, texts))):
-                    self.channels[record.id] = record
-                    self._add_topic(record)
-                elif channel is not None and channel != record:
-                    mine, its = (
-                        (each.topic, each.schema_id, each.message_encoding)
-                        for each in (channel, record)
-                    )
-                    self._contradict("channel", record.id, [record.id] if mine != its else [])
-
-    def _add_topic(self, channel: Channel) -> None:
-        try:
-            topic = self._read_topic(channel, self.schemas.get(channel.schema_id))
-            if self._of_bag.setdefault(topic.name, topic).type != topic.type:
-                raise ValueError(f"is a {topic.type} here, but not elsewhere")
-            self.topics[channel.id] = topic
-            self._read_topic.offers(channel)
-        except ValueError as error:
-            self.problems[channel.id] = f"{channel.topic}: {error}"
-
-    def _contradict(self, what: str, id_: int, channels: Iterable[int]) -> None:
-        """Note that descriptions differ, and drop messages of channels that are of another file."""
-        text = self.problems[f"{what} {id_}"] = f"two descriptions of {what} {id_} differ"
-        for each in channels:
-            self.topics.pop(each, None)
-            self.problems[each] = text
-
-    def _has_room(self, size: int) -> bool:
-        self._room -= size
-        return self._room >= 0
+            case Schema() | Channel():
+                self.described.add(record)
 
 
 class BagFiles:

@@ -3,8 +3,7 @@
 """The topics, QoS and files of a bag, and its `metadata.yaml` of version 9, which Jazzy writes."""
 
 import os
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -23,6 +22,7 @@ FILE_NAME = "metadata.yaml"
 ROOT_KEY = "rosbag2_bagfile_information"
 EMPTY_START_NS = 2**63 - 1
 
+_MAX_DESCRIPTIONS = 2**26
 _OF_PUBLISHER = ("unknown", "best_available")
 # In the order of the RMW's enumerations: bags from before Jazzy name a policy by its number.
 _POLICIES: Mapping[str, tuple[str, ...]] = {
@@ -93,16 +93,6 @@ class QosProfile(msgspec.Struct, frozen=True):
         return plain
 
 
-def _profiles(maps: Iterable[dict[str, Any]]) -> tuple[QosProfile, ...]:
-    """Return the profiles that maps describe, with policies by name or by number."""
-    named = [
-        each
-        | {k: names[each[k]] for k, names in _POLICIES.items() if each.get(k) in range(len(names))}
-        for each in maps
-    ]
-    return msgspec.convert(named, tuple[QosProfile, ...])
-
-
 def profiles_to_yaml(profiles: Iterable[QosProfile]) -> str:
     """Return the offers as the YAML list that is a channel's `offered_qos_profiles`."""
     maps = [profile.to_map() for profile in profiles]
@@ -116,7 +106,12 @@ def profiles_from_yaml(text: str) -> tuple[QosProfile, ...]:
         ValueError: The text is not a YAML list of QoS profiles.
     """
     try:
-        return _profiles(msgspec.convert(load_yaml(text) or [], list[dict[str, Any]]))
+        maps = msgspec.convert(load_yaml(text) or [], list[dict[str, Any]])
+        for each in maps:
+            for policy, names in _POLICIES.items():
+                if isinstance(number := each.get(policy), int) and number in range(len(names)):
+                    each[policy] = names[number]
+        return msgspec.convert(maps, tuple[QosProfile, ...])
     except ValueError as error:
         raise ValueError(f"not a list of QoS profiles: {error}") from error
 
@@ -142,43 +137,97 @@ class TopicInfo:
     definition: MessageDefinition | None = field(default=None, compare=False, repr=False)
 
 
-class TopicReader:
-    """The topics that channels and schemas of a file describe; each text is read once."""
+class Descriptions:
+    """What the schemas and channels of a file describe.
 
-    def __init__(self) -> None:
-        self._definitions: dict[int, str] = {}
+    Args:
+        of_bag: The topics of the bag by name, to which those of the file are added.
+
+    Attributes:
+        schemas: The first description with each number.
+        channels: The first description with each number.
+        topics: The topics by channel, without QoS if that makes no sense.
+        problems: What is wrong with descriptions, by the number of a channel or otherwise.
+    """
+
+    def __init__(self, of_bag: dict[str, TopicInfo]) -> None:
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.topics: dict[int, TopicInfo] = {}
+        self.problems: dict[int | str, str] = {}
+        self._of_bag = of_bag
+        self._texts: dict[int, str] = {}
         self._offers: dict[str, tuple[QosProfile, ...]] = {}
-        # Parsing costs some microseconds a byte.
-        self._bytes_left = MAX_BYTES
+        self._room, self._offers_room = _MAX_DESCRIPTIONS, MAX_BYTES
 
-    def __call__(self, channel: Channel, schema: Schema | None) -> TopicInfo:
-        """Return the topic that a channel is of, without QoS if that makes no sense.
+    def add_all(self, schemas: Mapping[int, Schema], channels: Mapping[int, Channel]) -> None:
+        """Take what a summary describes."""
+        for schema in schemas.values():
+            self.add(schema)
+        for channel in channels.values():
+            self.add(channel)
 
-        Raises:
-            ValueError: Its messages are not in CDR, or there is no schema.
-        """
+    def add(self, record: Schema | Channel) -> None:
+        """Take a description; if it differs from an earlier one, the topic may be lost."""
+        if isinstance(record, Schema):
+            schema = self.schemas.get(record.id)
+            if schema is None and self._has_room(len(record.data)):
+                self.schemas[record.id] = record
+            elif schema is not None and schema != record:
+                ids = [i for i, one in self.channels.items() if one.schema_id == record.id]
+                self._contradict("schema", record.id, ids if schema.name != record.name else [])
+            return
+        channel, texts = self.channels.get(record.id), record.metadata
+        if channel is None and self._has_room(sum(map(len, (*texts, *texts.values())))):
+            self.channels[record.id] = record
+            try:
+                self._add_topic(record, self.schemas.get(record.schema_id))
+            except ValueError as error:
+                self.problems[record.id] = f"{record.topic}: {error}"
+        elif channel is not None and channel != record:
+            mine, its = (
+                (each.topic, each.schema_id, each.message_encoding) for each in (channel, record)
+            )
+            self._contradict("channel", record.id, [record.id] if mine != its else [])
+
+    def _add_topic(self, channel: Channel, schema: Schema | None) -> None:
         if channel.message_encoding != "cdr":
             raise ValueError(f"is encoded in '{channel.message_encoding}', not in cdr")
         if schema is None:
             raise ValueError("has no type")
-        if schema.id not in self._definitions:
-            self._definitions[schema.id] = schema.data.decode(errors="replace")
+        # Schemas are shared.
+        text = self._texts.setdefault(schema.id, schema.data.decode(errors="replace"))
         hash_ = channel.metadata.get("topic_type_hash", "")
-        text, qos = self._definitions[schema.id], tuple[QosProfile, ...]()
-        with suppress(ValueError):
-            qos = self.offers(channel)
         definition = MessageDefinition(schema.name, text, hash_, schema.encoding)
-        return TopicInfo(channel.topic, schema.name, 0, qos, hash_, definition)
+        qos: tuple[QosProfile, ...] = ()
+        try:
+            qos = self._offered(channel)
+        except ValueError as error:
+            self.problems[channel.id] = f"{channel.topic}: {error}"
+        topic = TopicInfo(channel.topic, schema.name, 0, qos, hash_, definition)
+        if (of_bag := self._of_bag.setdefault(topic.name, topic).type) != topic.type:
+            raise ValueError(f"is {topic.type} here, but {of_bag} before")
+        self.topics[channel.id] = topic
 
-    def offers(self, channel: Channel) -> tuple[QosProfile, ...]:
-        """Return a channel's `offered_qos_profiles`; raise a `ValueError` if they make no sense."""
+    def _offered(self, channel: Channel) -> tuple[QosProfile, ...]:
         text = channel.metadata.get("offered_qos_profiles", "")
         if text not in self._offers:
-            self._bytes_left -= len(text)
-            if self._bytes_left < 0:
+            self._offers_room -= len(text)  # parsing costs some microseconds a byte
+            if self._offers_room < 0:
                 raise ValueError(f"the file's QoS profiles are larger than {MAX_BYTES} bytes")
             self._offers[text] = profiles_from_yaml(text)
         return self._offers[text]
+
+    def _contradict(self, what: str, id_: int, channels: Iterable[int]) -> None:
+        """Note that descriptions differ, and give up channels that are of another file."""
+        text = self.problems[f"{what} {id_}"] = f"two descriptions of {what} {id_} differ"
+        for each in channels:
+            self.topics.pop(each, None)
+            self.problems[each] = text
+
+    def _has_room(self, size: int) -> bool:
+        self._room -= size
+        return self._room >= 0
 
 
 class _Duration(msgspec.Struct, frozen=True):
@@ -203,108 +252,93 @@ class FileMetadata(msgspec.Struct, frozen=True):
         return cls(path, _Time(start), _Duration(end - start), count) if count else cls(path)
 
 
-class _Topic(msgspec.Struct):
+class _TopicMetadata(msgspec.Struct, frozen=True):
     name: str
     type: str
-    offered_qos_profiles: list[dict[str, Any]]
+    serialization_format: str
+    offered_qos_profiles: tuple[QosProfile, ...]
     type_description_hash: str
 
 
-class _TopicEntry(msgspec.Struct):
-    topic_metadata: _Topic
+class _Topic(msgspec.Struct, frozen=True):
+    topic_metadata: _TopicMetadata
     message_count: _Count
 
 
-class _Information(msgspec.Struct):
-    """What is read of the content of the root key."""
+class BagMetadata(msgspec.Struct, frozen=True):
+    """The content of the root key of a bag's metadata.yaml, in rosbag2's order."""
 
+    version: int
     storage_identifier: str
+    duration: _Duration
+    starting_time: _Time
+    message_count: _Count
+    topics_with_message_count: tuple[_Topic, ...]
+    compression_format: str
     compression_mode: Literal["", "NONE"]
-    topics_with_message_count: list[_TopicEntry]
-    files: list[FileMetadata]
-    custom_data: dict[Any, Any] | None
+    relative_file_paths: tuple[str, ...]
+    files: tuple[FileMetadata, ...]
+    custom_data: dict[str, str] | None
     ros_distro: str
 
-
-@dataclass(frozen=True)
-class BagMetadata:
-    """The content of a bag's metadata.yaml.
-
-    Attributes:
-        topics: The recorded topics, in order of registration.
-        files: The files, in order of recording.
-        custom_data: The user's notes.
-        ros_distro: The ROS distribution it was recorded with.
-        storage_identifier: The storage format of the files.
-    """
-
-    topics: tuple[TopicInfo, ...]
-    files: tuple[FileMetadata, ...]
-    custom_data: Mapping[str, str] | None = None
-    ros_distro: str = "jazzy"
-    storage_identifier: str = "mcap"
-
-    def to_map(self) -> dict[str, Any]:
-        """Return the content of the root key, with every key in rosbag2's order."""
-        filled = [file for file in self.files if file.message_count]
+    @classmethod
+    def of(
+        cls,
+        topics: Iterable[TopicInfo],
+        files: Sequence[FileMetadata],
+        custom_data: Mapping[str, str] | None = None,
+    ) -> "BagMetadata":
+        """Return that of a bag with these topics and files, both in order of recording."""
+        filled = [file for file in files if file.message_count]
         starts = [file.starting_time.nanoseconds_since_epoch for file in filled]
         ends = [at + file.duration.nanoseconds for at, file in zip(starts, filled, strict=True)]
         start, end = min(starts, default=EMPTY_START_NS), max(ends, default=EMPTY_START_NS)
-        return {
-            "version": VERSION,
-            "storage_identifier": self.storage_identifier,
-            "duration": {"nanoseconds": end - start},
-            "starting_time": {"nanoseconds_since_epoch": start},
-            "message_count": sum(file.message_count for file in filled),
-            "topics_with_message_count": [
-                {
-                    "topic_metadata": {
-                        "name": topic.name,
-                        "type": topic.type,
-                        "serialization_format": "cdr",
-                        "offered_qos_profiles": [qos.to_map() for qos in topic.qos_profiles],
-                        "type_description_hash": topic.type_hash,
-                    },
-                    "message_count": topic.count,
-                }
-                for topic in self.topics
-            ],
-            "compression_format": "",  # also with compressed chunks: those are MCAP's
-            "compression_mode": "",
-            "relative_file_paths": [file.path for file in self.files],
-            "files": [msgspec.to_builtins(file) for file in self.files],
-            "custom_data": dict(self.custom_data) if self.custom_data else None,
-            "ros_distro": self.ros_distro,
-        }
+        known = (
+            _Topic(
+                _TopicMetadata(one.name, one.type, "cdr", one.qos_profiles, one.type_hash),
+                one.count,
+            )
+            for one in topics
+        )
+        return cls(
+            VERSION,
+            "mcap",
+            _Duration(end - start),
+            _Time(start),
+            sum(file.message_count for file in filled),
+            tuple(known),
+            "",  # also with compressed chunks: those are MCAP's
+            "",
+            tuple(file.path for file in files),
+            tuple(files),
+            dict(custom_data) if custom_data else None,
+            "jazzy",
+        )
+
+    def to_map(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        plain: dict[str, Any] = msgspec.to_builtins(self)
+        return plain
 
     def to_yaml(self) -> str:
-        """Return the content of the root key as YAML: the text that an MCAP file carries."""
+        """Return it as YAML: the text that an MCAP file carries."""
         return _dump(self.to_map())
 
     @classmethod
     def from_map(cls, information: object) -> "BagMetadata":
         """Return the metadata that the content of the root key states."""
         version = information.get("version") if isinstance(information, dict) else None
-        if version != VERSION:
+        if not isinstance(information, dict) or version != VERSION:
             raise ValueError(f"version is {version}, only {VERSION} is supported")
-        stated = msgspec.convert(information, _Information)
-        listed = [file.path for file in stated.files]
+        notes = information.get("custom_data")
+        if isinstance(notes, dict):
+            # rosbag2 writes texts without quotes, so that YAML may take them for numbers.
+            notes = {str(key): str(value) for key, value in notes.items()}
+        found = msgspec.convert(information | {"custom_data": notes}, cls)
+        listed = [file.path for file in found.files]
         if len(set(listed)) < len(listed) or "\0" in "".join(listed):
             raise ValueError(f"files are {listed}: each needs a name that no other has")
-        # rosbag2 writes texts without quotes, so that YAML may take them for numbers.
-        notes = stated.custom_data and {str(k): str(v) for k, v in stated.custom_data.items()}
-        topics = [
-            TopicInfo(
-                each.topic_metadata.name,
-                each.topic_metadata.type,
-                each.message_count,
-                _profiles(each.topic_metadata.offered_qos_profiles),
-                each.topic_metadata.type_description_hash,
-            )
-            for each in stated.topics_with_message_count
-        ]
-        files, storage = tuple(stated.files), stated.storage_identifier
-        return cls(tuple(topics), files, notes, stated.ros_distro, storage)
+        return found
 
 
 def write_metadata(folder: Path, metadata: BagMetadata) -> None:

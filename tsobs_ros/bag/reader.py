@@ -30,7 +30,7 @@ from tsobs_ros.bag.container import (
     read_span,
     read_summary,
 )
-from tsobs_ros.bag.metadata import BagMetadata, TopicInfo, TopicReader, read_metadata
+from tsobs_ros.bag.metadata import BagMetadata, Descriptions, TopicInfo, read_metadata
 from tsobs_ros.errors import BagReadError, missing_library
 from tsobs_ros.files import open_regular
 from tsobs_ros.yaml_files import MAX_BYTES
@@ -343,18 +343,14 @@ class BagReader:
             raise ValueError(f"not a bag of ROS 2: {profile}")
         if statistics.message_count and not summary.spans:
             raise ValueError(f"its messages are in no chunks, and have no index; {RECOVER_HINT}")
-        if statistics.channel_count > (described := len(summary.channels)):
-            counts = f"{statistics.channel_count} channels, but {described} in the index"
+        if statistics.channel_count > (count := len(summary.channels)):
+            counts = f"{statistics.channel_count} channels, but {count} in the index"
             raise ValueError(f"the file is damaged: {counts}; {RECOVER_HINT}")
-        read = TopicReader()
-        for channel in summary.channels.values():
-            name = channel.topic
-            try:
-                topic = read(channel, summary.schemas.get(channel.schema_id))
-            except ValueError as error:
-                raise ValueError(f"{name} {error}") from error
-            known = self.topics.setdefault(name, topic)
-            if known.type != topic.type:
-                raise ValueError(f"{name} is {topic.type} here, but {known.type} before")
-            count = statistics.channel_message_counts.get(channel.id, 0)
-            self.topics[name] = replace(known, count=known.count + count)
+        described = Descriptions(self.topics)
+        described.add_all(summary.schemas, summary.channels)
+        for id_ in summary.channels:
+            if id_ not in described.topics:
+                raise ValueError(described.problems.get(id_, "its topics are too large to read"))
+            topic = self.topics[described.topics[id_].name]
+            count = statistics.channel_message_counts.get(id_, 0)
+            self.topics[topic.name] = replace(topic, count=topic.count + count)

@@ -142,7 +142,7 @@ def recover(
                 if added < len(topics):
                     writer.add_topics(topics.values())
                     added = len(topics)
-                names = {id_: topic.name for id_, topic in file.topics.items()}
+                names = {id_: topic.name for id_, topic in file.described.topics.items()}
                 chunk = part.record if isinstance(part.record, Chunk) else None
                 if kept is not part.content or (chunk and chunk.compression != packed):
                     chunk = None

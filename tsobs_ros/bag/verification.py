@@ -30,11 +30,10 @@ from tsobs_ros.bag.container import (
     read_summary,
 )
 from tsobs_ros.bag.damaged import BagFiles, DamagedFile
-from tsobs_ros.bag.metadata import FILE_NAME, ROOT_KEY, BagMetadata, FileMetadata, TopicInfo
+from tsobs_ros.bag.metadata import FILE_NAME, BagMetadata, FileMetadata, TopicInfo
 from tsobs_ros.bag.walker import Part, Progress
-from tsobs_ros.errors import BagReadError, printable
+from tsobs_ros.errors import printable
 from tsobs_ros.files import open_regular
-from tsobs_ros.yaml_files import read_yaml
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
 _NUMBERED = re.compile(r".+_\d+\.[^.]+")
@@ -105,7 +104,7 @@ def verify(
     for file in files:
         file.run(progress, is_trusted)
     if there.metadata:
-        for text in _differences(path, there.metadata, files):
+        for text in _differences(there.metadata, files):
             errors.add(FILE_NAME, text)
     messages = sum(file.counts.total() for file in files)
     unchecked = sum(file.unchecked for file in files)
@@ -134,18 +133,18 @@ def _check_names(there: BagFiles, metadata: BagMetadata, errors: _Findings) -> N
             errors.add(path.name, text)
 
 
-def _differences(bag: Path, metadata: BagMetadata, files: list["_Check"]) -> Iterator[str]:
+def _differences(metadata: BagMetadata, files: list["_Check"]) -> Iterator[str]:
     """Yield in what metadata.yaml is not what it would be of the files."""
-    stated = _by_name(read_yaml(bag / FILE_NAME, error=BagReadError)[ROOT_KEY])
+    stated = _by_name(metadata.to_map())
     whole = [file for file in files if file.is_complete]
     counts = sum((file.kept for file in whole), Counter[str]())
-    hashes = {topic.name: topic.type_hash for topic in metadata.topics}
-    topics = {topic.name: topic for file in whole for topic in file.topics.values()}
+    hashes = {name: one["type_description_hash"] for name, one in stated["topics"].items()}
+    topics = {topic.name: topic for file in whole for topic in file.described.topics.values()}
     each = [
         replace(one, count=counts[name], type_hash=one.type_hash or hashes.get(name, ""))
         for name, one in topics.items()
     ]
-    found = BagMetadata(tuple(each), tuple(file.as_metadata() for file in whole))
+    found = BagMetadata.of(each, [file.as_metadata() for file in whole])
     actual = _by_name(found.to_map())
     if len(whole) < len(metadata.files):  # the files that could be checked
         for topic in actual["topics"].values():
@@ -213,16 +212,20 @@ class _Check(DamagedFile):
             self._error(str(error).removeprefix(f"{self.path}: "))
             return
         self._check_indexed()
-        self.describe(summary)  # topics without messages are only there
-        for schema in self.schemas.values():
+        self.described.add_all(
+            summary.schemas, summary.channels
+        )  # topics without messages are only there
+        for schema in self.described.schemas.values():
             if not _TYPE_NAME.fullmatch(schema.name):
                 self._error(f"the schema '{schema.name}' is not named as package/msg/Type")
             if schema.encoding not in ("ros2msg", "ros2idl"):
                 self._error(f"{schema.name} is defined in '{schema.encoding}', not in ros2msg")
-        for name, count in Counter(channel.topic for channel in self.channels.values()).items():
+        for name, count in Counter(
+            channel.topic for channel in self.described.channels.values()
+        ).items():
             if count > 1:
                 self._error(f"{name}: has more than one channel")
-        for text in (*self.problems.values(), *self.dropped):
+        for text in (*self.described.problems.values(), *self.dropped):
             self._error(text)
         for each in self.damage:
             self._error(f"at byte {each.offset}: {each.reason}; {RECOVER_HINT}")
@@ -279,12 +282,12 @@ class _Check(DamagedFile):
         }
         actual = (
             "ros2",
-            self.schemas,
-            self.channels,
+            self.described.schemas,
+            self.described.channels,
             self._chunks,
             len(self._chunks),
-            len(self.schemas),
-            len(self.channels),
+            len(self.described.schemas),
+            len(self.described.channels),
             self.counts.total(),
             dict(self.counts),
             self.span or (0, 0),

@@ -109,7 +109,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def metadata(self) -> BagMetadata:
         """Return the bag's metadata as of now."""
         files = tuple(file.info() for file in list(self._files))
-        return BagMetadata(self.topics, files, self._custom_data)
+        return BagMetadata.of(self.topics, files, self._custom_data)
 
     @property
     def _file(self) -> FileWriter:
@@ -314,8 +314,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         try:
             with _reported(path):
                 file = FileWriter(path, library, self._compression, CHUNK_SIZE)
-                known = self.metadata()
-                _add_metadata(file, replace(known, files=(*known.files, file.info())))
+                files = [each.info() for each in (*self._files, file)]
+                _add_metadata(file, BagMetadata.of(self.topics, files, self._custom_data))
                 file.flush()
         except ModuleNotFoundError as error:
             text = f"the library of its compression is not installed: {error}"
@@ -339,7 +339,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def _write_metadata(self) -> None:
         metadata = self.metadata()
         write_metadata(self.path, metadata)
-        self._on_disk = (len(metadata.topics), len(metadata.files))
+        self._on_disk = (len(metadata.topics_with_message_count), len(metadata.files))
 
     def _check_open(self) -> None:
         if self._closed or self._failure:

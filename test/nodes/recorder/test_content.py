@@ -54,8 +54,8 @@ def test_other_libraries_read_what_was_published_when_and_by_whom(ros, recording
     assert reader.topics["/joints"].type_hash == str(info.topic_type_hash)
     (offer,) = reader.topics["/joints"].qos_profiles
     assert (offer.reliability, offer.durability) == ("best_effort", "volatile")
-    written = {each.name: each for each in read_metadata(recorder.path).topics}
-    assert written["/joints"].qos_profiles == (offer,)
+    written = [each.topic_metadata for each in reader.metadata.topics_with_message_count]
+    assert {each.name: each.offered_qos_profiles for each in written}["/joints"] == (offer,)
 
 
 def test_under_simulated_time_messages_wait_for_the_clock(ros, recording) -> None:
