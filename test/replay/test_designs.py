@@ -14,8 +14,7 @@ import tsobs_ros as ts
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.cdr import encode_text
 from tsobs_ros.cli.main import main
-from tsobs_ros.design.file import load_design_file, save_design
-from tsobs_ros.design.published import record_text
+from tsobs_ros.design.file import load_design_file, record_text, save_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.methods import ObserverSettings

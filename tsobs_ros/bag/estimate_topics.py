@@ -6,7 +6,7 @@ They are JointStates, but for `DESIGN` and `TICKS`.
 """
 
 DESIGN = "design"
-"""What it runs, a latched std_msgs/String: see `tsobs_ros.design.published`."""
+"""What it runs, a latched std_msgs/String: see `tsobs_ros.design.file.ObserverRecord`."""
 
 TICKS = "ticks"
 """Which measurements each tick includes: see `tsobs_ros.bag.cdr`."""

@@ -1,10 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Detectability of a request: its hidden modes, their gravity slopes and what would help.
+"""Detectability: the modes that outputs do not show, and what would help.
 
-Of an arm, a mode of eigenvalue λ is hidden at the gravity slope c if a vector v other than zero has
-(A(c) − λI) v = 0 and C̄ v = 0. Only λ of an exosystem, or 0, can persist. The slope enters one row
-alone, so the vectors that the other rows leave are found first, and that row then gives the slope.
+A mode of eigenvalue λ is hidden if a vector v other than zero has (A − λI) v = 0 and C̄ v = 0
+(Popov–Belevitch–Hautus). Of an arm, A depends on the gravity slope c. Only λ of an exosystem, or 0,
+can persist. The slope enters one row alone, so the vectors that the other rows leave are found
+first, and that row then gives the slope.
 """
 
 import math
@@ -14,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tsobs_ros.checks import Array
 from tsobs_ros.design.remedies import helpful, remedies_of_hidden_modes
 from tsobs_ros.design.request import AnyRequest, ArmRequest
 from tsobs_ros.errors import DetectabilityError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_ANGLE
-from tsobs_ros.model.detectability import HiddenMode, format_mode, undetectable_modes
 
 _PERSISTENT = -1e-9
 """Real parts above this [1/s] do not decay: the mode would outlive the robot."""
@@ -27,6 +28,42 @@ _TOLERANCE = 1e-9
 """Relative size of numbers that count as zero, and by which a slope may leave the domain."""
 
 Complex = NDArray[np.complex128]
+
+
+class HiddenMode(NamedTuple):
+    """λ [1/s], and the unit vector v with A v = λ v and C v = 0, shape (n,)."""
+
+    eigenvalue: complex
+    shape: Complex
+
+
+def undetectable_modes(A: Array, C: Array) -> list[HiddenMode]:
+    """Return the modes of A that C does not see and that do not decay: no observer converges.
+
+    Equal eigenvalues count once: of several hidden directions that share one, the best hidden
+    is returned.
+    """
+    modes, eigenvalues = list[HiddenMode](), np.linalg.eigvals(A)
+    slowest = _PERSISTENT * float(np.abs(eigenvalues).max(initial=1.0))
+    for eigenvalue in eigenvalues[eigenvalues.real >= slowest]:
+        pencil = np.vstack([A - eigenvalue * np.eye(len(A)), C])
+        _, singular, right = np.linalg.svd(pencil)
+        already = any(abs(eigenvalue - mode.eigenvalue) < 1e-6 for mode in modes)
+        if singular[-1] / singular[0] < _TOLERANCE and not already:
+            modes.append(HiddenMode(complex(eigenvalue), right[-1].conj()))
+    return modes
+
+
+def format_mode(mode: HiddenMode, label: str = "[x; ω]") -> str:
+    """Return a mode as text: eigenvalue, and shape scaled so that its largest entry is 1."""
+    shape = mode.shape / mode.shape[int(np.argmax(np.abs(mode.shape)))]
+    entries = ", ".join(_format_complex(part, ".3g") for part in shape)
+    return f"{_format_complex(mode.eigenvalue, '.4g')} with {label} = [{entries}]"
+
+
+def _format_complex(value: complex, style: str) -> str:
+    real, imaginary = (0.0 if abs(part) < 1e-9 else part for part in (value.real, value.imag))
+    return f"{real:{style}}" + (f"{imaginary:+{style}}j" if imaginary else "")
 
 
 class Obstacle(NamedTuple):
@@ -54,11 +91,12 @@ def find_obstacles(request: AnyRequest) -> list[Obstacle]:
     """
     if isinstance(request, ArmRequest):
         return list(_of_arm(request))
-    flow, pairs = request.flow, zip(*request.vertex_matrices(), strict=True)
     return [
-        Obstacle(None, mode.eigenvalue, mode.shape, f"{name}: {_mode_text(request, mode)}")
-        for matrix, name in pairs
-        for mode in undetectable_modes(flow.augmented(matrix), flow.output_matrix)
+        Obstacle(None, *mode, f"{corner.place['']}: {_mode_text(request, mode)}")
+        for corner in request.corners()
+        for mode in undetectable_modes(
+            request.flow.drift + corner.matrix, request.flow.output_matrix
+        )
         if mode.eigenvalue.imag >= 0.0
     ]
 
@@ -104,10 +142,9 @@ def _of_arm(request: ArmRequest) -> Iterator[Obstacle]:
                 persistent.append(eigenvalue)
     flow, (lowest, highest) = request.flow, request.slope_range
     shows = [not output.model.arbitrary for output in request.sensors]
-    pull = -request.arm.slope_matrix(1.0)[LINK_VELOCITY, LINK_ANGLE]
-    pull += request.arm.slope_matrix(0.0)[LINK_VELOCITY, LINK_ANGLE]
+    pull = request.arm.gravity_gain
     for eigenvalue in persistent:
-        A = flow.augmented(request.arm.slope_matrix(0.0)) - eigenvalue * np.eye(flow.state_count)
+        A = flow.drift - eigenvalue * np.eye(flow.state_count)
         others = np.delete(A, LINK_VELOCITY, axis=0)
         kernel = _kernel(np.vstack([others, flow.output_matrix[shows]]))
         force, height = A[LINK_VELOCITY] @ kernel, kernel[LINK_ANGLE]

@@ -8,7 +8,8 @@ about a T–S system given by its matrices has a top-level `system`, one about a
 """
 
 import hashlib
-from collections.abc import Iterable, Iterator
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any, NamedTuple, TypeAlias
@@ -25,9 +26,11 @@ from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode, encode, naming, within
-from tsobs_ros.yaml_files import read_text, read_yaml, yaml_mapping, yaml_text
+from tsobs_ros.yaml_files import MAX_BYTES, read_text, read_yaml, yaml_mapping, yaml_text
 
 FilePath: TypeAlias = str | PathLike[str]
+Value: TypeAlias = bool | int | float | str
+"""A parameter's value."""
 
 VERSION = 1
 _ANSWER = ("gain", "certificate", "solver")
@@ -140,6 +143,76 @@ def load_design_file(path: FilePath, text: str | None = None) -> DesignFile:
     design = parse_design(path, text)
     design.certificate.require(str(path))
     return DesignFile(str(path), text, design)
+
+
+@dataclass
+class PublishedDesign:
+    """A design file as an observer publishes it, and the joints that are observed with it."""
+
+    joints: list[str]
+    file: str
+    text: str
+
+    @property
+    def sha256(self) -> str:
+        """As of a `DesignFile`."""
+        return checksum(self.text)
+
+    def __str__(self) -> str:
+        return f"{self.file:.200} (SHA-256 {self.sha256:.{IDENTITY_LENGTH}})"
+
+
+@dataclass(kw_only=True)
+class ObserverRecord:
+    """What an observer runs: the full name of its measurements' topic, designs, and parameters that
+    decide estimates.
+
+    The node publishes it as JSON on its topic `design`, latched, so that a bag has all that its
+    estimates were made with. Files are in it to the byte, for their checksum and strict loader.
+    """
+
+    format: str = "tsobs_ros observer"
+    version: int = 1
+    measurements: str
+    designs: list[PublishedDesign]
+    parameters: dict[str, Value]
+
+
+def record_text(
+    measurements: str,
+    joints: Sequence[str],
+    files: Sequence[DesignFile],
+    parameters: Mapping[str, Value],
+) -> str:
+    """Return the text of a record, from each joint's name and design file."""
+    designs: dict[tuple[str, str], PublishedDesign] = {}
+    for joint, file in zip(joints, files, strict=True):
+        key = file.name, file.text
+        designs.setdefault(key, PublishedDesign([], *key)).joints.append(joint)
+    record = ObserverRecord(
+        measurements=measurements, designs=list(designs.values()), parameters=dict(parameters)
+    )
+    return json.dumps(encode(record))
+
+
+def read_record(text: str) -> ObserverRecord:
+    """Return the record in a text that anybody may have written; designs are not looked into.
+
+    Raises:
+        DesignFileError: The text is too large, or no record.
+    """
+    if len(text) > MAX_BYTES:
+        raise DesignFileError(f"larger than {MAX_BYTES} bytes")
+    try:
+        record = decode(json.loads(text), ObserverRecord)
+    except (ValueError, RecursionError) as error:
+        raise DesignFileError(f"no record of an observer: {error}") from error
+    if (record.format, record.version) != (ObserverRecord.format, ObserverRecord.version):
+        raise DesignFileError(
+            f"expected format {ObserverRecord.format!r} of version {ObserverRecord.version}, got "
+            f"{record.format[:60]!r} of version {record.version}"
+        )
+    return record
 
 
 def parse_design(path: FilePath, text: str | None = None) -> Design:

@@ -11,14 +11,12 @@ from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
-from tsobs_ros.design.problem import Terms
 from tsobs_ros.design.request import AnyRequest, ArmRequest, Output
 from tsobs_ros.model.arm import ANGLES
 from tsobs_ros.model.disturbance import CLEAN, DisturbanceTerm
 from tsobs_ros.model.flow import ProcessNoise
 
-_BIAS, _DECAYING = DisturbanceTerm("bias"), DisturbanceTerm("gauss_markov")
-_DECAYS = "kind gauss_markov for {}, whose decaying state need not be seen"
+_DECAYING = (DisturbanceTerm("gauss_markov"),)
 _SHARES = (0.75, 0.5, 0.25)
 
 
@@ -47,14 +45,11 @@ def remedies_of_hidden_modes(
     at any, which is None.
     """
     if request.disturbance_model.arbitrary:
-        yield from _without_arbitrary(request)
+        yield [_modelled(request, kind) for kind in ("bias", "gauss_markov")]
         return
-    yield from _fewer_terms(request)
     if isinstance(request, ArmRequest) and slopes and None not in slopes:
         yield _domain_above(request, max(slope for slope in slopes if slope is not None))
-    yield from _replaced(request, ("clean", "gauss_markov"), (_DECAYING,), _DECAYS)
-    yield from _replaced(request, ("clean",), CLEAN, "kind clean for {}, if it is not disturbed")
-    yield from _further_outputs(request)
+    yield from _other_disturbances(request)
 
 
 def remedies_of_gain(request: AnyRequest) -> Iterator[Family]:
@@ -62,12 +57,12 @@ def remedies_of_gain(request: AnyRequest) -> Iterator[Family]:
     yield _faster(request)
     smaller = [request.on_share(share) for share in _SHARES]
     yield [Remedy(*each) for each in smaller if each is not None]
-    if request.decay_rate > 0.0:
-        for_rates = [share * request.decay_rate for share in (0.25, 1.0 / 16.0, 1.0 / 64.0, 0.0)]
-        yield [
-            Remedy(f"a smaller decay_rate: {rate:.3g} 1/s", replace(request, decay_rate=rate))
-            for rate in for_rates
-        ]
+    for_rates = [share * request.decay_rate for share in (0.25, 1.0 / 16.0, 1.0 / 64.0, 0.0)]
+    yield [
+        Remedy(f"a smaller decay_rate: {rate:.3g} 1/s", replace(request, decay_rate=rate))
+        for rate in for_rates
+        if request.decay_rate
+    ]
     if request.certify_uncertainty:
         text = "no certify_uncertainty: the observer learns the parameters without a proof"
         yield [Remedy(text, replace(request, certify_uncertainty=False))]
@@ -77,43 +72,16 @@ def remedies_of_gain(request: AnyRequest) -> Iterator[Family]:
             noise = ProcessNoise(noise.link or default.link, noise.motor or default.motor)
             text = f"process_noise above 0: link {noise.link:g}, motor {noise.motor:g} rad²/s³"
             yield [Remedy(text, replace(request, process_noise=noise))]
-    yield from _replaced(request, ("clean", "gauss_markov"), (_DECAYING,), _DECAYS)
-    yield from _further_outputs(request)
+    yield from _other_disturbances(request)
 
 
-def _without_arbitrary(request: AnyRequest) -> Iterator[Family]:
-    text = "a model of the disturbance in place of arbitrary: kind"
-    modelled = []
-    for term in (_BIAS, _DECAYING):
-        changed = request
-        for place, channel in enumerate(request.channels):
-            terms = tuple(term if each.kind == "arbitrary" else each for each in channel.terms)
-            changed = changed.with_terms(place, terms)
-        modelled.append(Remedy(f"{text} {term.kind}", changed))
-    yield modelled
-    if isinstance(request, ArmRequest) and len(request.sensors) == 1:
-        text = "another sensor in its place that is known to be clean:"
-        yield (
-            Remedy(
-                f"{text} {name}", replace(request, outputs=[Output(name, request.measurement_std)])
-            )
-            for name in ("motor_angle", "link_angle")
-            if name not in request.output_names
-        )
-
-
-def _fewer_terms(request: AnyRequest) -> Iterator[Family]:
-    for place, (name, terms, _) in enumerate(request.channels):
-        if len(terms) > 1:
-            alike = " and ".join(term.kind for term in terms)
-            yield (
-                Remedy(
-                    f"fewer terms: two of {alike} move alike and cannot be distinguished, whatever "
-                    f"else moves; {name} without {terms[last].kind}",
-                    request.with_terms(place, terms[:last] + terms[last + 1 :]),
-                )
-                for last in range(len(terms) - 1, -1, -1)
-            )
+def _modelled(request: AnyRequest, kind: str) -> Remedy:
+    """Return a request with terms of a kind in place of all that are arbitrary."""
+    for place, channel in enumerate(request.channels):
+        model = DisturbanceTerm(kind)
+        terms = tuple(model if each.kind == "arbitrary" else each for each in channel.terms)
+        request = request.with_terms(place, terms)
+    return Remedy(f"a model of the disturbance in place of arbitrary: kind {kind}", request)
 
 
 def _domain_above(request: ArmRequest, slope: float) -> Iterator[Remedy]:
@@ -128,22 +96,22 @@ def _domain_above(request: ArmRequest, slope: float) -> Iterator[Remedy]:
         yield Remedy(text, replace(request, x_max=x_max))
 
 
-def _replaced(
-    request: AnyRequest, kept: Sequence[str], terms: Terms, text: str
-) -> Iterator[Family]:
-    """Yield other terms in place of those of other kinds than some, by disturbance."""
-    for place, channel in enumerate(request.channels):
-        if any(term.kind not in kept for term in channel.terms):
-            yield [Remedy(text.format(channel.name), request.with_terms(place, terms))]
-
-
-def _further_outputs(request: AnyRequest) -> Iterator[Family]:
+def _other_disturbances(request: AnyRequest) -> Iterator[Family]:
+    """Yield less of each disturbance in turn, and outputs without any."""
+    for terms, kept, text in (
+        (_DECAYING, ("clean", "gauss_markov"), "whose decaying state need not be seen"),
+        (CLEAN, ("clean",), "if it is not disturbed"),
+    ):
+        for place, channel in enumerate(request.channels):
+            if any(term.kind not in kept for term in channel.terms):
+                words = f"kind {terms[0].kind} for {channel.name}, {text}"
+                yield [Remedy(words, request.with_terms(place, terms))]
     if isinstance(request, ArmRequest):
         std = request.measurement_std
         for name in (name for name in ANGLES if name not in request.output_names):
-            added = replace(request, outputs=[*request.sensors, Output(name, std)])
             text = f"a further output without disturbance: {name} with 1σ of {std:.3g} rad"
-            yield [Remedy(text, added)]
+            outputs = [*request.sensors, Output(name, std)]
+            yield [Remedy(text, replace(request, outputs=outputs))]
 
 
 def _faster(request: AnyRequest) -> Iterator[Remedy]:

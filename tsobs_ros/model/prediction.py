@@ -215,12 +215,6 @@ class Flow(ABC):
         placed[:, place : place + rows.shape[1]] = rows
         return placed
 
-    def augmented(self, A: Array) -> Array:
-        """Return the continuous matrix of x̄, shape (n, n), for a state matrix of the plant."""
-        matrix = self.drift.copy()
-        matrix[: self.plant_count, : self.plant_count] = A
-        return matrix
-
     def to_physical(self, x: ArrayLike) -> Array:
         """Return the plant's states in physical units, of an arm rad and rad/s, for augmented ones
         of shape (..., n)."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tsobs_ros.checks import Array
+from tsobs_ros.design.feasibility import format_mode, undetectable_modes
 from tsobs_ros.design.lyapunov import (
     CommonLyapunov,
     common_lyapunov,
@@ -23,7 +24,6 @@ from tsobs_ros.design.lyapunov import (
     smallest_lyapunov,
 )
 from tsobs_ros.errors import DesignError, DetectabilityError
-from tsobs_ros.model.detectability import format_mode, undetectable_modes
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.paper.augmentation import Augmentation, Condition, check_conditions, failing
 

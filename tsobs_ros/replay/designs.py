@@ -6,13 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import CdrReader
 from tsobs_ros.bag.reader import BagReader
-from tsobs_ros.design.file import IDENTITY_LENGTH, DesignFile, checksum, load_design_file
-from tsobs_ros.design.published import Value, read_record
+from tsobs_ros.design.file import (
+    DesignFile,
+    PublishedDesign,
+    Value,
+    load_design_file,
+    read_record,
+)
 from tsobs_ros.errors import BagReadError, DesignFileError, MessageError, TsobsError
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -21,17 +25,6 @@ from tsobs_ros.settings import changed, settings_of
 STRING = "std_msgs/msg/String"
 
 _MAX_RECORDS = 100
-
-
-class RanDesign(NamedTuple):
-    """A design that a recorded observer ran: its path there, its checksum and its content."""
-
-    file: str
-    sha256: str
-    text: str
-
-    def __str__(self) -> str:
-        return f"{self.file:.200} (SHA-256 {self.sha256:.{IDENTITY_LENGTH}})"
 
 
 @dataclass(frozen=True)
@@ -47,7 +40,7 @@ class RecordedObserver:
     """
 
     source: str = ""
-    designs: Mapping[str, tuple[RanDesign, ...]] = field(default_factory=dict)
+    designs: Mapping[str, tuple[PublishedDesign, ...]] = field(default_factory=dict)
     parameters: Mapping[str, Value] = field(default_factory=dict)
     measurements: str | None = None
     remarks: tuple[str, ...] = ()
@@ -177,12 +170,11 @@ def _of_records(reader: BagReader, topic: str) -> RecordedObserver:
         "note: parameters of the observer were changed while it ran: "
         f"{', '.join(changed)}; the first values are used",
     )
-    designs: dict[str, dict[str, RanDesign]] = {}
+    designs: dict[str, dict[str, PublishedDesign]] = {}
     for record in records:
         for one in record.designs:
-            design = RanDesign(one.file, checksum(one.text), one.text)
             for joint in one.joints:
-                designs.setdefault(joint, {}).setdefault(design.sha256, design)
+                designs.setdefault(joint, {}).setdefault(one.text, one)
     by_joint = {joint: tuple(each.values()) for joint, each in designs.items()}
     measurements = records[0].measurements
     return RecordedObserver(topic, by_joint, first, measurements, remarks if changed else ())

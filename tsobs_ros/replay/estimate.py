@@ -34,8 +34,7 @@ from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter, whole_bag
 from tsobs_ros.checks import Array, Flags
-from tsobs_ros.design.file import DesignFile
-from tsobs_ros.design.published import record_text
+from tsobs_ros.design.file import DesignFile, record_text
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagWriteError, LogError, ModelError
 from tsobs_ros.estimation.estimator import Rows

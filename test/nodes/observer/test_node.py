@@ -15,7 +15,7 @@ from staging.stage import BEGIN, ESTIMATES, MS, PERIOD, TOPIC, Arm, Event, Stage
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from tsobs_ros.design.published import read_record
+from tsobs_ros.design.file import read_record
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes.wire import LATCHED
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path

@@ -43,7 +43,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.design.published import record_text
+from tsobs_ros.design.file import record_text
 from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.records import RejectReason
