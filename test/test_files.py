@@ -85,15 +85,11 @@ def no_room_beyond(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-@pytest.mark.parametrize(
-    "command",
-    [pytest.param(each, marks=pytest.mark.slow if each == "report" else ()) for each in COMMANDS],
-)
+@pytest.mark.parametrize("command", ["recover", "estimate", "parquet"])
 def test_an_interrupted_command_leaves_nothing_partial(
     command: str, bag: Path, tmp_path: Path
 ) -> None:
     for name in ("first", "whole"):  # once for what is imported
-        (tmp_path / name).mkdir()
         begin = time.monotonic()
         assert run(command, bag, tmp_path / name) == 0
         taken = time.monotonic() - begin
@@ -102,23 +98,13 @@ def test_an_interrupted_command_leaves_nothing_partial(
     nothing = 0
     for number in range(4):
         output = tmp_path / str(number)
-        output.mkdir()
         with alarm((number + 0.5) / 4 * taken):
-            # What Matplotlib's renderer makes of an interruption while it reads a path.
-            made = ValueError if command == "report" else ()
-            try:
-                run(command, bag, output)
-            except made as error:
-                if str(error) != "Invalid bounding box":
-                    raise
+            run(command, bag, output)
         found = written(output)
         nothing += not found
-        assert found.keys() <= whole.keys()
-        if command in ("recover", "estimate"):
+        assert found.items() <= whole.items()
+        if command != "parquet":
             assert not found or found.keys() == whole.keys()
-        # The others of a report have the name of its folder in them.
-        same = [name for name in found if command != "report" or name.endswith(".png")]
-        assert all(found[name] == whole[name] for name in same)
     assert nothing
 
 

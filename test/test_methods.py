@@ -2,30 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Observers by name: run elsewhere as the node runs them."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import tsobs_ros as ts
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import Output
-from tsobs_ros.errors import ModelError, ParameterError
-from tsobs_ros.methods import METHODS, ObserverSettings, make_estimator, make_tracker, warning
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-
-
-def test_the_certified_observer_learns_and_an_ekf_may() -> None:
-    design = load_design(config_path(SHIPPED_DESIGN))
-    for method in METHODS:
-        learnt = ObserverSettings(method=method).learnt(design)
-        learns = method in ("certified", "ekf_augmented")
-        assert learnt == (tuple(design.request.uncertainty) if learns else ())
-        fixed = ObserverSettings(method=method, adapt=False).learnt(design)
-        assert fixed == (learnt if method == "ekf_augmented" else ())
-    with pytest.raises(ParameterError, match=r"one of: certified, .*, got 'kalman'"):
-        ObserverSettings(method="kalman")
+from tsobs_ros.errors import ModelError
+from tsobs_ros.methods import METHODS, ObserverSettings, make_tracker, warning
+from tsobs_ros.resources import config_path
 
 
 @pytest.fixture(scope="module")
@@ -49,15 +34,6 @@ def test_a_system_is_observed_by_the_methods_that_fit(method: str, example_1: De
     np.testing.assert_allclose(estimates.disturbance[-1], [0.0, 0.2, 0.0], atol=0.02)
     assert estimates.in_domain.all()
     assert np.isnan(estimates.state_bound).all() == (method == "paper")
-
-
-def test_observers_of_the_link_angle_are_refused_for_other_encoders(design: Design) -> None:
-    outputs = (Output("motor_angle", 1e-3), Output("link_angle", 1e-3))
-    request = replace(design.arm_request, outputs=outputs)
-    other = Design(request, np.eye(4), np.zeros((4, 2)), design.solver)
-    for method in ("high_gain", "proportional_integral", "paper"):
-        with pytest.raises(ModelError, match=f"method {method}: .* got motor_angle, link_angle"):
-            make_estimator(other, ObserverSettings(method=method))
 
 
 def test_what_a_method_does_not_do_on_a_system_is_warned_of(

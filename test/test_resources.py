@@ -13,53 +13,34 @@ import pytest
 from tsobs_ros.resources import ResourceError, config_path
 
 ROOT = Path(__file__).resolve().parents[1]
+SHARE = "share/tsobs_ros/config"
 PRINT = "from tsobs_ros.resources import config_path; print(config_path('some.yaml'))"
-
-
-def install(location: Path) -> None:
-    """Copy the modules in question to a site folder."""
-    (location / "tsobs_ros").mkdir(parents=True)
-    for name in ("__init__.py", "errors.py", "resources.py"):
-        shutil.copy(ROOT / "tsobs_ros" / name, location / "tsobs_ros")
 
 
 def config(folder: Path) -> str:
     folder.mkdir(parents=True)
-    path = folder / "some.yaml"
-    path.write_text("some: thing\n")
-    return str(path)
+    (folder / "some.yaml").write_text("some: thing\n")
+    return str(folder / "some.yaml")
 
 
-def found(site: Path, **environment: str) -> str:
-    return subprocess.check_output(
-        [sys.executable, "-P", "-c", PRINT],
-        env={**os.environ, "PYTHONPATH": str(site), **environment},
-        text=True,
-    ).strip()
+@pytest.mark.parametrize("site", ["lib/python3.12/site-packages", "."])
+def test_files_are_those_nearest_to_the_code(tmp_path: Path, site: str) -> None:
+    """Of colcon or pip, and of `pip --target`: of a checkout, its prefix, and of ament."""
+    prefix, other = tmp_path / "prefix", tmp_path / "other"
+    code = prefix / site / "tsobs_ros"
+    code.mkdir(parents=True)
+    for name in ("__init__.py", "errors.py", "resources.py"):
+        shutil.copy(ROOT / "tsobs_ros" / name, code)
 
+    def found() -> str:
+        environment = {"PYTHONPATH": str(code.parent), "AMENT_PREFIX_PATH": f"/none:{other}"}
+        command = [sys.executable, "-P", "-c", PRINT]
+        return subprocess.check_output(command, env={**os.environ, **environment}, text=True)
 
-@pytest.mark.parametrize(
-    "site",
-    ["lib/python3.12/site-packages", "."],
-    ids=["colcon or pip", "pip --target"],
-)
-def test_the_prefix_that_holds_the_code_is_searched(tmp_path: Path, site: str) -> None:
-    install(tmp_path / "prefix" / site)
-    path = config(tmp_path / "prefix" / "share" / "tsobs_ros" / "config")
-    config(tmp_path / "other" / "share" / "tsobs_ros" / "config")  # may be of another version
-
-    assert found(tmp_path / "prefix" / site, AMENT_PREFIX_PATH=str(tmp_path / "other")) == path
-
-
-def test_a_checkout_finds_its_own_files_and_others_those_of_ament(tmp_path: Path) -> None:
-    install(tmp_path / "checkout")
-    share = tmp_path / "prefix" / "share" / "tsobs_ros" / "config"
-    of_ament, prefixes = config(share), f"/none:{tmp_path / 'prefix'}"
-    assert found(tmp_path / "checkout", AMENT_PREFIX_PATH=prefixes) == of_ament
-
-    (tmp_path / "checkout" / "package.xml").touch()
-    own = config(tmp_path / "checkout" / "config")
-    assert found(tmp_path / "checkout", AMENT_PREFIX_PATH=prefixes) == own
+    for folder in (other / SHARE, prefix / SHARE, code.parent / "config"):
+        (code.parent / "package.xml").touch()
+        path = config(folder)
+        assert found() == f"{path}\n"
 
 
 def test_a_missing_file_is_an_error_that_names_the_others() -> None:
