@@ -19,7 +19,6 @@ from tsobs_ros.cli.main import main
 from tsobs_ros.design.file import load_design
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
-ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = config_path(SHIPPED_DESIGN)
 Captured = pytest.CaptureFixture[str]
 
@@ -144,11 +143,9 @@ def test_folder_and_version_are_printed(capsys: Captured) -> None:
     assert capsys.readouterr().out == f"tsobs {tsobs_ros.__version__}\n"
 
 
-def test_a_reader_that_has_gone_is_no_traceback() -> None:
-    command = [sys.executable, "-m", "tsobs_ros.executables", "tsobs", "verify", "--json"]
-    with subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as process:
+def test_a_reader_that_has_gone_is_no_traceback(executables: list[str]) -> None:
+    command = [*executables, "tsobs", "verify", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
         process.stdout.close()
         assert process.stderr is not None

@@ -17,12 +17,11 @@ import pytest
 
 pytest.importorskip("rich")
 
-from rclpy.parameter import Parameter
 from rich.console import Console
+from staging import start
 
 from tsobs_ros.cli.picture import picture
 from tsobs_ros.estimation.health import Level, Status
-from tsobs_ros.nodes import observer, plant_simulator
 from tsobs_ros.nodes.watcher import View
 
 TIMEOUT = 60.0
@@ -33,15 +32,9 @@ ESCAPES = re.compile(r"\x1b\[[?\d;]*[A-GI-Za-z]")
 @pytest.fixture
 def arm(ros: Any) -> None:
     """An arm with a sensor that is wrong from the start, and its observer."""
-    settings = {
-        plant_simulator: {
-            "rate": 200.0, "disturbance.kind": "bias_step", "disturbance.bias_step.amplitude": 0.3,
-        },
-        observer: {"rate": 50.0},
-    }  # fmt: skip
-    for module, values in settings.items():
-        overrides = [Parameter(name, value=value) for name, value in values.items()]
-        ros.add(module.create(context=ros.context, parameter_overrides=overrides))
+    fault = {"disturbance__kind": "bias_step", "disturbance__bias_step__amplitude": 0.3}
+    start(ros, "plant_simulator", rate=200.0, **fault)
+    start(ros, "observer", rate=50.0)
 
 
 def test_a_terminal_shows_an_observer_until_it_is_interrupted(
