@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -21,8 +22,8 @@ from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_esti
 from tsobs_ros.model.disturbance import DisturbanceTerm, sum_of
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import arm_uncertainty
-from tsobs_ros.report.metrics import JUMP, measure
-from tsobs_ros.report.scenario_table import BOUNDS, Runs, ScenarioComparison, ScenarioRow
+from tsobs_ros.report.metrics import JUMP, RunMetrics, measure
+from tsobs_ros.report.scenario_table import BOUNDS, comparison_of, scores
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor
@@ -65,8 +66,8 @@ def compare_scenarios(
     settings: ObserverSettings | None = None,
     duration: float | None = None,
     advance: Callable[[int], None] = lambda _: None,
-) -> ScenarioComparison:
-    """Run observers on simulated scenarios, on all cores.
+) -> dict[str, Any]:
+    """Run observers on simulated scenarios, on all cores, and return what `comparison_of` does.
 
     The scenarios' arm is the design's; rate and noise are in proportion to its own. Seeds are 0, 1,
     …; methods that cannot observe the arm are left out, with a remark; runs are as long as the
@@ -99,23 +100,25 @@ def compare_scenarios(
     if not contenders:
         raise ModelError("; ".join(remarks))
 
-    def compared(name: str) -> ScenarioRow:
+    def compared(name: str) -> dict[str, Any]:
         scenario = fitted(SCENARIOS[name], design)
         runs = simulate(scenario, range(seeds), duration)
-        cells, thetas = {}, {}
+        found, thetas = dict[str, Any](), {}
         for method, chosen in contenders.items():
             if method in HIGH_GAIN:
                 chosen = _tuned(design, chosen, runs)
                 thetas[method] = chosen.theta
-            cells[method] = _measured(design, chosen, runs)
+            found[method] = scores(_measured(design, chosen, runs))
             advance(seeds)
         reason = why_unbounded(scenario)
-        cells |= {} if reason else _bounds(design, scenario, runs)
-        return ScenarioRow(name, cells, reason, thetas)
+        found |= {} if reason else _bounds(design, scenario, runs)
+        return {**found, "theta": thetas, "unbounded": reason or None}
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        rows = tuple(pool.map(compared, scenarios))
-    return ScenarioComparison(rows, tuple(contenders), seeds, tuple(remarks))
+        rows = dict(zip(scenarios, pool.map(compared, scenarios), strict=True))
+    found = comparison_of(rows, tuple(contenders), seeds)
+    found["notes"] += remarks
+    return found
 
 
 def fitted(scenario: Scenario, design: Design) -> Scenario:
@@ -132,7 +135,7 @@ def fitted(scenario: Scenario, design: Design) -> Scenario:
     )
 
 
-def _measured(design: Design, settings: ObserverSettings, runs: Trajectories) -> Runs:
+def _measured(design: Design, settings: ObserverSettings, runs: Trajectories) -> list[RunMetrics]:
     observed = observe(design, runs, settings)
     places = range(len(runs.physical))
     return [measure(recorded(runs, run, observed.of(run))) for run in places]
@@ -157,7 +160,7 @@ def why_unbounded(scenario: Scenario) -> str:
     return ", ".join([*found, *["a stuck sensor"] * stuck])
 
 
-def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str, Runs]:
+def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str, Any]:
     """Return the Cramér–Rao bounds with known parameters, and with those as states."""
     request, arm = design.arm_request, scenario.true_arm
     drifts = [each for each in scenario.outputs[0].disturbance if isinstance(each, GaussMarkov)]
@@ -176,7 +179,7 @@ def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str,
     share = np.isfinite(runs.measurements[..., 0]).mean(axis=0) * (1.0 - sensor.outlier_probability)
     information = share * white_information(sensor.noise_std, sensor.noise_degrees)
     uncertain = arm_uncertainty(arm, request.uncertainty_model.bounds)
-    found: dict[str, Runs] = {}
+    found = {}
     for name, unknown in zip(BOUNDS, (None, uncertain), strict=True):
         if unknown is not None and not unknown.count:
             continue
@@ -196,5 +199,5 @@ def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str,
             "state": runs.physical[0] + std[:, :4],
             "disturbance": runs.disturbances[0] + std[:, 4:5],
         }
-        found[name] = [measure(recorded(runs, 0, least))]
+        found[name] = scores([measure(recorded(runs, 0, least))])
     return found

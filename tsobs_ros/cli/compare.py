@@ -76,6 +76,7 @@ def _on_scenarios(options: argparse.Namespace) -> int:
     from tsobs_ros.design.file import load_design
     from tsobs_ros.files import require_new, written_whole
     from tsobs_ros.methods import ObserverSettings
+    from tsobs_ros.report.scenario_table import render_scenarios
     from tsobs_ros.resources import SHIPPED_DESIGN, config_path
     from tsobs_ros.settings import changed
 
@@ -93,15 +94,15 @@ def _on_scenarios(options: argparse.Namespace) -> int:
         found = compare_scenarios(
             *plan, settings=settings, duration=options.duration, advance=advance
         )
-    text, mapping = str(found), found.as_mapping()
+    text = render_scenarios(found)
     if paths:
         from tsobs_ros.report.scenario_figure import draw_comparison
 
         with written_whole(options.output, force=options.force) as folder:
             figure, data = (folder / name for name in FILES)
             draw_comparison(found, figure)
-            data.write_text(json_text(mapping) + "\n", encoding="utf-8")
+            data.write_text(json_text(found) + "\n", encoding="utf-8")
         text += f"\n\nwrote {', '.join(printable(str(path)) for path in paths)}"
     seconds = time.monotonic() - begin
-    show(mapping, f"{text}\n{runs} runs in {seconds:.0f} s", options.json)
+    show(found, f"{text}\n{runs} runs in {seconds:.0f} s", options.json)
     return 0

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors of observers on simulated scenarios as one picture, a row of points for each scenario."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -10,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from tsobs_ros.report.comparison import number_text
-from tsobs_ros.report.scenario_table import BOUNDS, ScenarioComparison, typical
+from tsobs_ros.report.scenario_table import BOUNDS
 from tsobs_ros.style import INK, MUTED, STYLE
 
 _MARKERS = {
@@ -31,24 +33,25 @@ _FEWEST, _MOST = 10.0, 90.0
 _LARGEST = 3.0
 
 
-def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
+def draw_comparison(comparison: Mapping[str, Any], path: Path) -> None:
     """Draw the normalised RMSE of all observers on all scenarios, 1400 pixels wide as PNG.
 
     Raises:
         OSError: The file cannot be written.
     """
-    count = len(comparison.rows)
+    scenarios = comparison["scenarios"]
+    observers = [name for name in comparison["observers"] if name not in BOUNDS]
+    count = len(scenarios)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(_WIDTH, _FRAME + _ROW * count), layout="constrained")
         axes = figure.subplots()
-        places = np.arange(len(comparison.observers)) + 0.5
-        heights = 0.72 * (places / len(comparison.observers) - 0.5)
-        for name, height in zip(comparison.observers, heights.tolist(), strict=True):
+        places = np.arange(len(observers)) + 0.5
+        heights = 0.72 * (places / len(observers) - 0.5)
+        for name, height in zip(observers, heights.tolist(), strict=True):
             marker, colour = _MARKERS[name]
             axes.plot([], [], marker, color=colour, label=name)
-            for number, row in enumerate(comparison.rows):
-                runs = row.cells[name]
-                error = typical(runs)
+            for number, row in enumerate(scenarios.values()):
+                error = row[name]["normalised_rmse"]
                 if error is None or not error <= _LARGEST:
                     axes.text(
                         0.995, number + height, f"{name}: {number_text(error)} →",
@@ -56,7 +59,7 @@ def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
                         fontsize=7.5, color=MUTED,
                     )  # fmt: skip
                     continue
-                each = [float(run.normalised_rmse or 0.0) for run in runs]
+                each = [float(one or 0.0) for one in row[name]["normalised_rmse_of_runs"]]
                 reach = np.percentile(each, (_FEWEST, _MOST))
                 axes.plot(reach, [number + height] * 2, color=colour, linewidth=1.4)
                 axes.plot(
@@ -65,11 +68,11 @@ def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
                 )  # fmt: skip
         for name, style in zip(BOUNDS, (":", "-"), strict=True):
             axes.plot([], [], color=INK, linestyle=style, linewidth=1.6, label=name)
-            for number, row in enumerate(comparison.rows):
-                if name in row.cells and (least := typical(row.cells[name])) is not None:
+            for number, row in enumerate(scenarios.values()):
+                if (least := row.get(name, {}).get("normalised_rmse")) is not None:
                     ends = [number - 0.42, number + 0.42]
                     axes.plot([least] * 2, ends, color=INK, linestyle=style, linewidth=1.6)
-        axes.set_yticks(range(count), [row.scenario for row in comparison.rows])
+        axes.set_yticks(range(count), list(scenarios))
         axes.set_ylim(count - 0.5, -0.5)
         axes.set_yticks(np.arange(0.5, count - 1), minor=True)
         axes.grid(visible=False, axis="y", which="major")
@@ -81,7 +84,7 @@ def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set_xlabel(
-            f"normalised RMSE of all states: root mean square over {comparison.seeds} runs, "
+            f"normalised RMSE of all states: root mean square over {comparison['seeds']} runs, "
             f"{_FEWEST:g} to {_MOST:g} % of the runs"
         )
         figure.suptitle(

@@ -1,11 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of observers on simulated scenarios, as a table for terminals and for JSON."""
+"""Errors of observers on simulated scenarios: as plain data, and as a table for terminals."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -38,17 +37,8 @@ _BIASED = {
 """Why the bound does not hold for observers."""
 
 
-Runs: TypeAlias = Sequence[RunMetrics]
-"""An observer's errors in the runs of a scenario."""
-
-
-def typical(runs: Runs) -> float | None:
-    """Return the root mean square of the normalised RMSE over runs; None without errors."""
-    return _root_mean([run.normalised_rmse for run in runs])
-
-
-def _mapping(runs: Runs) -> dict[str, Any]:
-    """Return the errors of runs as plain data."""
+def scores(runs: Sequence[RunMetrics]) -> dict[str, Any]:
+    """Return an observer's errors in the runs of a scenario, as plain data."""
     quantities = {
         each[0].quantity.key: each for each in zip(*(run.quantities for run in runs), strict=True)
     }
@@ -58,78 +48,48 @@ def _mapping(runs: Runs) -> dict[str, Any]:
         if len(shares) == len(runs):
             inside[key] = float(np.mean(shares))
     return {
-        "normalised_rmse": typical(runs),
+        "normalised_rmse": _root_mean([run.normalised_rmse for run in runs]),
         "rmse": {key: _root_mean([one.rmse for one in each]) for key, each in quantities.items()},
         "normalised_rmse_of_runs": [run.normalised_rmse for run in runs],
         **({f"inside_{SIGMAS:g}_sigma": inside} if inside else {}),
     }
 
 
-class ScenarioRow(NamedTuple):
-    """A scenario: errors by observer, and least errors of a run by the names of `BOUNDS`.
+def comparison_of(
+    scenarios: Mapping[str, Mapping[str, Any]], observers: Sequence[str], seeds: int
+) -> dict[str, Any]:
+    """Return everything as plain data that JSON can hold, with notes for the reader.
 
-    `unbounded` is why there are no bounds, empty if there are; `thetas` are θ of the observers of
-    high gain [rad/s].
+    A scenario has the scores of each observer, and the least errors of a run by those of `BOUNDS`
+    that it has; `theta` of observers of high gain [rad/s]; and in `unbounded` why it has no bounds,
+    None if it has.
     """
+    bounds = [name for name in BOUNDS if any(name in each for each in scenarios.values())]
+    notes = [
+        f"normalised RMSE of the four states over what counts as settled; root mean square "
+        f"over {seeds} runs"
+    ]
+    for name, each in scenarios.items():
+        if each["unbounded"]:
+            notes.append(f"no bound for {name}: it has {each['unbounded']}")
+    for reason, names in _BIASED.items():
+        if own := [name for name in observers if name in names]:
+            notes.append(f"{', '.join(own)}: {reason}")
+    about = {name: ABOUT[name] for name in (*observers, *bounds)}
+    return {"seeds": seeds, "observers": about, "scenarios": dict(scenarios), "notes": notes}
 
-    scenario: str
-    cells: dict[str, Runs]
-    unbounded: str
-    thetas: Mapping[str, float]
 
-
-@dataclass(frozen=True)
-class ScenarioComparison:
-    """Observers on scenarios; remarks are notes such as why an observer was left out."""
-
-    rows: tuple[ScenarioRow, ...]
-    observers: tuple[str, ...]
-    seeds: int
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The observers, and the bounds that any scenario has."""
-        bounds = (name for name in BOUNDS if any(name in row.cells for row in self.rows))
-        return (*self.observers, *bounds)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return everything as plain data that JSON can hold."""
-        return {
-            "seeds": self.seeds,
-            "observers": {name: ABOUT[name] for name in self.names},
-            "scenarios": {
-                row.scenario: {
-                    **{name: _mapping(runs) for name, runs in row.cells.items()},
-                    "theta": dict(row.thetas),
-                    "unbounded": row.unbounded or None,
-                }
-                for row in self.rows
-            },
-            "notes": self.notes(),
-        }
-
-    def notes(self) -> list[str]:
-        """Return what a reader has to know: the measure, and why cells are empty."""
-        lines = [
-            f"normalised RMSE of the four states over what counts as settled; root mean square "
-            f"over {self.seeds} runs"
-        ]
-        for row in self.rows:
-            lines += [f"no bound for {row.scenario}: it has {row.unbounded}"] * bool(row.unbounded)
-        for reason, names in _BIASED.items():
-            own = [name for name in self.observers if name in names]
-            lines += [f"{', '.join(own)}: {reason}"] * bool(own)
-        return [*lines, *self.remarks]
-
-    def __str__(self) -> str:
-        table = [["", *(row.scenario for row in self.rows)]]
-        for name in self.names:
-            cells = (typical(row.cells.get(name, ())) for row in self.rows)
-            table.append([name, *map(number_text, cells)])
-        width = max(map(len, self.names))
-        about = [f"{name:<{width}}  {ABOUT[name]}" for name in self.names]
-        return "\n".join([*aligned(table, text_columns=1), "", *about, "", *self.notes()])
+def render_scenarios(comparison: Mapping[str, Any]) -> str:
+    """Return a comparison as text, a column for each scenario."""
+    about, scenarios = comparison["observers"], comparison["scenarios"]
+    table = [["", *scenarios]]
+    for name in about:
+        cells = (each.get(name, {}).get("normalised_rmse") for each in scenarios.values())
+        table.append([name, *map(number_text, cells)])
+    width = max(map(len, about))
+    described = [f"{name:<{width}}  {text}" for name, text in about.items()]
+    lines = [*aligned(table, text_columns=1), "", *described, "", *comparison["notes"]]
+    return "\n".join(lines)
 
 
 def _root_mean(values: Sequence[float | None]) -> float | None:
