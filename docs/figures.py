@@ -69,13 +69,6 @@ def demo(path: Path) -> None:
             whole.crop((0, 0, whole.width, _STATES_HEIGHT)).save(path)
 
 
-def comparison(path: Path) -> None:
-    """All observers on simulated scenarios; takes a minute."""
-    with tempfile.TemporaryDirectory() as folder:
-        tsobs("compare", "--output", folder)
-        shutil.copy(Path(folder, "compare.png"), path)
-
-
 def example(path: Path) -> None:
     """The figure of the example of the same name."""
     with tempfile.TemporaryDirectory() as folder:
@@ -228,7 +221,6 @@ def save(figure: Any, path: Path) -> None:
 
 FIGURES: dict[str, Callable[[Path], None]] = {
     "bias_step": bias_step,
-    "comparison": comparison,
     "contact_torque": example,
     "demo": demo,
     "learning": learning,

@@ -4,7 +4,7 @@
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -18,12 +18,12 @@ from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import THETA_STD
 from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
-from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_estimator
+from tsobs_ros.methods import CONTENDERS, METHODS, ObserverSettings, contender, make_estimator
 from tsobs_ros.model.disturbance import DisturbanceTerm, sum_of
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import arm_uncertainty
-from tsobs_ros.report.metrics import JUMP, RunMetrics, measure
-from tsobs_ros.report.scenario_table import BOUNDS, comparison_of, scores
+from tsobs_ros.report.comparison import aligned, number_text
+from tsobs_ros.report.metrics import JUMP, SIGMAS, RunMetrics, measure
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor
@@ -46,6 +46,30 @@ HIGH_GAIN = ("high_gain", "proportional_integral")
 THETAS = tuple(np.geomspace(0.7, 20.0, 12).tolist())
 """θ to choose the best from for observers of high gain [rad/s]."""
 
+BOUNDS = ("pcrb", "pcrb_augmented")
+"""Names of the posterior Cramér–Rao bound with known parameters, and with those as states."""
+
+ABOUT = {
+    **METHODS,
+    "certified_fixed": "the same without learning",
+    "pcrb": "least error of an estimator that is not biased by the sensor's offset, if it knows "
+    "the arm, the rest of the disturbance and when it jumps (posterior Cramér–Rao bound)",
+    "pcrb_augmented": "the same if it does not know the uncertain parameters",
+}
+"""What each row of the table is."""
+
+_BIASED = {
+    "take the parameters for known, so that pcrb holds if they are right": (
+        "certified_fixed",
+        "ekf_plain",
+        "ekf",
+    ),
+    "take an offset of the sensor for motion, so that no bound holds; their θ is the best one of "
+    "the scenario's first run": ("high_gain", "proportional_integral"),
+    "uses no measurement of the arm, see docs/method.md": ("paper",),
+}
+"""Why the bound does not hold for observers."""
+
 _OFFSET_STD = 0.3
 """1σ of the sensor's offset beforehand [rad], as of the default disturbance model."""
 
@@ -67,7 +91,11 @@ def compare_scenarios(
     duration: float | None = None,
     advance: Callable[[int], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Run observers on simulated scenarios, on all cores, and return what `comparison_of` does.
+    """Run observers on simulated scenarios, on all cores; return plain data that JSON can hold.
+
+    A scenario has the scores of each observer, and the least errors of a run by those of `BOUNDS`
+    that it has; `theta` of observers of high gain [rad/s]; and in `unbounded` why it has no bounds,
+    None if it has.
 
     The scenarios' arm is the design's; rate and noise are in proportion to its own. Seeds are 0, 1,
     …; methods that cannot observe the arm are left out, with a remark; runs are as long as the
@@ -116,9 +144,60 @@ def compare_scenarios(
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         rows = dict(zip(scenarios, pool.map(compared, scenarios), strict=True))
-    found = comparison_of(rows, tuple(contenders), seeds)
-    found["notes"] += remarks
-    return found
+    notes = [
+        f"normalised RMSE of the four states over what counts as settled; root mean square "
+        f"over {seeds} runs"
+    ]
+    for name, row in rows.items():
+        if row["unbounded"]:
+            notes.append(f"no bound for {name}: it has {row['unbounded']}")
+    for reason, names in _BIASED.items():
+        if own := [name for name in contenders if name in names]:
+            notes.append(f"{', '.join(own)}: {reason}")
+    bounds = [name for name in BOUNDS if any(name in row for row in rows.values())]
+    about = {name: ABOUT[name] for name in (*contenders, *bounds)}
+    return {"seeds": seeds, "observers": about, "scenarios": rows, "notes": notes + remarks}
+
+
+def render_scenarios(comparison: Mapping[str, Any]) -> str:
+    """Return a comparison as text, a column for each scenario."""
+    about, scenarios = comparison["observers"], comparison["scenarios"]
+    table = [["", *scenarios]]
+    for name in about:
+        cells = (each.get(name, {}).get("normalised_rmse") for each in scenarios.values())
+        table.append([name, *map(number_text, cells)])
+    width = max(map(len, about))
+    described = [f"{name:<{width}}  {text}" for name, text in about.items()]
+    lines = [*aligned(table, text_columns=1), "", *described, "", *comparison["notes"]]
+    return "\n".join(lines)
+
+
+def scores(runs: Sequence[RunMetrics]) -> dict[str, Any]:
+    """Return an observer's errors in the runs of a scenario, as plain data."""
+    quantities = {
+        each[0].quantity.key: each for each in zip(*(run.quantities for run in runs), strict=True)
+    }
+    inside = {}
+    for key, each in quantities.items():
+        shares = [one.inside for one in each if one.inside is not None]
+        if len(shares) == len(runs):
+            inside[key] = float(np.mean(shares))
+    return {
+        "normalised_rmse": _root_mean([run.normalised_rmse for run in runs]),
+        "rmse": {key: _root_mean([one.rmse for one in each]) for key, each in quantities.items()},
+        "normalised_rmse_of_runs": [run.normalised_rmse for run in runs],
+        **({f"inside_{SIGMAS:g}_sigma": inside} if inside else {}),
+    }
+
+
+def _root_mean(values: Sequence[float | None]) -> float | None:
+    """Return the root mean square; infinite if a run diverged, None if no run has a value."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return None
+    with np.errstate(over="ignore"):
+        mean = float(np.mean(np.square(known)))
+    return math.sqrt(mean) if math.isfinite(mean) and len(known) == len(values) else math.inf
 
 
 def fitted(scenario: Scenario, design: Design) -> Scenario:

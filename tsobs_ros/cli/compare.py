@@ -18,7 +18,7 @@ from tsobs_ros.cli.common import (
 from tsobs_ros.cli.estimate import METHODS, add_observer_options, estimate, given_parameters
 from tsobs_ros.errors import ParameterError, printable
 
-FILES = ("compare.png", "compare.json")
+FILE = "compare.json"
 """What is written of a comparison on scenarios."""
 
 _OF_RECORDINGS = (
@@ -35,7 +35,7 @@ def add_parser(commands: Commands) -> None:
     compare.add_argument(
         "--output", type=Path, metavar="PATH",
         help="of a recording: new bag of all their estimates; of scenarios: folder for "
-        + ", ".join(FILES),
+        + FILE,
     )  # fmt: skip
     add = compare.add_argument_group("for recordings").add_argument
     add(
@@ -72,19 +72,18 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _on_scenarios(options: argparse.Namespace) -> int:
-    from tsobs_ros.comparison import DEFAULT_SCENARIOS, compare_scenarios
+    from tsobs_ros.comparison import DEFAULT_SCENARIOS, compare_scenarios, render_scenarios
     from tsobs_ros.design.file import load_design
     from tsobs_ros.files import require_new, written_whole
     from tsobs_ros.methods import ObserverSettings
-    from tsobs_ros.report.scenario_table import render_scenarios
     from tsobs_ros.resources import SHIPPED_DESIGN, config_path
     from tsobs_ros.settings import changed
 
     begin = time.monotonic()
     if len(options.design) > 1:
         raise ParameterError(f"--design: expected one file, got {len(options.design)}")
-    paths = [options.output / name for name in FILES] if options.output else []
-    require_new(paths, force=options.force)
+    if options.output:
+        require_new([options.output / FILE], force=options.force)
     settings = changed(ObserverSettings(), given_parameters(options))
     design = load_design(options.design[0] if options.design else config_path(SHIPPED_DESIGN))
     scenarios, methods = options.scenario or DEFAULT_SCENARIOS, options.method or METHODS
@@ -95,14 +94,10 @@ def _on_scenarios(options: argparse.Namespace) -> int:
             *plan, settings=settings, duration=options.duration, advance=advance
         )
     text = render_scenarios(found)
-    if paths:
-        from tsobs_ros.report.scenario_figure import draw_comparison
-
+    if options.output:
         with written_whole(options.output, force=options.force) as folder:
-            figure, data = (folder / name for name in FILES)
-            draw_comparison(found, figure)
-            data.write_text(json_text(found) + "\n", encoding="utf-8")
-        text += f"\n\nwrote {', '.join(printable(str(path)) for path in paths)}"
+            (folder / FILE).write_text(json_text(found) + "\n", encoding="utf-8")
+        text += f"\n\nwrote {printable(str(options.output / FILE))}"
     seconds = time.monotonic() - begin
     show(found, f"{text}\n{runs} runs in {seconds:.0f} s", options.json)
     return 0
