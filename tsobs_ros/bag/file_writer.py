@@ -42,7 +42,7 @@ from tsobs_ros.bag.container import (
     parse_record,
     split_records,
 )
-from tsobs_ros.bag.metadata import FileMetadata, TopicInfo, profiles_to_yaml
+from tsobs_ros.bag.metadata import BagMetadata, FileMetadata, TopicInfo, profiles_to_yaml
 
 COMPRESSIONS = "none", "lz4", "zstd"
 
@@ -92,6 +92,10 @@ class FileWriter:
     def size(self) -> int:
         """The bytes written so far, without the chunk in progress."""
         return self._stream.tell()
+
+    def count(self, topic: str) -> int:
+        """Return the number of messages of a topic in finished chunks."""
+        return self._counts[self.ids.get(topic, 0)]
 
     def info(self) -> FileMetadata:
         """Return what metadata.yaml states of the file as of now."""
@@ -172,11 +176,12 @@ class FileWriter:
             return self.schemas.get(record.id) == record
         return isinstance(record, Channel) and self.channels.get(record.id) == record
 
-    def add_metadata(self, name: str, values: dict[str, str]) -> None:
-        """Append metadata, behind all messages so far."""
+    def add_metadata(self, metadata: BagMetadata) -> None:
+        """Append the metadata of the bag, behind all messages so far."""
         self._finish_chunk()
-        data, at = _packed(Metadata(name, values)), self._stream.tell()
-        self._metadata.append(MetadataIndex(at, len(data), name))
+        record = Metadata("rosbag2", {"serialized_metadata": metadata.to_yaml()})
+        data, at = _packed(record), self._stream.tell()
+        self._metadata.append(MetadataIndex(at, len(data), record.name))
         self._stream.write(data)
 
     def flush(self) -> None:
@@ -276,14 +281,12 @@ def pick(content: Records, ids: Mapping[int, int]) -> Records:
     new[list(ids)] = list(ids.values())
     rows = content.rows[new[content.rows["channel"]] >= 0]
     places = zip((rows["begin"] - MESSAGE.size).tolist(), rows["size"].tolist(), strict=True)
-    found = (content.data[begin : begin + MESSAGE.size + size] for begin, size in places)
+    found = [content.data[begin : begin + MESSAGE.size + size] for begin, size in places]
     picked = np.frombuffer(bytearray(b"".join(found)), np.uint8)
-    rows["channel"] = new[rows["channel"]]
-    rows["begin"] = np.cumsum(MESSAGE.size + rows["size"]) - rows["size"]
+    begins, channels = np.cumsum([0, *map(len, found)])[:-1], new[rows["channel"]]
     for byte in range(2):
-        at = rows["begin"] - MESSAGE.size + RECORD.size + byte
-        picked[at] = rows["channel"] >> 8 * byte & 255
-    return Records(picked.tobytes(), rows)
+        picked[begins + RECORD.size + byte] = channels >> 8 * byte & 255
+    return split_records(picked.tobytes())
 
 
 def _packed(record: McapRecord) -> bytes:

@@ -3,7 +3,6 @@
 """Writing bags: a folder of MCAP files with a metadata.yaml, as `ros2 bag record -s mcap` does."""
 
 import os
-from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros import __version__
 from tsobs_ros.bag.cdr import MessageSeries
-from tsobs_ros.bag.container import MESSAGE, RECORD, ROW, Records, pieces
+from tsobs_ros.bag.container import MESSAGE, RECORD, Records, pieces, split_records
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter, pick
 from tsobs_ros.bag.metadata import (
@@ -35,7 +34,6 @@ from tsobs_ros.files import fsync_folder, written_whole
 if TYPE_CHECKING:
     from tsobs_ros.bag.reader import BagReader
 
-LIBRARY = "tsobs_ros"
 CHUNK_SIZE = 786_432
 
 _MESSAGE_FIELDS = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
@@ -77,7 +75,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._max_size, self._max_duration_ns = max_size, max_duration_ns
         self._custom_data = custom_data
         self._topics: dict[str, TopicInfo] = {}
-        self._counts = Counter[str]()
         self._files: list[FileWriter] = []
         self._on_disk = (0, 0)
         self._closed = False
@@ -96,24 +93,22 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:
-        """The registered topics and how many messages of each are written."""
-        return tuple(
-            replace(topic, count=self._counts[topic.name]) for topic in list(self._topics.values())
-        )
+        """The registered topics, with the number of messages of each in finished chunks."""
+        files, topics = list(self._files), list(self._topics.values())
+        return tuple(replace(one, count=sum(f.count(one.name) for f in files)) for one in topics)
 
     @property
     def file_count(self) -> int:
         """The number of files of the bag."""
         return len(self._files)
 
-    def metadata(self) -> BagMetadata:
-        """Return the bag's metadata as of now."""
-        files = tuple(file.info() for file in list(self._files))
-        return BagMetadata.of(self.topics, files, self._custom_data)
-
     @property
     def _file(self) -> FileWriter:
         return self._files[-1]
+
+    def _metadata(self, *started: FileWriter) -> BagMetadata:
+        files = [file.info() for file in (*self._files, *started)]
+        return BagMetadata.of(self.topics, files, self._custom_data)
 
     def add_topic(
         self,
@@ -134,7 +129,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             qos_profiles: What its publishers offer.
             definition: Its definition; the installed one by default.
         """
-        self._check_open()
         if (known := self._topics.get(name)) is not None:
             if known.type != type:
                 raise BagWriteError(
@@ -162,8 +156,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             log_time_ns: When it was received, ns since the epoch.
             publish_time_ns: When it was published, ns since the epoch.
         """
-        if self._closed or self._failure:
-            self._check_open()
+        if self._failure:
+            raise BagWriteError(self._failure)
         is_right = 0 <= log_time_ns < EMPTY_START_NS and 0 <= publish_time_ns < EMPTY_START_NS
         if topic not in self._topics or not is_right:
             self._require(topic, np.array([log_time_ns, publish_time_ns]))
@@ -173,30 +167,39 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self._file.add_message(topic, data, log_time_ns, publish_time_ns)
         except OSError as error:
             raise self._failed(error) from error
-        self._counts[topic] += 1
 
     def write_series(self, series: Sequence[MessageSeries]) -> None:
         """Append messages in order of log time, equal ones in order of the series.
 
         Limits of files do not hold.
         """
-        self._check_open()
-        series = [one for one in series if len(one.data)]
-        for one in series:
+        made = []
+        for one in filter(lambda one: len(one.data), series):
             self._require(one.topic, one.log_times, one.publish_times)
-        if not series:
+            count, size = one.data.shape
+            made.append(np.zeros(count, np.dtype([*_MESSAGE_FIELDS, ("data", "u1", (size,))])))
+            made[-1]["opcode"], made[-1]["length"] = (
+                Opcode.MESSAGE,
+                MESSAGE.size - RECORD.size + size,
+            )
+            made[-1]["channel"], made[-1]["data"] = self._file.ids[one.topic], one.data
+            made[-1]["log_time"], made[-1]["publish_time"] = one.log_times, one.publish_times
+        if not made:
             return
-        data, rows = packed([(self._file.ids[one.topic], one) for one in series])
-        begins, ends = rows["begin"] - MESSAGE.size, rows["begin"] + rows["size"]
+        order = np.argsort(np.concatenate([rows["log_time"] for rows in made]), kind="stable")
+        sizes = np.concatenate([np.full(len(rows), rows.itemsize) for rows in made])[order]
+        ends, places = np.cumsum(sizes), np.empty(len(order), np.int64)
+        places[order] = ends - sizes
+        data = np.empty(int(ends[-1]), np.uint8)
+        for rows in made:
+            own, places = places[: len(rows)], places[len(rows) :]
+            pieces(data, rows.itemsize)[own] = rows.view(f"V{rows.itemsize}")
         # Chunks of the usual size; the message that goes beyond it is the chunk's last.
-        first = 0
-        while first < len(rows):
-            begin = int(begins[first])
-            last = int(np.searchsorted(ends[:-1], begin + CHUNK_SIZE, side="right"))
-            own = rows[first : last + 1]
-            own["begin"] -= begin
-            self._add_chunk(Records(data[begin : int(ends[last])], own))
-            first = last + 1
+        begin = 0
+        while begin < len(data):
+            end = int(ends[np.searchsorted(ends[:-1], begin + CHUNK_SIZE, side="right")])
+            self._add_chunk(split_records(data[begin:end].tobytes()))
+            begin = end
 
     def copy_topics(self, reader: "BagReader", topics: Collection[str]) -> None:
         """Copy what the chunks of a bag have of some topics, in the order of its files.
@@ -222,7 +225,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             chunk: The chunk; None if its messages are to be copied into a new one.
             topics: Those to copy, all registered, by their channels there.
         """
-        self._check_open()
         ids = {id_: self._file.ids[topic] for id_, topic in topics.items()}
         if chunk is not None and self._file.can_have(chunk, content, ids):
             self._add_chunk(content, chunk)
@@ -230,26 +232,21 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self._add_chunk(picked)
 
     def _add_chunk(self, records: Records, chunk: Chunk | None = None) -> None:
-        rows, names = records.rows, {id_: topic for topic, id_ in self._file.ids.items()}
-        counts = zip(*np.unique(rows["channel"], return_counts=True), strict=True)
-        counted = Counter({names[int(id_)]: int(count) for id_, count in counts})
-        self._require(next(iter(counted)), rows["log_time"], rows["publish_time"])
+        self._require(None, records.rows["log_time"], records.rows["publish_time"])
         with self._writing():
             self._file.add_chunk(records, chunk)
-        self._counts += counted
 
-    def _require(self, topic: str, *times: NDArray[np.int64]) -> None:
+    def _require(self, topic: str | None, *times: NDArray[np.int64]) -> None:
         """Raise `BagWriteError` unless a topic is registered, and times [ns] fit."""
-        if topic not in self._topics:
+        if topic is not None and topic not in self._topics:
             raise BagWriteError(f"{self.path}: topic {topic} has not been added")
         for each in times:
             if each.min() < 0 or each.max() >= EMPTY_START_NS:
                 text = f"times must be at least 0 and fit 63 bits: {each.min()} to {each.max()} ns"
-                raise BagWriteError(f"{self.path}: {topic}: {text}")
+                raise BagWriteError(f"{self.path}: {topic or 'a message'}: {text}")
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system: it survives a kill."""
-        self._check_open()
         with self._writing():
             self._file.flush()
 
@@ -258,10 +255,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
         The metadata.yaml in the folder names it after the next `sync` or `close`.
         """
-        self._check_open()
-        if self._file.message_count == 0:
-            return
-        self._finish()
+        with self._writing():
+            if self._file.message_count == 0:
+                return
+            self._finish()
         try:
             self._start_file()
         except BagWriteError:
@@ -302,7 +299,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 stack.callback(self._write_metadata)
                 for file in self._files:
                     stack.callback(file.close)
-                self._finish()
+                if not self._file.is_finished:
+                    with self._writing():
+                        self._finish()
+                self._failure = f"{self.path}: the bag is closed"
 
     def __exit__(self, *_: object) -> None:
         """Close the bag, also when an error ends the block: what was written is kept."""
@@ -310,12 +310,10 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
     def _start_file(self) -> None:
         path = self.path / f"{self.path.name}_{len(self._files)}.mcap"
-        library = f"{LIBRARY} {__version__}"
         try:
             with _reported(path):
-                file = FileWriter(path, library, self._compression, CHUNK_SIZE)
-                files = [each.info() for each in (*self._files, file)]
-                _add_metadata(file, BagMetadata.of(self.topics, files, self._custom_data))
+                file = FileWriter(path, f"tsobs_ros {__version__}", self._compression, CHUNK_SIZE)
+                file.add_metadata(self._metadata(file))
                 file.flush()
         except ModuleNotFoundError as error:
             text = f"the library of its compression is not installed: {error}"
@@ -323,10 +321,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._files.append(file)
 
     def _finish(self) -> None:
-        if not self._file.is_finished:
-            with self._writing():
-                _add_metadata(self._file, self.metadata())
-                self._file.finish()
+        self._file.flush()
+        self._file.add_metadata(self._metadata())
+        self._file.finish()
 
     def _make_room(self, log_time_ns: int) -> None:
         """Start another file if this one is full."""
@@ -337,13 +334,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self.split()
 
     def _write_metadata(self) -> None:
-        metadata = self.metadata()
+        metadata = self._metadata()
         write_metadata(self.path, metadata)
         self._on_disk = (len(metadata.topics_with_message_count), len(metadata.files))
-
-    def _check_open(self) -> None:
-        if self._closed or self._failure:
-            raise BagWriteError(self._failure or f"{self.path}: the bag is closed")
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -369,10 +362,6 @@ def _reported(path: Path) -> Iterator[None]:
         raise BagWriteError(f"{path}: cannot write it: {error}") from error
 
 
-def _add_metadata(file: FileWriter, metadata: BagMetadata) -> None:
-    file.add_metadata("rosbag2", {"serialized_metadata": metadata.to_yaml()})
-
-
 @contextmanager
 def whole_bag(path: str | Path, **options: Any) -> Iterator[BagWriter]:
     """Yield the writer of a bag, as `BagWriter`, that appears once it is complete or not at all."""
@@ -384,26 +373,3 @@ def whole_bag(path: str | Path, **options: Any) -> Iterator[BagWriter]:
         BagWriter(folder / path.name, **options) as writer,
     ):
         yield writer
-
-
-def packed(series: Sequence[tuple[int, MessageSeries]]) -> Records:
-    """Return the records of messages, with their channels, in the order of `write_series`."""
-    rows = np.zeros(sum(len(one.data) for _, one in series), ROW)
-    ends = np.cumsum([len(one.data) for _, one in series])[:-1]
-    for (channel, one), own in zip(series, np.split(rows, ends), strict=True):
-        own["channel"], own["size"] = channel, one.data.shape[1]
-        own["log_time"], own["publish_time"] = one.log_times, one.publish_times
-    order = np.argsort(rows["log_time"], kind="stable")
-    rows = rows[order]
-    rows["begin"] = np.cumsum(MESSAGE.size + rows["size"]) - rows["size"]
-    places = np.empty(len(order), np.int64)
-    places[order] = rows["begin"] - MESSAGE.size
-    data = np.empty(int(rows["begin"][-1] + rows["size"][-1]), np.uint8)
-    for (channel, one), own_places in zip(series, np.split(places, ends), strict=True):
-        count, size = one.data.shape
-        made = np.zeros(count, np.dtype([*_MESSAGE_FIELDS, ("data", "u1", (size,))]))
-        made["opcode"], made["length"] = Opcode.MESSAGE, MESSAGE.size - RECORD.size + size
-        made["channel"], made["data"] = channel, one.data
-        made["log_time"], made["publish_time"] = one.log_times, one.publish_times
-        pieces(data, made.itemsize)[own_places] = made.view(f"V{made.itemsize}")
-    return Records(data.tobytes(), rows)
