@@ -11,6 +11,7 @@ import lz4.frame
 import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
 from mcap.records import (
     Chunk,
     ChunkIndex,
@@ -24,8 +25,9 @@ from mcap.records import (
 from tsobs_ros.bag.container import (
     MAGIC,
     MAX_SIZE,
+    MESSAGE,
     RecordError,
-    chunk_records,
+    read_chunk,
     read_summary,
 )
 from tsobs_ros.errors import BagReadError
@@ -36,19 +38,19 @@ from tsobs_ros.errors import BagReadError
     [("", bytes), ("lz4", lz4.frame.compress), ("zstd", zstandard.compress)],
 )
 def test_a_chunk_is_what_it_states(compression: str, compress: Callable[[bytes], bytes]) -> None:
-    records = bytes(1000)
+    records = MESSAGE.pack(Opcode.MESSAGE, MESSAGE.size - 9 + 1000, 1, 0, 0, 0) + bytes(1000)
     chunk = Chunk(compression, compress(records), 0, 0, zlib.crc32(records), len(records))
-    assert chunk_records(chunk) == records
-    assert chunk_records(replace(chunk, uncompressed_crc=0)) == records
+    assert read_chunk(chunk).data == records
+    assert read_chunk(replace(chunk, uncompressed_crc=0)).data == records
     for change, reason in (
         ({"uncompressed_crc": 1}, "crc"),
-        ({"uncompressed_size": 1001}, "content"),
+        ({"uncompressed_size": 9}, "content"),
         ({"uncompressed_size": MAX_SIZE + 1}, "too many to read"),
         ({"data": chunk.data[:-20]}, "content|decompressed"),
         ({"compression": "zip"}, "compression 'zip' is not known"),
     ):
         with pytest.raises(RecordError, match=reason):
-            chunk_records(replace(chunk, **change))
+            read_chunk(replace(chunk, **change))
 
 
 HEADER = Header(profile="ros2", library="")

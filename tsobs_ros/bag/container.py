@@ -68,9 +68,11 @@ _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 _CHUNK_INDEX_REST = 28
 _INDEX_OFFSET = struct.Struct("<HQ")
 _MAX_STATISTICS_SIZE = 2**20
-FOOTER_SIZE = RECORD.size + 20
+_FOOTER = struct.Struct("<QQI")
+_FOOTER_START = RECORD.pack(Opcode.FOOTER, _FOOTER.size)
+END_SIZE = RECORD.size + _FOOTER.size + len(MAGIC)
+"""Bytes of the footer and what follows it."""
 _MAX_HEADER_SIZE = 2**16
-_STEP = 2**18
 # More than a robot's schemas and channels take.
 _MAX_DESCRIPTIONS = 2**24
 
@@ -134,62 +136,49 @@ def pieces(data: NDArray[np.uint8], size: int) -> NDArray[np.void]:
 
 
 def read_chunk(chunk: Chunk) -> Records:
-    """Return what is in a chunk, checked.
+    """Return what is in a chunk, decompressed and checked.
 
     Raises:
-        RecordError: As `chunk_records` and `split_records`, or too much of it are no messages.
+        RecordError: It states more than `MAX_SIZE` bytes of content, its content cannot be
+            decompressed, has another size or checksum than it states, is malformed, or too much of
+            it are no messages.
     """
-    content = split_records(chunk_records(chunk))
+    if chunk.uncompressed_size > MAX_SIZE:
+        raise RecordError(f"the chunk states {chunk.uncompressed_size} bytes, too many to read")
+    try:
+        data = _decompressed(chunk)
+    except Exception as error:  # the libraries' errors have several roots
+        raise RecordError(f"the chunk cannot be decompressed: {error}") from error
+    if len(data) != chunk.uncompressed_size:
+        raise RecordError(
+            f"the chunk states another size of its content: {chunk.uncompressed_size}"
+        )
+    stated = chunk.uncompressed_crc
+    if stated and (crc := zlib.crc32(data)) != stated:
+        raise RecordError(f"the chunk's checksum (crc) is {stated:08x}, its content's {crc:08x}")
+    content = split_records(data)
     size = MESSAGE.size * len(content.rows) + int(content.rows["size"].sum())
-    if len(content.data) - size > _MAX_DESCRIPTIONS:
+    if len(data) - size > _MAX_DESCRIPTIONS:
         raise RecordError(f"more than {_MAX_DESCRIPTIONS} bytes of it are no messages")
     return content
 
 
-def chunk_records(chunk: Chunk) -> bytes:
-    """Return the records in a chunk, decompressed and checked.
-
-    Raises:
-        RecordError: The chunk states more than `MAX_SIZE` bytes of content, its content cannot be
-            decompressed, or has another size or checksum than the chunk states.
-    """
-    size = chunk.uncompressed_size
-    if size > MAX_SIZE:
-        raise RecordError(f"the chunk states {size} bytes of content, too many to read")
-    try:
-        records = b"".join(_decompressed(chunk))
-    except Exception as error:  # the libraries' errors have several roots
-        raise RecordError(f"the chunk cannot be decompressed: {error}") from error
-    if len(records) != size:
-        raise RecordError(f"the chunk states {size} bytes of content, but has {len(records)}")
-    stated = chunk.uncompressed_crc
-    if stated and (crc := zlib.crc32(records)) != stated:
-        raise RecordError(f"the chunk's checksum (crc) is {stated:08x}, its content's {crc:08x}")
-    return records
-
-
-def _decompressed(chunk: Chunk) -> Iterator[bytes]:
-    """Yield the content of a chunk in parts, at most one of them beyond the size it states."""
+def _decompressed(chunk: Chunk) -> bytes:
+    """Return the content of a chunk, at most one byte beyond the size it states."""
     # Imported here: bags without compression need neither library.
-    left = chunk.uncompressed_size
-    if not chunk.compression:
-        yield chunk.data
-    elif chunk.compression == "lz4":
+    if chunk.compression == "lz4":
         import lz4.frame
 
-        stream, data = lz4.frame.LZ4FrameDecompressor(), chunk.data
-        while left >= 0 and not stream.eof and (data or not stream.needs_input):
-            yield (part := stream.decompress(data, max_length=_STEP))
-            data, left = b"", left - len(part)
-    elif chunk.compression == "zstd":
+        stream, limit = lz4.frame.LZ4FrameDecompressor(), chunk.uncompressed_size + 1
+        return bytes(stream.decompress(chunk.data, max_length=limit))
+    if chunk.compression == "zstd":
         import zstandard
 
         reader = zstandard.ZstdDecompressor().stream_reader(chunk.data)
-        while left >= 0 and (part := reader.read(_STEP)):
-            yield part
-            left -= len(part)
-    else:
+        return bytes(reader.read(chunk.uncompressed_size + 1))
+    if chunk.compression:
         raise RecordError(f"compression '{chunk.compression}' is not known")
+    return chunk.data
 
 
 class Span(NamedTuple):
@@ -256,36 +245,27 @@ def read_summary(path: Path, rank: int = 0) -> Summary:
 
 def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
     size = stream.seek(0, 2)
-    footer_at = size - FOOTER_SIZE - len(MAGIC)
     stream.seek(0)
     front = stream.read(_MAX_HEADER_SIZE)
     if not front.startswith(MAGIC):
         raise BagReadError(f"{path}: not an MCAP file")
-    stream.seek(max(len(MAGIC), footer_at))
-    end = stream.read()
-    if footer_at < len(MAGIC) or not end.endswith(MAGIC):
+    stream.seek(max(len(MAGIC), size - END_SIZE))
+    if (footer := find_footer(stream.read())) is None:
         raise BagReadError(
             f"{path}: the file has no end: it is still being recorded, was truncated, or its "
             f"recorder was killed; {RECOVER_HINT}"
         )
     header = parse_record(next(_each(front[len(MAGIC) :])))
-    footer = parse_record(end[:FOOTER_SIZE])
     if not isinstance(header, Header):
         raise RecordError("it does not start with a header")
-    if not isinstance(footer, Footer):
-        raise RecordError("it does not end with a footer")
     start = footer.summary_start
-    if not len(MAGIC) < start < footer_at:
+    if not len(MAGIC) < start < size - END_SIZE:
         raise RecordError("it has no index")
     if size - start > MAX_SUMMARY_SIZE:
         raise RecordError(f"it states a summary of {size - start} bytes, too many to read")
     stream.seek(start)
-    data = stream.read(footer_at - start)
-    # The checksum covers the summary and the footer up to the checksum.
-    stated, covered = footer.summary_crc, end[: FOOTER_SIZE - 4]
-    if stated and (crc := zlib.crc32(covered, zlib.crc32(data))) != stated:
-        raise RecordError(f"the checksum (crc) of its summary is {stated:08x}, not {crc:08x}")
-    summary = parse_summary(data, rank)._replace(path=path, profile=header.profile)
+    summary = parse_summary(stream.read(size - END_SIZE - start), footer, rank)
+    summary = summary._replace(path=path, profile=header.profile)
     spans = summary.spans
     # Else a few bytes of index could ask for the same large chunk again and again.
     for one, other in pairwise(sorted(spans, key=attrgetter("offset"))):
@@ -296,12 +276,27 @@ def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
     return summary
 
 
-def parse_summary(data: bytes, rank: int = 0) -> Summary:
+def find_footer(end: bytes) -> Footer | None:
+    """Return the footer at the end of a file, of which these are the last `END_SIZE` bytes."""
+    if not end.startswith(_FOOTER_START) or len(end) < END_SIZE or not end.endswith(MAGIC):
+        return None
+    return Footer(*_FOOTER.unpack_from(end, RECORD.size))
+
+
+def parse_summary(data: bytes, footer: Footer, rank: int = 0) -> Summary:
     """Return what the records of a summary state; its path and profile are empty.
 
     Raises:
-        RecordError: A record is malformed, or there is none with the counts, or these differ.
+        RecordError: A record is malformed, there is none with the counts, these differ, or the
+            checksum does not hold.
     """
+    # The checksum covers the summary and the footer up to the checksum.
+    places = _FOOTER.pack(footer.summary_start, footer.summary_offset_start, 0)[:-4]
+    crc = zlib.crc32(_FOOTER_START + places, zlib.crc32(data))
+    if footer.summary_crc not in (0, crc):
+        raise RecordError(
+            f"the checksum (crc) of its summary is {footer.summary_crc:08x}, not {crc:08x}"
+        )
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     spans: list[Span] = []

@@ -23,11 +23,11 @@ from functools import cached_property
 from typing import IO, NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Footer, McapRecord, Metadata
+from mcap.records import Channel, Chunk, McapRecord, Metadata
 
 from tsobs_ros.bag.container import (
     CHUNK_HEAD_SIZE,
-    FOOTER_SIZE,
+    END_SIZE,
     INDEX_HEAD,
     MAGIC,
     MAX_SIZE,
@@ -38,6 +38,7 @@ from tsobs_ros.bag.container import (
     Records,
     Summary,
     chunk_head,
+    find_footer,
     parse_record,
     parse_summary,
     read_chunk,
@@ -134,19 +135,14 @@ class FileWalker:
         self._read_end()
 
     def _read_end(self) -> None:
-        end = self._bytes(self._end - FOOTER_SIZE - len(MAGIC), FOOTER_SIZE + len(MAGIC))
-        if not (end.endswith(MAGIC) and end.startswith(RECORD.pack(Opcode.FOOTER, 20))):
+        footer = find_footer(self._bytes(self._end - END_SIZE, END_SIZE))
+        if footer is None:
             return
-        footer = parse_record(end[:FOOTER_SIZE])
-        assert isinstance(footer, Footer)
-        self.has_end, self._end = True, self._end - len(end)
-        start = footer.summary_start
-        if not 0 < start <= self._end <= start + MAX_SUMMARY_SIZE:
-            return
-        data = self._bytes(start, self._end - start)
-        if zlib.crc32(end[: FOOTER_SIZE - 4], zlib.crc32(data)) == footer.summary_crc:
+        self.has_end, self._end, start = True, self._end - END_SIZE, footer.summary_start
+        if footer.summary_crc and 0 < start <= self._end <= start + MAX_SUMMARY_SIZE:
             with suppress(RecordError):
-                self.summary, self._end = parse_summary(data), start
+                self.summary = parse_summary(self._bytes(start, self._end - start), footer)
+                self._end = start
                 self._stated.update((s.start, s.end, s.size) for s in self.summary.spans)
 
     def parts(self, progress: Progress = lambda _: None) -> Iterator[Part]:
