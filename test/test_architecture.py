@@ -12,7 +12,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parents[1] / "tsobs_ros"
 
 COMMON = {"checks", "errors", "files", "resources", "schema", "series"}
-COMMON |= {"settings", "stop", "streams", "style", "yaml_files"}
+COMMON |= {"settings", "stop", "style", "yaml_files"}
 
 
 def directions() -> dict[str, set[str]]:

@@ -4,7 +4,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,6 +17,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.records import REASONS, Basis, RejectReason
+from tsobs_ros.estimation.state import types_of
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import CONTENDERS, ObserverSettings, make_tracker
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
@@ -460,29 +461,26 @@ def _estimates(
 ) -> Estimates:
     """Return estimates as plain arrays; those of several outputs have a column for each."""
     estimator, used = tracker.estimator, np.isfinite(innovations).any(axis=1)
-    shape, outputs = estimator.shape, innovations.shape[1:] if several else ()
+    types = types_of(tuple(estimator.model["sizes"][0].tolist()))["estimate"]
     columns: dict[str, Any] = {}
-    for names, width in (
-        (("state", "state_bound"), (shape.plant,)),
-        (("disturbance", "disturbance_bound"), outputs),
-        (("torque_disturbance", "torque_disturbance_bound"), (shape.t,)),
-        (("parameters", "parameter_bound"), (shape.k,)),
-    ):
-        for name in names:
-            columns[name] = np.full((len(rows), *width), np.nan)
-            if name not in estimator.lacking:
-                columns[name][:] = rows[name].reshape(columns[name].shape)
-    for name in ("basis", "noise_scale", "coloured_power", "learning", "hypothesis"):
+    for name in types.names or ():
         columns[name] = np.array(rows[name])
+        if name in estimator.lacking:
+            columns[name] = np.full((len(rows), *types[name].shape), np.nan)
     for name in ("claimed", "parameters_valid", "in_domain"):
-        columns[name] = np.asarray(rows[name]) == 1.0
+        columns[name] = columns[name] == 1.0
+    kept = innovations[used]
+    if not several:
+        kept = kept[:, 0]
+        for name in ("disturbance", "disturbance_bound"):
+            columns[name] = columns[name][:, 0]
     return Estimates(
         time=time,
-        innovation=innovations[used].reshape(-1, *outputs),
+        innovation=kept,
         innovation_time=innovation_time[used],
-        **columns,
         used=int(used.sum()),
         rejected={reason.value: number for reason, number in rejected.items()},
+        **{item.name: columns[item.name] for item in fields(Estimates) if item.name in columns},
     )
 
 

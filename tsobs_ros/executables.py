@@ -8,6 +8,7 @@ exit code 0, and only then imports its node module ``tsobs_ros.nodes.<name>``, w
 makes the node. From there on a signal raises a flag.
 """
 
+import os
 import sys
 
 from tsobs_ros.stop import StopFlag, end_at_once, end_with_parent, ignore_signals
@@ -22,7 +23,6 @@ from functools import partial
 from importlib import import_module
 
 from tsobs_ros.errors import missing_library
-from tsobs_ros.streams import keep_standard_streams
 
 # Time for the interpreter's own shutdown, which may still destroy a participant.
 _FINALISE_TIMEOUT = 5.0
@@ -41,7 +41,7 @@ def run(name: str) -> int:
         SystemExit: With 0 after `--help`, with 2 after arguments that are not understood.
     """
     end_at_once()
-    keep_standard_streams()
+    _keep_standard_streams()
     end_with_parent()
     try:
         module = import_module(f"tsobs_ros.nodes.{name}")
@@ -53,9 +53,8 @@ def run(name: str) -> int:
             raise
         print(f"error: {text}", file=sys.stderr)
         return 1
-    stop = StopFlag()
-    stop.install()
-    exit_code: int = runtime.run(module.create, stop=stop)
+    with StopFlag() as stop:
+        exit_code: int = runtime.run(module.create, stop=stop)
     ignore_signals()
     runtime.limit_time_left(_FINALISE_TIMEOUT)
     return exit_code
@@ -64,7 +63,7 @@ def run(name: str) -> int:
 def tsobs() -> int:
     """Run the command `tsobs`, which a signal ends with exit code 1; return the exit code."""
     end_at_once(1)
-    keep_standard_streams()
+    _keep_standard_streams()
     try:
         exit_code: int = import_module("tsobs_ros.cli.main").main()
     except KeyboardInterrupt:  # a second one, while the first was reported
@@ -72,6 +71,20 @@ def tsobs() -> int:
     finally:
         ignore_signals()
     return exit_code
+
+
+def _keep_standard_streams() -> None:
+    """Put /dev/null where a standard stream is closed, or a file would get its number."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            null = os.open(os.devnull, os.O_RDWR)
+            if null != number:
+                os.dup2(null, number)
+                os.close(null)
+            os.set_inheritable(number, True)
+            setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
 
 
 observer = partial(run, "observer")

@@ -97,14 +97,10 @@ class StopFlag:
     def __call__(self) -> bool:
         return self._raised
 
-    def install(self) -> None:
-        """Catch the signals from here on, for good; only the main thread may."""
+    def __enter__(self) -> StopFlag:
         StopFlag.last = self
         for number in _SIGNALS:
             self._previous[number] = signal.signal(number, self._raise)
-
-    def __enter__(self) -> StopFlag:
-        self.install()
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -9,6 +9,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from importlib.util import find_spec
 from typing import Any, TypeAlias
 
@@ -53,20 +54,16 @@ def keywords(options: argparse.Namespace, function: Callable[..., Any]) -> dict[
     return {name: value for name, value in vars(options).items() if name in names}
 
 
-def positive(text: str) -> float:
+def positive(text: str, kind: type[float] = float) -> float:
     """Return the number in an option's text, which must be above 0."""
-    value = float(text)
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text}")
-    return value
+    with suppress(ValueError):
+        if 0 < (value := kind(text)) < math.inf:
+            return value
+    whole = "whole " * (kind is int)
+    raise argparse.ArgumentTypeError(f"expected a {whole}number above 0, got {text}")
 
 
-def at_least_one(text: str) -> int:
-    """Return the whole number in an option's text, which must be above 0."""
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text}")
-    return value
+at_least_one = partial(positive, kind=int)
 
 
 def pairs(text: str) -> dict[str, str]:

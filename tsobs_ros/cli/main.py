@@ -29,7 +29,6 @@ from tsobs_ros.cli.common import complain, note
 from tsobs_ros.errors import TsobsError, missing_library, printable
 from tsobs_ros.files import require_nameable
 from tsobs_ros.stop import interrupt
-from tsobs_ros.streams import Parser
 
 _COMMANDS = (demo, fit, design, estimate, compare, campaign, export, report, watch, bag)
 """In the order in which the help lists them."""
@@ -68,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
+    parser = argparse.ArgumentParser(
         prog="tsobs",
         description="State and sensor-disturbance estimation for an arm with an elastic joint.",
     )

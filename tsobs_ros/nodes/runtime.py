@@ -47,7 +47,6 @@ from rclpy.utilities import remove_ros_args
 from tsobs_ros.errors import TsobsError, printable
 from tsobs_ros.settings import in_yaml, settings_of
 from tsobs_ros.stop import StopFlag
-from tsobs_ros.streams import Parser
 
 EXPECTED = (TsobsError, OSError, NameValidationException)
 """What a user can fix; the second comes of files, the last of a joint or a topic that ROS cannot
@@ -173,7 +172,7 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
         facts = [each.kind, f"default {in_yaml(each.default)}", each.limits]
         facts += [] if each.live else ["read-only"]
         listed += [f"  {each.name} ({'; '.join(filter(None, facts))})", f"      {each.description}"]
-    parser = Parser(
+    parser = argparse.ArgumentParser(
         prog=name,
         usage=f"{name} [--help] [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r OLD:=NEW] …]",
         description=inspect.getdoc(module),
