@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.estimator import GAIN_MODES, Estimator
+from tsobs_ros.estimation.estimator import GAIN_MODES, Estimator, SupervisionOptions
 from tsobs_ros.report.metrics import SCALE, SIGMAS
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -73,7 +73,7 @@ def _measure(design: Design, scenario: str, seeds: list[int], mode: str) -> dict
     """Return errors, ratios to the EKF and the bound's hit rate of one scenario, by part."""
     runs = simulate(SCENARIOS[scenario], seeds)
     truth = np.concatenate([runs.physical, runs.disturbances], axis=2)
-    ours = _estimate(design.supervised(gain_mode=mode, adapt=False), runs)
+    ours = _estimate(design.observer(gain_mode=mode, supervision=SupervisionOptions()), runs)
     ekf = _estimate(design.observer(gain_mode="riccati"), runs)
     jumps = any(isinstance(one, BiasStep) for one in SCENARIOS[scenario].outputs[0].disturbance)
     results: dict[str, Any] = {}

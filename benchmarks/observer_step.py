@@ -35,8 +35,8 @@ from tsobs_ros.estimation.records import Hypothesis, Measurement
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_tracker
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
+from tsobs_ros.model.flow import SINE
 from tsobs_ros.model.prediction import Record
-from tsobs_ros.model.uncertainty import SINE
 from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, Trajectories

@@ -20,8 +20,7 @@ from tsobs_ros.estimation.baselines import THETA_STD
 from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
 from tsobs_ros.methods import CONTENDERS, METHODS, ObserverSettings, contender, make_estimator
 from tsobs_ros.model.disturbance import DisturbanceTerm, sum_of
-from tsobs_ros.model.flow import ArmFlow
-from tsobs_ros.model.uncertainty import arm_uncertainty
+from tsobs_ros.model.flow import ArmFlow, arm_uncertainty
 from tsobs_ros.report.comparison import aligned, number_text
 from tsobs_ros.report.metrics import JUMP, SIGMAS, RunMetrics, measure
 from tsobs_ros.simulation.plant import Scenario, Trajectories

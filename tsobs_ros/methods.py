@@ -193,12 +193,12 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
         covariances = (request.measurement_covariance, request.initial_covariance)
         return baselines.extended_kalman(request.flow, *covariances, uncertainty, gate=gate)
     if method == "certified":
-        estimator = design.supervised(
+        estimator = design.observer(
             settings.settle_time,
             settings.gain_mode,
-            settings.adapt,
             settings.torque_rate if is_arm else None,
-            settings.supervision,
+            adapt=settings.adapt,
+            supervision=settings.supervision,
         )
     elif isinstance(request, TSRequest):
         return paper_system_observer(request)

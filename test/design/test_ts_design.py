@@ -17,9 +17,7 @@ from tsobs_ros.design.request import DisturbanceTerm, TSRequest
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import DetectabilityError, ModelError
 from tsobs_ros.model.fuzzy import RuleBase, membership
-from tsobs_ros.model.ts_flow import TSFlow
-from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.model.uncertainty import Direction
+from tsobs_ros.model.ts_model import Direction, TSFlow, TSModel
 from tsobs_ros.resources import config_path
 
 Array = NDArray[np.float64]

@@ -18,9 +18,8 @@ from scipy.linalg import block_diag, expm
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceTerm, per_channel, sum_of
-from tsobs_ros.model.flow import ArmFlow, ProcessNoise
-from tsobs_ros.model.prediction import VertexSystem
-from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
+from tsobs_ros.model.flow import ArmFlow, ProcessNoise, arm_uncertainty
+from tsobs_ros.model.prediction import Uncertainty, VertexSystem
 
 Array = NDArray[np.float64]
 PROPERTY = settings(max_examples=8)

@@ -14,8 +14,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.disturbance import CLEAN
 from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
-from tsobs_ros.model.ts_flow import TSFlow
-from tsobs_ros.model.ts_model import TSModel
+from tsobs_ros.model.ts_model import TSFlow, TSModel
 
 EXAMPLES = [
     membership("always"),

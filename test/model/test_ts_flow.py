@@ -12,9 +12,7 @@ from scipy.integrate import solve_ivp
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.disturbance import CLEAN
 from tsobs_ros.model.fuzzy import RuleBase, membership
-from tsobs_ros.model.ts_flow import TSFlow
-from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.model.uncertainty import Direction, system_uncertainty
+from tsobs_ros.model.ts_model import Direction, TSFlow, TSModel, system_uncertainty
 
 Array = NDArray[np.float64]
 

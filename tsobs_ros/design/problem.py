@@ -16,8 +16,7 @@ from tsobs_ros.design.signals import Labels, Signals
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import TorqueLimits
 from tsobs_ros.model.disturbance import DisturbanceModel, DisturbanceTerm, sum_of
-from tsobs_ros.model.prediction import Corner, Flow, VertexSystem
-from tsobs_ros.model.uncertainty import Uncertainty
+from tsobs_ros.model.prediction import Corner, Flow, Uncertainty, VertexSystem
 
 Terms: TypeAlias = tuple[DisturbanceTerm, ...]
 

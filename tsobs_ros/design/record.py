@@ -127,6 +127,7 @@ class Design:
         torque_rate: float | None = None,
         *,
         adapt: bool = False,
+        supervision: SupervisionOptions | None = None,
     ) -> Estimator:
         """Return the observer this design is for.
 
@@ -135,15 +136,11 @@ class Design:
             gain_mode: Whether the certified gain takes over afterwards.
             torque_rate: 1σ of the rate at which an arm's torque may move in a gap [N m/s]; by
                 default `TORQUE_RATE`, and 0 for a T–S system, which has no other.
-            adapt: Whether to learn the parameters that the request calls uncertain.
-
-        Raises:
-            ModelError: It is to learn, and the request calls nothing uncertain.
+            adapt: Whether to learn the parameters that the request calls uncertain, if any.
+            supervision: When samples are not used, output by output; None: all are.
         """
         request = self.request
-        uncertainty = request.uncertainty_model if adapt else None
-        if uncertainty is not None and not uncertainty.count:
-            raise ModelError("uncertainty: expected at least one parameter to learn, got none")
+        learnt = request.uncertainty_model if adapt and request.uncertainty_model.count else None
         estimator = certified_estimator(
             request.flow,
             request.measurement_covariance,
@@ -154,30 +151,20 @@ class Design:
             settle_time=settle_time,
             gain_mode=gain_mode,
             torque_rate=request.default_torque_rate if torque_rate is None else torque_rate,
-            uncertainty=uncertainty,
+            uncertainty=learnt,
             domain=request.reach,
         )
-        if uncertainty is not None:
-            estimator.learn(uncertainty, covered=request.certify_uncertainty)
+        if learnt is not None:
+            estimator.learn(learnt, covered=request.certify_uncertainty)
         if (limits := request.torque_limits()) is not None:
             estimator.limit_torque(limits)
+        if supervision is not None:
+            estimator.supervise(supervision)
         return estimator
 
-    def supervised(
-        self,
-        settle_time: float = 5.0,
-        gain_mode: str = "certified",
-        adapt: bool = True,
-        torque_rate: float | None = None,
-        options: SupervisionOptions | None = None,
-    ) -> Estimator:
-        """Return the observer for a real system: supervised output by output by the options, and
-        learning the parameters that the request calls uncertain, if any; else as `observer`.
-        """
-        learns = adapt and self.request.uncertainty_model.count > 0
-        estimator = self.observer(settle_time, gain_mode, torque_rate, adapt=learns)
-        estimator.supervise(options or SupervisionOptions())
-        return estimator
+    def supervised(self, settle_time: float = 5.0) -> Estimator:
+        """Return the observer for a real system: supervised, and learning what is uncertain."""
+        return self.observer(settle_time, adapt=True, supervision=SupervisionOptions())
 
     def summary(self) -> dict[str, Any]:
         """Return certificate, gain and bounds as plain data."""

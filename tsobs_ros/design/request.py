@@ -50,16 +50,9 @@ from tsobs_ros.model.disturbance import (
     per_channel,
     sum_of,
 )
-from tsobs_ros.model.flow import ArmFlow, ProcessNoise
-from tsobs_ros.model.prediction import Corner
-from tsobs_ros.model.ts_flow import TSFlow
-from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.model.uncertainty import (
-    Direction,
-    Uncertainty,
-    arm_uncertainty,
-    system_uncertainty,
-)
+from tsobs_ros.model.flow import ArmFlow, ProcessNoise, arm_uncertainty
+from tsobs_ros.model.prediction import Corner, Uncertainty
+from tsobs_ros.model.ts_model import Direction, TSFlow, TSModel, system_uncertainty
 
 __all__ = [
     "AnyRequest",
@@ -169,7 +162,7 @@ class ArmRequest(Request):
         decay_rate: Certified rate ρ at which eᵀPe shrinks without noise, as e^{−2ρt} [1/s].
         initial_std: 1σ of [q₁, q̇₁, q₂, q̇₂] before any measurement (rad, rad/s), shape (4,).
         uncertainty: Bound on |θ| of each uncertain parameter, by its name in
-            `model.uncertainty.ARM_DIRECTIONS`: relative, or N m s/rad for a damping. That of
+            `model.flow.ARM_DIRECTIONS`: relative, or N m s/rad for a damping. That of
             gravity is left out if there is none.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
         torque_limit: Largest plausible torque [N m]; None: see `torque_limits`; any is from

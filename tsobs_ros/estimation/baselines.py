@@ -42,8 +42,7 @@ from tsobs_ros.model.disturbance import CLEAN, per_channel
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.matrices import product
-from tsobs_ros.model.prediction import Flow, fill_matrix
-from tsobs_ros.model.uncertainty import Uncertainty
+from tsobs_ros.model.prediction import Flow, Uncertainty, fill_matrix
 
 _POLE_RATIOS = (1.0, 1.1, 1.2, 1.3, 1.4)
 """Poles as multiples of −θ; distinct, so that a small change of a gain moves them little."""

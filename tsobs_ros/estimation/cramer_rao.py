@@ -33,8 +33,8 @@ import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.model.arm import LINK_VELOCITY
-from tsobs_ros.model.flow import ArmFlow
-from tsobs_ros.model.uncertainty import EXTERNAL, SINE, TORQUE, Uncertainty
+from tsobs_ros.model.flow import EXTERNAL, SINE, TORQUE, ArmFlow
+from tsobs_ros.model.prediction import Uncertainty
 
 _CHUNK = 1000
 """Samples whose derivatives are in memory at once."""

@@ -16,8 +16,7 @@ from tsobs_ros.estimation.state import Shape, copy_records, new_model, numbers_o
 from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.matrices import congruent, inverse, joseph
-from tsobs_ros.model.prediction import Flow, Record, fill_matrix
-from tsobs_ros.model.uncertainty import Uncertainty
+from tsobs_ros.model.prediction import Flow, Record, Uncertainty, fill_matrix
 from tsobs_ros.settings import check, live_setting
 
 CONSTANTS = {name: place for place, (name, *_) in enumerate(native.bank_constants())}

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, non_negative
+from tsobs_ros.checks import Array, check_names, non_negative
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import (
@@ -37,8 +37,22 @@ from tsobs_ros.model.arm import (
     TorquePath,
 )
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.prediction import NO_TORQUES, Corner, Flow
-from tsobs_ros.model.uncertainty import EXTERNAL, SINE, TORQUE, Uncertainty
+from tsobs_ros.model.prediction import NO_TORQUES, Corner, Flow, Uncertainty
+
+SINE, TORQUE, EXTERNAL = 4, 5, 6
+"""Columns of the arm's directions that sin x₁, the motor's torque and one at the link [N m] meet;
+before them is the state."""
+
+ARM_DIRECTIONS = (
+    "stiffness",
+    "gravity",
+    "link_damping",
+    "motor_damping",
+    "link_inverse_inertia",
+    "motor_inverse_inertia",
+)
+"""The arm's uncertain parameters: relative changes of k, of mgl, of 1/J₁ and of 1/J₂, and added
+damping [N m s/rad]."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +66,34 @@ class ProcessNoise:
         for name in ("link", "motor"):
             density = non_negative(f"process noise density of the {name}", getattr(self, name))
             object.__setattr__(self, name, density)
+
+
+@np.errstate(over="ignore")  # what is not finite is refused by name
+def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncertainty:
+    """Return the uncertainty of an arm's physical parameters, bounds by `ARM_DIRECTIONS`.
+
+    Raises:
+        ModelError: A name is unknown or a bound is not above zero.
+
+    >>> arm_uncertainty(ElasticJointArm(), {"stiffness": 0.2}).names
+    ('stiffness',)
+    """
+    check_names("uncertainty", bounds, ARM_DIRECTIONS)
+    link, motor = LINK_VELOCITY, MOTOR_VELOCITY
+    found = {name: np.zeros((1, 4, EXTERNAL + 1)) for name in ARM_DIRECTIONS}
+    (stiffness,), (gravity,) = found["stiffness"], found["gravity"]
+    stiffness[link, [0, 2]] = -arm.stiffness / arm.link_inertia, 1.0
+    stiffness[motor, :4] = -arm.stiffness / arm.motor_inertia * stiffness[link, :4]
+    gravity[link, SINE] = -arm.gravity_gain
+    found["link_damping"][0, link, link] = -1.0 / arm.link_inertia
+    found["motor_damping"][0, motor, motor] = -1.0 / arm.motor_inertia
+    of_link = found["link_inverse_inertia"][0, link]
+    of_link[:4], of_link[SINE] = arm.spring_matrix[link], -arm.gravity_gain
+    of_link[EXTERNAL] = 1.0 / arm.link_inertia
+    of_motor = found["motor_inverse_inertia"][0, motor]
+    of_motor[:4], of_motor[TORQUE] = arm.spring_matrix[motor], arm.input_matrix[motor, 0]
+    stack = np.reshape([found[name] for name in bounds], (len(bounds), 1, 4, EXTERNAL + 1))
+    return Uncertainty(bounds, stack)
 
 
 class ArmFlow(Flow):

@@ -15,6 +15,7 @@ sum of positive semidefinite terms, so the noise stays a covariance.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product as pairs_of
 from typing import Any, ClassVar, NamedTuple
@@ -22,14 +23,13 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, positive
+from tsobs_ros.checks import Array, Fixed, as_matrix, positive
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import DIRECT, TorquePath
 from tsobs_ros.model.disturbance import CLEAN, DisturbanceModel, per_channel
 from tsobs_ros.model.matrices import block_diagonal, product
-from tsobs_ros.model.uncertainty import Uncertainty
 
 Record = np.ndarray[Any, np.dtype[Any]]
 """An array of records."""
@@ -45,6 +45,69 @@ STRETCH = 1.25
 
 _LARGEST_TURN = 2.0**16
 """Most a mode may turn or decay in one step [rad]; doubling loses a digit for every factor 10."""
+
+
+_MAX_DIRECTIONS = 3
+"""Uncertain directions of a proof beside gravity: k of them make 4·4^k vertices."""
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Bounded uncertain parameters θ of a model with n states and r rules.
+
+    The state's derivative is ẋ(θ) = ẋ(0) + Σ_k θ_k Σᵢ hᵢ E_{k,i} s, where s are the signals that it
+    is linear in: [x; u] of a T–S system, and [x; sin x₁; u; d] of the arm, d being a torque at the
+    link. The arm is a single rule of them.
+
+    Attributes:
+        bounds: |θ| at most so much, by name; their order is that of θ.
+        directions: E_{k,i}, shape (k, r, n, c) for c signals, of which the state is the first n.
+
+    Raises:
+        ModelError: A direction is not finite.
+    """
+
+    bounds: Mapping[str, float]
+    directions: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bounds", Fixed(self.bounds))
+        shape = (len(self.bounds), *np.shape(self.directions)[1:])
+        object.__setattr__(self, "directions", as_matrix("directions", self.directions, shape))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, in the order of θ."""
+        return tuple(self.bounds)
+
+    @property
+    def count(self) -> int:
+        """Number k of uncertain parameters."""
+        return len(self.bounds)
+
+    @cached_property
+    def limits(self) -> Array:
+        """Bound of each |θ|, shape (k,)."""
+        return np.array([float(bound) for bound in self.bounds.values()])
+
+    @property
+    def linear(self) -> Array:
+        """The part of the directions that meets the state, shape (k, r, n, n)."""
+        return self.directions[..., : self.directions.shape[2]]
+
+    @property
+    def linear_places(self) -> list[int]:
+        """Places of the directions that act on the state linearly, all but gravity's.
+
+        Raises `ModelError` if they are too many for a proof by vertices.
+        """
+        places = [k for k in range(self.count) if self.linear[k].any()]
+        if len(places) > _MAX_DIRECTIONS:
+            raise ModelError(
+                f"certify_uncertainty: expected at most {_MAX_DIRECTIONS} uncertain parameters "
+                f"beside gravity, got {', '.join(self.names[k] for k in places)}"
+            )
+        return places
 
 
 class FlowSizes(NamedTuple):

@@ -1,22 +1,46 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A T–S system as an estimator needs it: one output matrix, and premises linear in what is known.
+"""A T–S system as an estimator needs it: its model, its one-step prediction, its uncertainty.
 
     ẋ = Σ hᵢ(z)(Aᵢx + Bᵢu),   y = C x + disturbance + noise,   z = Z x + Z_s s
 
-s are scheduled signals, which are known: an ambient temperature, a set point, or a measurement
-that is as good as exact. They are held over a step and travel with the input, as [u; s].
+It has one output matrix, and premises that are linear in what is known: s are scheduled signals, an
+ambient temperature, a set point, or a measurement that is as good as exact. They are held over a
+step and travel with the input, as [u; s].
+
+The exponential midpoint rule: the mean A₀, B₀ of the rules is integrated exactly, what the rules
+differ by, g(x, u) = Σ hᵢ(z)((Aᵢ − A₀)x + (Bᵢ − B₀)u), enters at the middle of the step:
+
+    c = Φ x + Γ u + n₁,   m = c + (T/2) Φ g(x, u),   x⁺ = Φ (c + T g(m, u)) + Γ u + n₂
+
+with Φ, Γ the linear flow over T/2 and n₁, n₂ the process noise of its halves. It is of second
+order, and exact for one rule. What matters for a proof is that its error map is exactly
+
+    e⁺ = Φ [Φ + T N₂ Φ (I + (T/2) N₁)] e + Φ (I + T N₂) n₁ + n₂
+
+with N₁ and N₂ two matrices that g(x) − g(x̂) = N (x − x̂) holds for, and affine in each of them:
+
+- if the premise is known, N = Σ hᵢ(Aᵢ − A₀), a convex combination over the rules;
+- if it is the estimate, N is a mean of the Jacobian of g (mean value theorem): a convex
+  combination of any matrices J − A₀ whose hull holds the Jacobian of f on the domain.
+
+So the ordered pairs of such matrices are vertices of all error systems of a step, at any period.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix
+from tsobs_ros.checks import Array, as_matrix, positive
+from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
+from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.fuzzy import RuleBase
+from tsobs_ros.model.prediction import Flow, Uncertainty
 
 _LARGEST = 1e100
 """Largest number of a model: products of two are finite."""
@@ -108,6 +132,89 @@ class TSModel:
         signals = np.concatenate([x, held[..., : self.input_count]], axis=-1)
         weights = self.weights(x, held)
         return np.asarray(np.einsum("...r,rnk,...k->...n", weights, self.rates, signals))
+
+
+class TSFlow(Flow):
+    """Predicts the augmented state x̄ = [x; w] of a T–S system (or of a batch of equal ones).
+
+    Args:
+        model: The T–S system.
+        disturbance: The exosystem of the outputs' disturbances, one channel per output.
+        process_noise: Densities of white noise on each state's derivative [unit²/s], shape (n,).
+        period: Nominal step [s].
+
+    Raises:
+        ModelError: As `Flow`; a density is negative or of the wrong shape.
+    """
+
+    kind, linear_share = native.KIND_SYSTEM, 0.5
+
+    def __init__(
+        self,
+        model: TSModel,
+        disturbance: DisturbanceModel,
+        process_noise: ArrayLike,
+        period: float,
+    ) -> None:
+        self.model, n = model, model.state_count
+        densities = as_matrix("process_noise", process_noise, (n,))
+        if (densities < 0.0).any():
+            raise ModelError(f"process_noise: expected densities of at least 0, got {[*densities]}")
+        self.scheduled_count = int(model.schedule.shape[1])
+        self.rule_counts = model.rule_count, len(model.premise)
+        mean = sum(model.rates[1:], start=model.rates[0]) / model.rule_count
+        self.deviations = model.rates - mean
+        super().__init__((mean[:, :n], mean[:, n:], model.C), densities, disturbance, period)
+
+    def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
+        shapes, parameters = self.model.rule_base.coded
+        return {
+            "deviations": self.deviations,
+            "premise": self.model.premise,
+            "schedule": self.model.schedule,
+            "shapes": shapes,
+            "parameters": parameters,
+            **({} if uncertainty is None else {"directions": uncertainty.directions}),
+        }
+
+    def error_map(self, first: Array, second: Array) -> tuple[Array, Array]:
+        step, one = self.nominal, np.eye(self.state_count)
+        T, phi = step.duration, step.phi
+        transition = phi @ (phi + T * second @ (phi @ (one + 0.5 * T * first)))
+        spread = phi @ (one + T * second)
+        noise = spread @ step.noise @ np.swapaxes(spread, -1, -2) + step.noise
+        return transition, 0.5 * (noise + np.swapaxes(noise, -1, -2))
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """An uncertain direction of a T–S system's state matrices, Aᵢ + θ Eᵢ with |θ| ≤ bound.
+
+    Attributes:
+        E: Eᵢ, shape (r, n, n); one (n, n) serves every rule.
+        bound: Of |θ|.
+    """
+
+    E: Array
+    bound: float
+
+
+def system_uncertainty(model: TSModel, directions: Mapping[str, Direction]) -> Uncertainty:
+    """Return the uncertainty of a T–S system's state matrices, uncertain directions by name.
+
+    Raises:
+        ModelError: A direction is zero or of the wrong shape, or a bound is not above zero.
+    """
+    rules, n = model.rule_count, model.state_count
+    stack = np.zeros((len(directions), rules, n, n + model.input_count))
+    for (name, each), placed in zip(directions.items(), stack, strict=True):
+        shape = (n, n) if np.ndim(each.E) == 2 else (rules, n, n)
+        positive(f"uncertainty.{name}.bound", each.bound)
+        matrix = as_matrix(f"uncertainty.{name}.E", each.E, shape)
+        if not matrix.any():
+            raise ModelError(f"uncertainty.{name}.E: expected a matrix other than zero")
+        placed[..., :n] = matrix
+    return Uncertainty({name: each.bound for name, each in directions.items()}, stack)
 
 
 def _length(name: str, matrix: ArrayLike, axis: int, axes: int) -> int:
