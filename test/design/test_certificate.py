@@ -4,16 +4,27 @@
 
 import math
 from dataclasses import replace
+from fractions import Fraction
 from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
+from scipy.linalg import expm
 
 from tsobs_ros.design.certificate import check_certificate
-from tsobs_ros.design.exact import verify_exactly
-from tsobs_ros.design.record import Design
+from tsobs_ros.design.exact import (
+    cosine_below,
+    decay_below,
+    exponential,
+    rational,
+    verify_exactly,
+)
+from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import (
     ArmRequest,
     DisturbanceTerm,
@@ -21,7 +32,7 @@ from tsobs_ros.design.request import (
     TorqueDisturbance,
 )
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.errors import CertificateError
+from tsobs_ros.errors import CertificateError, ModelError
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.estimation.tracker import Tracker
@@ -41,8 +52,8 @@ def uncertain() -> Design:
     return synthesise(ArmRequest(uncertainty=bounds, certify_uncertainty=True))
 
 
-def test_the_shipped_design_holds_with_its_margin(shipped: Design) -> None:
-    report = shipped.certificate
+def test_the_shipped_design_holds_with_its_margin(design: Design) -> None:
+    report = design.certificate
     assert report.holds
     report.require("the shipped design")
     names = [inequality.name for inequality in report.inequalities]
@@ -109,16 +120,16 @@ def test_a_late_sample_widens_the_bound_by_no_more_than_its_factor(uncertain: De
     [((4, 4), 0.0), ((2, 3), math.nan), ((0, 1), 1.0), ((0, 0), -1.0), (..., 1.0)],
     ids=["zero", "nan", "unsymmetric", "indefinite", "singular"],
 )
-def test_a_matrix_that_is_no_bound_is_named(shipped: Design, place: Any, value: float) -> None:
-    tampered = shipped.P.copy()
+def test_a_matrix_that_is_no_bound_is_named(design: Design, place: Any, value: float) -> None:
+    tampered = design.P.copy()
     tampered[place] = value
-    report = check_certificate(shipped.request, tampered, shipped.K)
+    report = check_certificate(design.request, tampered, design.K)
     assert report.worst.name == "P symmetric and positive definite"
     assert math.isnan(report.contraction_rate)
     with pytest.raises(CertificateError, match="P symmetric and positive definite: DOES NOT HOLD"):
         report.require("a file")
     if not math.isnan(value):
-        assert not verify_exactly(replace(shipped, P=tampered)).holds
+        assert not verify_exactly(replace(design, P=tampered)).holds
 
 
 @pytest.mark.parametrize(
@@ -137,10 +148,10 @@ def test_a_matrix_that_is_no_bound_is_named(shipped: Design, place: Any, value: 
     ids=lambda change: next(iter(change)),
 )
 def test_the_proof_of_one_problem_is_none_of_a_harder_one(
-    shipped: Design, change: dict[str, Any]
+    design: Design, change: dict[str, Any]
 ) -> None:
-    gain = change.pop("K", 1.0) * shipped.K
-    harder = replace(shipped, request=replace(shipped.request, **change), K=gain)
+    gain = change.pop("K", 1.0) * design.K
+    harder = replace(design, request=replace(design.request, **change), K=gain)
     for report in (harder.certificate, verify_exactly(harder)):
         assert not report.holds
         assert report.worst.name == "covariance decrease"
@@ -156,7 +167,7 @@ def test_no_certificate_holds_for_an_arbitrary_disturbance() -> None:
             assert report.worst.name == "disturbance has a model"
 
 
-def test_what_was_certified_cannot_be_changed_afterwards(shipped: Design) -> None:
+def test_what_was_certified_cannot_be_changed_afterwards(design: Design) -> None:
     bounds = {"stiffness": 0.1}
     arm = ArmRequest(uncertainty=bounds)
     bounds["stiffness"] = 0.4
@@ -164,13 +175,13 @@ def test_what_was_certified_cannot_be_changed_afterwards(shipped: Design) -> Non
     for mapping in (arm.uncertainty, arm.disturbance[0]):
         with pytest.raises(TypeError, match="item assignment"):
             mapping["density"] = 1.0
-    for array in (shipped.P, shipped.K, shipped.covariance_bound, arm.initial_covariance):
+    for array in (design.P, design.K, design.covariance_bound, arm.initial_covariance):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
 
 
-def test_a_failure_names_source_inequality_vertex_and_margin(shipped: Design) -> None:
-    report = check_certificate(replace(shipped.request, x_max=0.8), shipped.P, shipped.K)
+def test_a_failure_names_source_inequality_vertex_and_margin(design: Design) -> None:
+    report = check_certificate(replace(design.request, x_max=0.8), design.P, design.K)
     pattern = (
         r"my\.yaml: the certificate does not hold: covariance decrease at slopes "
         r"\(0\.6967, 0\.6967\): DOES NOT HOLD, margin -\d\.\d{3}e-\d\d \(> 7e-10\)"
@@ -179,6 +190,56 @@ def test_a_failure_names_source_inequality_vertex_and_margin(shipped: Design) ->
         report.require("my.yaml")
     failing = sum(not inequality.holds for inequality in report.inequalities)
     assert str(caught.value).count("DOES NOT HOLD") == failing > 0
+
+
+MATRICES = hnp.arrays(np.float64, (3, 3), elements=st.floats(-3.0, 3.0, allow_subnormal=False))
+
+
+@settings(max_examples=4)
+@given(MATRICES)
+def test_a_matrix_exponential_is_enclosed(matrix: Array) -> None:
+    enclosure = exponential(rational(matrix))
+    assert enclosure.radius < Fraction(1, 10**60)
+    scale = math.exp(float(np.abs(matrix).sum(axis=1).max()))
+    np.testing.assert_allclose(enclosure.centre.astype(float), expm(matrix), atol=1e-13 * scale)
+    # e^M e^M = e^{2M} to a hundred digits, not only to those of a float.
+    doubled = exponential(rational(matrix) * 2)
+    gap = np.abs(enclosure.centre @ enclosure.centre - doubled.centre).max()
+    largest = np.abs(enclosure.centre).max() + enclosure.radius
+    assert gap <= 2 * 3 * largest * enclosure.radius + doubled.radius
+
+
+def test_cosine_and_decay_are_bounded_from_below_to_sixty_digits() -> None:
+    pi = Fraction("3.14159265358979323846264338327950288419716939937510582097494459")
+    assert 0 <= cosine_below(pi) + 1 < Fraction(1, 10**60)
+    assert abs(cosine_below(pi / 3) - Fraction(1, 2)) < Fraction(1, 10**60)
+    assert cosine_below(pi / 3 + Fraction(1, 10**50)) < Fraction(1, 2)
+    for x in (0.0, 1e-9, 0.3, 40.0):
+        lower = decay_below(Fraction(x))
+        assert float(lower) == pytest.approx(math.exp(-x), rel=1e-14)
+        assert lower * decay_below(Fraction(-x)) <= 1
+
+
+def test_a_matrix_singular_only_beyond_the_digits_of_floats_is_told_apart(design: Design) -> None:
+    """[[1, a], [a, b]] with b the float next to a²: the sign of b − a² is below rounding."""
+    a = 1.0 + 2.0**-27
+    above = a * a
+    assert Fraction(above) < Fraction(a) ** 2
+    P = np.eye(5)
+    P[:2, :2] = [[1.0, a], [a, above]]
+    first = verify_exactly(replace(design, P=P)).inequalities[0]
+    assert not first.holds
+    P[1, 1] = np.nextafter(above, 2.0)
+    first = verify_exactly(replace(design, P=P)).inequalities[0]
+    assert first.holds
+    assert not check_certificate(design.request, P, design.K).inequalities[0].holds
+
+
+def test_a_model_too_fast_to_enclose_is_refused() -> None:
+    arm = ElasticJointArm(link_damping=5e5)
+    request = ArmRequest(arm=arm, disturbance=(DisturbanceTerm("clean"),))
+    with pytest.raises(ModelError, match="the model is too fast for the period"):
+        verify_exactly(Design(request, np.eye(4), np.zeros((4, 1)), SolverReport()))
 
 
 RUNS, SAMPLES = 800, 1000

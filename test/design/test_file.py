@@ -290,14 +290,14 @@ def test_what_is_no_file_is_named(tmp_path: Path) -> None:
             load_design(path)
 
 
-def test_a_design_has_matrices_of_the_right_shape_and_a_bound(shipped: Design) -> None:
+def test_a_design_has_matrices_of_the_right_shape_and_a_bound(design: Design) -> None:
     for change, message in (
         ({"P": np.eye(4)}, r"P: expected shape \(5, 5\), got \(4, 4\)"),
         ({"K": np.zeros(5)}, r"K: expected shape \(5, 1\), got \(5,\)"),
         ({"P": np.full((5, 5), math.nan)}, "P: every entry must be finite"),
     ):
         with pytest.raises(ModelError, match=message):
-            replace(shipped, **change)
+            replace(design, **change)
     for P in (-np.eye(5), np.zeros((5, 5)), np.ones((5, 5))):
         with pytest.raises(ModelError, match="P: expected a positive definite matrix"):
-            _ = replace(shipped, P=P).covariance_bound
+            _ = replace(design, P=P).covariance_bound
