@@ -25,8 +25,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.estimation.fault_shapes import FaultKind
-from tsobs_ros.estimation.faults import FaultMonitor
+from tsobs_ros.estimation.faults import FaultKind, FaultMonitor
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.series import NANOSECONDS
@@ -198,23 +197,21 @@ def contact(case: Case, design: Design, seeds: Sequence[int]) -> Contact:
     side = request.torque_sides.index("link")
     for place in range(len(seeds)):
         tracker = make_tracker(design, ObserverSettings())
-        monitor = FaultMonitor([each.measurement_std for each in request.sensors])
+        monitor = FaultMonitor(tracker.estimator)
         beyond, kept, times = [], [], []
         for begin in range(0, len(stamps), every):
             part = slice(begin, begin + every)
             y, u = runs.measurements[place, part], runs.torques[place, part]
-            found = tracker.offer_many(stamps[part], y, u, int(stamps[-1]))
-            monitor.measured(stamps[part], y, found, tracker.repeats)
+            tracker.offer_many(stamps[part], y, u, int(stamps[-1]))
             last = min(begin + every, len(stamps)) - 1
             estimate = tracker.estimate(int(stamps[last]))
             if estimate is None:
                 continue
             when = "before" if runs.times[last] < _CONTACT else "after"
-            disturbance = estimate.disturbance, estimate.disturbance_bound
-            monitor.estimated(int(stamps[last]), *disturbance)
+            monitor.update(estimate, tracker.state)
             if runs.times[last] >= _START:
-                for name, sensor in zip(names, monitor.sensors, strict=True):
-                    counts[when][name][sensor.fault.kind.value] += 1
+                for name, fault in zip(names, monitor.faults, strict=True):
+                    counts[when][name][fault.kind.value] += 1
             truth = [
                 runs.torque_disturbances[place, last, 1:],
                 runs.disturbances[place, last],

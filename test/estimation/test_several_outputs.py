@@ -78,8 +78,9 @@ def test_the_other_encoder_goes_on_with_a_wider_bound(lost: int) -> None:
     tracker, rows = follow(y)
     away, back = seconds(11.0, 16.0), seconds(17.0)
     assert tracker.rejected == {}
-    assert tracker.output_counts[lost] == {"gated": 0, "missing": 1200}
-    assert tracker.output_counts[1 - lost]["missing"] == 0
+    sensors = tracker.state["sensors"][0]
+    assert (sensors["gated"][lost], sensors["missing"][lost]) == (0, 1200)
+    assert sensors["missing"][1 - lost] == 0
     assert not np.isin(rows.basis[away], [Basis.CERTIFIED, Basis.LEARNT]).any()
     assert rows.claimed[away].mean() > 0.9
     assert rows.claimed[back].mean() > 0.9
@@ -129,8 +130,8 @@ def test_what_is_wrong_with_one_output_is_no_reason_to_refuse_the_other(
     tracker, rows = follow(y)
     assert tracker.rejected == {}
     assert tracker.events["losses of track"] == 0
-    assert tracker.output_counts[1 - output]["gated"] == 0
-    assert tracker.output_counts[output]["gated"] > 0
+    gated = tracker.state["sensors"]["gated"][0]
+    assert (gated[1 - output] == 0, gated[output] > 0) == (True, True)
     kept = seconds(13.0)
     error = np.abs(rows["state"] - run(bias=0.0).physical[0])
     assert ((error <= 3.0 * rows["state_bound"])[kept].mean(axis=0) >= 0.97).all()

@@ -12,7 +12,7 @@ one pass over the ring. core/history.c does it.
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,7 +33,7 @@ from tsobs_ros.estimation.records import (
     Measurement,
     RejectReason,
 )
-from tsobs_ros.estimation.state import copy_records, numbers_of
+from tsobs_ros.estimation.state import numbers_of
 from tsobs_ros.model.prediction import Record
 from tsobs_ros.series import NANOSECONDS, Stamps
 
@@ -148,13 +148,13 @@ class Tracker:
 
     def forget(self) -> None:
         """Forget all measurements, but not the counts."""
-        self.memory["bad_outputs"] += self._last["failures"]
+        self.memory["bad_outputs"] += self.state["failures"]
         for name in ("first", "length", "has_base", "coasted_periods"):
             self.memory[name] = 0
 
     @property
-    def _last(self) -> Any:
-        """The newest state, or the one before any measurement, shape (1,)."""
+    def state(self) -> Record:
+        """The state after the newest measurement, or before any, shape (1,); not a copy."""
         memory = self.memory[0]
         if not memory["length"]:
             return self.estimator.model["initial"]
@@ -164,23 +164,18 @@ class Tracker:
     @property
     def newest(self) -> int | None:
         """Stamp of the newest measurement in use [ns], None before the first."""
-        return int(self._last["stamp"][0]) or None
-
-    @property
-    def state(self) -> Record:
-        """A copy of the state after the newest measurement, shape (1,)."""
-        return copy_records(self._last)
+        return int(self.state["stamp"][0]) or None
 
     @property
     def used(self) -> int:
         """Number of measurements that were used, angle and torque."""
-        return int(self.memory["accepted"][0] - self._last["judged"].sum())
+        return int(self.memory["accepted"][0] - self.state["judged"].sum())
 
     @property
     def rejected(self) -> Counter[RejectReason]:
         """Number of measurements not used, by reason."""
         # Some are refused by the estimator itself, in part at least.
-        counts = (self.memory["refused"][0] + self._last["judged"][0]).tolist()
+        counts = (self.memory["refused"][0] + self.state["judged"][0]).tolist()
         return Counter(
             {reason: n for reason, n in zip(REASONS, counts, strict=True) if reason and n}
         )
@@ -193,29 +188,17 @@ class Tracker:
     @property
     def restarts(self) -> int:
         """Number of restarts after a gap or a numerical failure."""
-        return int(self._last["restarts"][0])
+        return int(self.state["restarts"][0])
 
     @property
     def failures(self) -> int:
         """Number of numerical failures: states or outputs that were not finite."""
-        return int(self.memory["bad_outputs"][0] + self._last["failures"][0])
+        return int(self.memory["bad_outputs"][0] + self.state["failures"][0])
 
     @property
     def events(self) -> dict[str, int]:
         """The estimator's counts up to the newest measurement, by name."""
-        return self.estimator.events(self._last)
-
-    @property
-    def repeats(self) -> list[int]:
-        """How often each output's newest value has repeated, in a way that speaks for a fault."""
-        counts: list[int] = self._last["sensors"]["repeats"][0].tolist()
-        return counts
-
-    @property
-    def output_counts(self) -> tuple[dict[str, int], ...]:
-        """Numbers of samples of each output that were gated, and that were missing."""
-        names, sensors = ("gated", "missing"), self._last["sensors"][0]
-        return tuple({name: int(each[name]) for name in names} for each in sensors)
+        return self.estimator.events(self.state)
 
     def reject(self, reason: RejectReason, count: int = 1) -> None:
         """Count measurements that the caller could not even read."""

@@ -89,7 +89,7 @@ def test_a_contact_is_estimated_and_an_encoder_that_stops_is_reported(
     narrow = watcher.of("error_bound")[-1].message.position[1]
     after = events(170, 180, 0)
     stage.play(after, period=STEP)
-    assert (tracker.used, tracker.output_counts[1]["missing"]) == (350, 180)
+    assert (tracker.used, int(tracker.state["sensors"]["missing"][0, 1])) == (350, 180)
     assert all(each.message.name == outputs[:1] for each in watcher.of("innovation")[170:])
     assert watcher.of("error_bound")[-1].message.position[1] > 10.0 * narrow
     found = stage.statuses()

@@ -44,7 +44,7 @@ from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.design.file import record_text
-from tsobs_ros.estimation.fault_shapes import FaultKind
+from tsobs_ros.estimation.faults import FaultKind
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.methods import warning
@@ -284,9 +284,9 @@ class Observer(ManagedNode[ObserverParameters]):
     def _report_missing(self, joint: ObservedJoint) -> None:
         """Log the outputs that messages lack."""
         names = joint.request.output_names
-        each = zip(names, joint.faults.sensors, joint.signals.outputs, strict=True)
-        for output, sensor, place in each:
-            is_missing = sensor.fault.kind is FaultKind.MISSING
+        each = zip(names, joint.faults.faults, joint.signals.outputs, strict=True)
+        for output, fault, place in each:
+            is_missing = fault.kind is FaultKind.MISSING
             if is_missing and self.may_log((joint.name, output)):
                 self.log(
                     Level.WARN,

@@ -129,8 +129,7 @@ class ObservedJoint:
         self._pace, self._seconds = Debounce(0), 0
         self.latest: Estimate | None = None
         request, limits = self.request, self._parameters.fault
-        stds = np.sqrt(np.diag(request.measurement_covariance)).tolist()
-        self.faults = FaultMonitor(stds, limits)
+        self.faults = FaultMonitor(self.tracker.estimator, limits)
         sides = request.torque_sides if isinstance(request, ArmRequest) else ()
         self.torques = TorqueWatch(sides, self._parameters.torque_warn_of[self.name], limits.hold)
 
@@ -174,18 +173,13 @@ class ObservedJoint:
         self.received += len(codes) - counts.pop(NOT_NAMED, 0)
         for code, count in counts.items():
             self.tracker.reject(RejectReason(NAMES[code]), count)
-        codes[given], innovations[given] = self._use(stamps[given], y[given], u[given], now)
+        found = self.tracker.offer_many(stamps[given], y[given], u[given], now)
+        # Of several outputs one may be missing from a sample that is used.
+        found.innovations[found.output_codes != USED] = math.nan
+        codes[given], innovations[given] = found.codes, found.innovations
         outcomes = zip(stamps.tolist(), codes.tolist(), strict=True)
         self._stamps += [stamp for stamp, code in outcomes if code in _ACCEPTED]
         return innovations
-
-    def _use(self, stamps: Stamps, y: Array, u: Array, now: int) -> tuple[Stamps, Array]:
-        """Return the outcomes of samples and their innovations."""
-        codes, output_codes, innovations, _ = outcomes = self.tracker.offer_many(stamps, y, u, now)
-        self.faults.measured(stamps, y, outcomes, self.tracker.repeats)
-        # Of several outputs one may be missing from a sample that is used.
-        innovations[output_codes != USED] = math.nan
-        return codes, innovations
 
     def count(self) -> Iterator[tuple[Level, str]]:
         """Count what has come in the last second; yield what to log of it."""
@@ -217,8 +211,7 @@ class ObservedJoint:
         if estimate is None:
             return None
         self.latest = estimate
-        if estimate.disturbance.size:
-            self.faults.estimated(now, estimate.disturbance, estimate.disturbance_bound)
+        self.faults.update(estimate, self.tracker.state)
         return estimate
 
     def news(self, now: int, estimate: Estimate | None, due: bool) -> Iterator[tuple[Level, str]]:

@@ -96,9 +96,9 @@ def _measurement_status(joint: ObservedJoint) -> Status:
         "last minute: rejected": str(sum(recent[name] for name in NAMES[1:])),
     }
     names = joint.request.output_names
-    for output, counts in zip(names, joint.tracker.output_counts, strict=True):
+    for output, sensor in zip(names, joint.tracker.state["sensors"][0], strict=True):
         if len(names) > 1:
-            values |= {f"{output}: {what}": str(count) for what, count in counts.items()}
+            values |= {f"{output}: {what}": str(sensor[what]) for what in ("gated", "missing")}
     most = max(NAMES[1:], key=recent.__getitem__)
     if not recent[most]:
         return Status("measurements", Level.OK, "none rejected in the last minute", values)
@@ -116,13 +116,9 @@ def _since(joint: ObservedJoint, kind: EventKind, now: int) -> dict[str, str]:
 
 
 def _innovation_status(joint: ObservedJoint) -> Status:
-    """Return whether the innovations are as the design expects, and how large the noise is."""
-    estimate, names = joint.latest, joint.request.output_names
-    each = zip(names, (one.innovation_status() for one in joint.faults.sensors), strict=True)
-    output, (name, level, message, values) = max(each, key=lambda pair: pair[1].level)
-    if level and len(names) > 1:
-        message = f"{output}: {message}"
-    if estimate is not None:
+    """Return how large the noise is, and what was found in the last minute."""
+    level, message, values = Level.OK, "consistent with the design", dict[str, str]()
+    if (estimate := joint.latest) is not None:
         values["noise scale"] = f"{estimate.noise_scale:.3f}"
         values["coloured power"] = f"{estimate.coloured_power:.3f}"
         if estimate.noise_scale >= NOISY:
@@ -130,12 +126,12 @@ def _innovation_status(joint: ObservedJoint) -> Status:
             message = f"the noise is {estimate.noise_scale:.2g} times the design's"
     for event in ("outliers left out", "sensor jumps", "hits"):
         values[f"last minute: {event}"] = str(joint.recent.growth[event])
-    return Status(name, level, message, values)
+    return Status("innovation", level, message, values)
 
 
 def _fault_statuses(joint: ObservedJoint, now: int) -> list[Status]:
-    each = zip(joint.faults.sensors, joint.signals.units, strict=True)
-    found = [sensor.status(now, unit) for sensor, unit in each]
+    each = zip(joint.faults.faults, joint.signals.units, strict=True)
+    found = [fault.status(now, unit) for fault, unit in each]
     if len(found) == 1:
         return found
     names = joint.request.output_names
