@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of numbers and matrices: an error names the quantity, what was expected and what came."""
 
-import difflib
 import math
 import reprlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -55,12 +54,6 @@ def shown(value: object) -> str:
         # Python refuses to print integers of more than 4300 digits.
         text = f"a {type(value).__name__} too long to print"
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def meant(name: object, known: Iterable[str]) -> str:
-    """Return the question whether a known name was meant, for behind an unknown one, or ""."""
-    close = difflib.get_close_matches(str(name), list(known), n=1)
-    return f" (did you mean '{close[0]}'?)" if close else ""
 
 
 def as_matrix(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -73,12 +73,8 @@ class BagWriteError(TsobsError, OSError):
     """A bag cannot be written: the folder exists, the disk is full, or a topic is inconsistent."""
 
 
-class ExportError(TsobsError, OSError):
-    """A topic cannot be written to a file: it exists, or the disk is full."""
-
-
 class OutputError(TsobsError, OSError):
-    """A file to write exists already."""
+    """A file cannot be written: it exists already, or the disk is full."""
 
 
 class LogError(TsobsError, ValueError):

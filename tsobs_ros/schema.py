@@ -23,7 +23,7 @@ from typing import Any, NamedTuple, TypeVar, Union, cast, get_args, get_origin, 
 
 import numpy as np
 
-from tsobs_ros.checks import meant, shown
+from tsobs_ros.checks import shown
 from tsobs_ros.errors import DesignFileError
 
 T = TypeVar("T")
@@ -156,8 +156,7 @@ def _of_mapping(data: dict[str, Any], kind: Any, given: Mapping[str, Any]) -> An
         for name in data:
             if name not in known:
                 raise DesignFileError(
-                    f"unknown entry {shown(name)}{meant(name, known)}, "
-                    f"expected some of {', '.join(known)}"
+                    f"unknown entry {shown(name)}, expected some of {', '.join(known)}"
                 )
         kinds = {name: entry.kind for name, entry in known.items()}
         values = _each(data, kinds)

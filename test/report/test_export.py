@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from tsobs_ros.bag import BagWriter
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
-from tsobs_ros.errors import BagReadError, ExportError
+from tsobs_ros.errors import BagReadError, OutputError
 from tsobs_ros.report.export import Exported, export_bag
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -187,7 +187,7 @@ def test_topics_become_paths_and_files_are_not_replaced(tmp_path) -> None:
     bag, output = joint_bag(tmp_path, "/a", "/a/b"), tmp_path / "out"
 
     assert [one.path for one in export_bag(bag, output)] == [output / "a.csv", output / "a/b.csv"]
-    with pytest.raises(ExportError, match=r"a\.csv: exists already"):
+    with pytest.raises(OutputError, match=r"a\.csv: exists already"):
         export_bag(bag, output)
     with pytest.raises(BagReadError, match="no topic /c; topics: /a, /a/b, /empty"):
         export_bag(bag, output, topics=["/c"])
@@ -210,7 +210,7 @@ def test_each_topic_has_a_plain_file_of_its_own_whatever_its_name(tmp_path) -> N
     for file in files:
         assert file.resolve().is_relative_to(folder)
         assert re.fullmatch(r"[\w%~/-]+", str(file.relative_to(folder).with_suffix("")), re.ASCII)
-    with pytest.raises(ExportError, match="File name too long"):
+    with pytest.raises(OutputError, match="File name too long"):
         export_bag(joint_bag(tmp_path / "long", f"/{'a' * 300}"), folder)
 
 

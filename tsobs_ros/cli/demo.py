@@ -26,7 +26,7 @@ from tsobs_ros.cli.common import Commands, add_command, note, positive
 from tsobs_ros.cli.report import report_on
 from tsobs_ros.errors import NodeError
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.stop import PARENT, StopFlag, signal_came
+from tsobs_ros.stop import StopFlag, signal_came
 
 MARKERS = "/visualizer/markers"
 RECORDED_TOPICS = (
@@ -156,14 +156,13 @@ class _Node:
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_LOG_DIR": str(folder),
             "PYTHONUNBUFFERED": "1",
-            PARENT: "0",  # a kill of the demo closes the pipe, which ends the node
         }
         environment.pop("ROS_LOCALHOST_ONLY", None)
         settings = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
         with self.log.open("wb") as output:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "tsobs_ros.executables", name, "--ros-args", *settings],
-                stdin=subprocess.PIPE,
+                stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=environment,
@@ -182,8 +181,6 @@ class _Node:
         """End the process cleanly, by force only if that fails."""
         if self.running:
             self._process.send_signal(signal.SIGINT)
-        assert self._process.stdin is not None
-        self._process.stdin.close()
         try:
             self._process.wait(_STOP_TIMEOUT)
         except subprocess.TimeoutExpired:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tsobs_ros.checks import Array, meant
+from tsobs_ros.checks import Array
 from tsobs_ros.design.file import arm_entries
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
@@ -212,9 +212,7 @@ class Unknowns:
         known = {number.name: number for number in numbers_of(request)}
         for name in free:
             if not any(means(name, each) for each in known):
-                raise ModelError(
-                    f"free: expected some of {', '.join(known)}, got {name!r}{meant(name, known)}"
-                )
+                raise ModelError(f"free: expected some of {', '.join(known)}, got {name!r}")
         chosen = [
             number
             for name, number in known.items()

@@ -18,7 +18,6 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from tsobs_ros.checks import meant
 from tsobs_ros.errors import ParameterError, printable
 from tsobs_ros.settings import Setting, changed, in_yaml, setting, settings_of, values_of
 
@@ -121,7 +120,7 @@ def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:
         _declare(node, entry, values[name])
     for name in given:
         if not (node.has_parameter(name) or name.startswith("qos_overrides.")):
-            text = f"ignored unknown parameter '{name}'{meant(name, known)}"
+            text = f"ignored unknown parameter '{name}'"
             node.get_logger().warning(printable(text))
     text = ", ".join(f"{name}={in_yaml(value)}" for name, value in values.items())
     node.get_logger().debug(printable(f"parameters: {text}"))

@@ -14,7 +14,7 @@ import numpy as np
 
 from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile
-from tsobs_ros.errors import BagReadError, TsobsError, printable
+from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.files import require_new, written_whole
 from tsobs_ros.replay.health import (
     Health,
@@ -32,10 +32,6 @@ from tsobs_ros.report.panels import Picture, picture
 from tsobs_ros.report.run import RecordedRun, diagnostics, read_run
 from tsobs_ros.report.summary import About, Summary, Table, summarise
 from tsobs_ros.series import NANOSECONDS
-
-
-class ReportError(TsobsError, RuntimeError):
-    """A report cannot be made or written."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +169,7 @@ def make_bag_report(
         BagReadError: The bag cannot be read or lacks what a report needs.
         DesignFileError: The design is none, or not that of the bag; or that is not known here.
         OutputError: A file exists already.
-        ReportError: A file cannot be written.
+        OutputError: A file cannot be written.
         ModuleNotFoundError: matplotlib or plotly is not installed.
     """
     # Here, so that they are needed only for what they draw.
@@ -204,7 +200,7 @@ def make_bag_report(
     facts = [*_facts(bag, source, file), *notes.items()]
     known = metrics, health, events, rival, diagnosed, shown
     report = BagReport(bag, file, run, *known, facts, files, remarks)
-    with written_whole(output, ReportError, force=force) as folder:
+    with written_whole(output, force=force) as folder:
         draw_run(shown, folder / files[0].name)
         write_html(shown, folder / files[1].name, report.about)
         text = json.dumps(report.as_mapping(), indent=2, allow_nan=False)

@@ -24,7 +24,7 @@ from tsobs_ros.bag.joint_states import JOINT_STATE, JointState, JointStateDecode
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.design.file import parse_design
 from tsobs_ros.design.request import TSRequest
-from tsobs_ros.errors import BagReadError, ExportError, MessageError, TsobsError
+from tsobs_ros.errors import BagReadError, MessageError, OutputError, TsobsError
 from tsobs_ros.files import written_whole
 from tsobs_ros.replay.designs import recorded_observer
 from tsobs_ros.series import NANOSECONDS
@@ -231,7 +231,7 @@ def export_bag(
 
     Raises:
         BagReadError: The bag cannot be read, has no such topic, or a topic cannot be decoded.
-        ExportError: A file exists already or cannot be written.
+        OutputError: A file exists already or cannot be written.
         ModuleNotFoundError: Parquet is asked for, but pyarrow is not installed.
     """
     reader, output = BagReader(bag), Path(output)
@@ -241,11 +241,11 @@ def export_bag(
     paths = {topic: _file_of(topic, output, format) for topic in chosen}
     for path in paths.values():
         if os.path.lexists(path):
-            raise ExportError(f"{path}: exists already, files are not overwritten")
+            raise OutputError(f"{path}: exists already, files are not overwritten")
     # All topics before the first file: one that cannot be decoded leaves none behind.
     units = _units_of_systems(reader)
     tables = {path: _Table(reader, topic, units) for topic, path in paths.items()}
-    with written_whole(output, ExportError) as folder:
+    with written_whole(output) as folder:
         for path, table in tables.items():
             partial = folder / path.relative_to(output)
             partial.parent.mkdir(parents=True, exist_ok=True)
