@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tsobs_ros.nodes.recorder.losses import LossCounter
-from tsobs_ros.nodes.recorder.parameters import RecorderParameters
+from tsobs_ros.nodes.recorder.topics import LossCounter, RecorderParameters
 
 # A robot's topics, with hidden ones.
 VISIBLE = {"/arm/joints", "/arm/torque", "/camera/image"}

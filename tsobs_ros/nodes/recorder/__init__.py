@@ -26,8 +26,7 @@ from tsobs_ros.bag.recording import Recording
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.recorder.parameters import RecorderParameters
-from tsobs_ros.nodes.recorder.topics import TopicFinder
+from tsobs_ros.nodes.recorder.topics import LossCounter, RecorderParameters, TopicFinder
 from tsobs_ros.nodes.runtime import Ticker
 
 # How often queues are emptied, and the graph is looked at [s].
@@ -73,7 +72,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         self.at_cleanup(self._close_recording)
         self._paused = self._failed = self._free_disk_warned = False
         acts = {"pause": self._pause, "resume": self._resume, "split_bagfile": self._split}
-        self.offer_triggers({name: partial(self._attempt_act, act) for name, act in acts.items()})
+        self.offer_triggers({name: partial(self._do, act) for name, act in acts.items()})
         self.offer_diagnostics(str(path), self._statuses)
         self._chores: dict[Callable[[], None], float] = {
             self._look_for_topics: _GRAPH_PERIOD,
@@ -100,8 +99,8 @@ class Recorder(ManagedNode[RecorderParameters]):
         self.log(
             Level.OK,
             f"closing {self.path}: {self.messages} messages of {len(self._finder.recorded)} "
-            f"topics, {self.lost} lost since the first of each, {self.earlier} "
-            "published before" + (f", losses of {unknown} topics unknown" if unknown else ""),
+            f"topics, {self.lost} lost since the first of each, {self.earlier} published before"
+            + (f", losses of {unknown} topics unknown" if unknown else ""),
         )
 
     @property
@@ -125,22 +124,25 @@ class Recorder(ManagedNode[RecorderParameters]):
         return sum(self.recording.counts.values())
 
     @property
+    def _losses(self) -> dict[str, LossCounter]:
+        return {name: topic.losses for name, topic in sorted(self._finder.recorded.items())}
+
+    @property
     def lost(self) -> int:
         """The number of messages known to be lost."""
-        return sum(topic.losses.lost for topic in self._finder.recorded.values())
+        return sum(losses.lost for losses in self._losses.values())
 
     @property
     def earlier(self) -> int:
         """The number of messages published before the first that arrived of each publisher."""
-        return sum(topic.losses.earlier for topic in self._finder.recorded.values())
+        return sum(losses.earlier for losses in self._losses.values())
 
     @property
     def loss_unknown(self) -> list[str]:
         """The topics whose losses are not all known."""
-        recorded = self._finder.recorded
-        return sorted(name for name, topic in recorded.items() if not topic.losses.is_exact)
+        return [name for name, losses in self._losses.items() if not losses.is_exact]
 
-    def _attempt_act(self, act: Callable[[], str]) -> tuple[bool, str]:
+    def _do(self, act: Callable[[], str]) -> tuple[bool, str]:
         """Do what a service asks for, after what has arrived; return its answer."""
         try:
             self._drain()
@@ -228,7 +230,6 @@ class Recorder(ManagedNode[RecorderParameters]):
     def _statuses(self) -> list[Status]:
         recording, missing, free = self.recording, self._finder.missing, _free_disk(self.path)
         is_recording, clock = self.active and not self._paused, self.get_clock()
-        awaits_clock = clock.ros_time_is_active and clock.now().nanoseconds == 0
         values = {
             "messages": str(self.messages),
             "MiB": f"{recording.bytes / _MIB:.1f}",
@@ -240,20 +241,19 @@ class Recorder(ManagedNode[RecorderParameters]):
             "files": str(recording.file_count),
             "free disk space (MiB)": f"{free:.0f}",
         }
+        low = free < _FREE_DISK_WARNING * self.parameters.minimum_free_disk
         warnings = {
             f"{self.lost} messages lost": self.lost > 0,
-            f"{free:.0f} MiB of disk space are left": (
-                free < _FREE_DISK_WARNING * self.parameters.minimum_free_disk
-            ),
-            "waiting for /clock": awaits_clock,
+            f"{free:.0f} MiB of disk space are left": low,
+            "waiting for /clock": clock.ros_time_is_active and clock.now().nanoseconds == 0,
             f"waiting for {', '.join(missing[:1])}": bool(missing),
         }
         worst = next((text for text, holds in warnings.items() if holds), None)
         message = worst or ("recording" if is_recording else "paused")
         level = Level.OK if worst is None else Level.WARN
         counts = {
-            name: f"{recording.counts[name]} messages, {topic.losses}"
-            for name, topic in sorted(self._finder.recorded.items())
+            name: f"{recording.counts[name]} messages, {losses}"
+            for name, losses in self._losses.items()
         }
         topics = Status("topics", Level.OK, f"{len(counts)} topics", counts)
         return [Status("recording", level, message, values), topics]

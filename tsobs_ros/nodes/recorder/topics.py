@@ -1,9 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The topics a recorder subscribes to: found in the graph, with the QoS their publishers offer."""
+"""The topics of a recorder: parameters that select them, subscriptions, and what was missed."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -18,15 +19,124 @@ from tsobs_ros.bag.recording import Received
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.recorder.losses import LossCounter
-from tsobs_ros.nodes.recorder.parameters import RecorderParameters
+from tsobs_ros.nodes.parameters import SelectingParameters
 from tsobs_ros.nodes.wire import DrainedSubscription, message_class
+from tsobs_ros.settings import live_setting, setting
 
 _LATCHED, _RELIABLE = DurabilityPolicy.TRANSIENT_LOCAL, ReliabilityPolicy.RELIABLE
 # The number of a topic's publishers shows that one came, but not that one took another's place.
 _POLLS_PER_FULL_LOOK = 10
 # Messages of a topic remembered at least, to recognise those that arrive by two subscriptions.
 _REMEMBERED = 5000
+
+
+@dataclass(frozen=True)
+class RecorderParameters(SelectingParameters):
+    """The node's parameters; `config/recorder.yaml` shows them with their reasons."""
+
+    topics: tuple[str, ...] = setting(
+        (), "Topics to record; without any selection all that are not hidden"
+    )
+    output: str = setting("", "Folder of the bag, which must not exist; empty for a dated name")
+    compression: str = setting("zstd", "Compression of the chunks", choices=("none", "lz4", "zstd"))
+    max_bag_size: int = setting(
+        0, "Size at which a file is followed by another; 0: never", unit="bytes", minimum=0
+    )
+    max_bag_duration: float = setting(
+        0.0, "Time after which a file is followed by another; 0: never", unit="s", minimum=0
+    )
+    flush_period: float = setting(
+        0.5, "Age from which messages survive a kill", unit="s", minimum=0.01, maximum=10
+    )
+    sync_period: float = setting(
+        5.0, "Age from which they survive a power cut", unit="s", minimum=0.1
+    )
+    queue_depth: int = setting(
+        5000, "Messages of a topic that may wait to be drained", minimum=1, maximum=5000
+    )
+    minimum_free_disk: int = live_setting(
+        256, "Free disk space at which recording ends", unit="MiB", minimum=0
+    )
+
+    def wants(self, topic: str) -> bool:
+        """Return whether to record a topic by its full name."""
+        return self.takes(topic, by_default="/_" not in topic)
+
+
+class LossCounter:
+    """Counts what a recorder has missed of a topic: numbers between two of the same publisher.
+
+    The middleware gives the number of a message, but not its publisher. A gap is therefore a loss
+    only while the topic has one publisher; with several, losses are unknown. The first number that
+    arrives of a publisher shows how many messages it had sent before. What it sends after the last
+    that arrives leaves no trace.
+
+    >>> counter = LossCounter()
+    >>> counter.add([7, 8, 11], lambda: frozenset({b"plant"}))
+    >>> str(counter)
+    '2 lost, 6 published before'
+
+    Attributes:
+        earlier: The number of messages that publishers sent before the first that arrived of each.
+        lost: The number of messages known to be lost since then.
+        is_exact: False once these may be too small: the topic has had several publishers at a
+            time, or the middleware does not number messages.
+    """
+
+    def __init__(self) -> None:
+        self.earlier = self.lost = 0
+        self.is_exact = True
+        # Numbers begin at 1, so the first one is never the next one.
+        self._next = 0
+        self._publishers: frozenset[bytes] = frozenset()
+        self._gone = False
+
+    def __str__(self) -> str:
+        """Return the counts in words."""
+        if self.is_exact:
+            return f"{self.lost} lost, {self.earlier} published before"
+        return f"at least {self.lost} lost" if self.lost else "losses unknown"
+
+    def see(self, publishers: frozenset[bytes]) -> None:
+        """Take in who publishes the topic now; its queue has been emptied since the last call."""
+        self.is_exact &= len(publishers) <= 1
+        gone = not publishers & self._publishers
+        if gone and self._gone:
+            self._next = 0  # all that it sent has been counted
+        self._gone = gone
+
+    def add(
+        self, numbers: Iterable[int | None], current_publishers: Callable[[], frozenset[bytes]]
+    ) -> None:
+        """Take in the numbers of new messages in order of arrival; None from some middlewares.
+
+        Who publishes the topic now is asked for only if a number is not the next.
+        """
+        publishers: frozenset[bytes] | None = None
+        for number in numbers:
+            if number == self._next:
+                self._next += 1
+            elif number is None:
+                self.is_exact = False
+            else:
+                publishers = current_publishers() if publishers is None else publishers
+                self._jump(number, publishers)
+
+    def _jump(self, number: int, publishers: frozenset[bytes]) -> None:
+        if self._next and len(self._publishers) == 1 and publishers <= self._publishers:
+            if number < self._next:
+                self.is_exact = False  # another publisher, which came and went between two looks
+                return
+            self.lost += number - self._next
+        else:
+            # Another publisher; unless its numbers start lower, this one may be the old one's last.
+            unclear = bool(self._publishers) and 0 < self._next < number
+            if len(publishers) > 1 or unclear:
+                self.is_exact = False
+            elif self.is_exact:
+                self.earlier += number - 1
+            self._publishers = frozenset() if unclear else publishers
+        self._next = number + 1
 
 
 class RecordedTopic:
@@ -37,14 +147,9 @@ class RecordedTopic:
     matches those that offer more, and what arrives twice is recorded once.
 
     Args:
-        node: The node that owns the subscriptions.
-        name: The full topic name.
         given: The name before remappings, which subscribing applies.
         publishers: Its publishers, all of one type, which are not subscribed to yet.
         depth: Messages that may wait in the queue of a subscription.
-
-    Attributes:
-        offers: What its publishers offered when it was found.
 
     Raises:
         BagWriteError: The type has no definition.
@@ -65,7 +170,7 @@ class RecordedTopic:
         # Publication time, number and length: of two messages of a topic, one is never the same.
         self._recent: set[tuple[int, int | None, int]] = set()
         self._older = self._recent
-        self.offers = tuple(to_bag_qos(info.qos_profile) for info in publishers)
+        self.offers = tuple(_to_bag(info.qos_profile) for info in publishers)
 
     @property
     def matched(self) -> bool:
@@ -123,12 +228,9 @@ class RecordedTopic:
 
 
 class TopicFinder:
-    """Subscribes to topics as soon as they have a publisher, for a node.
+    """Subscribes to topics as soon as they have a publisher; `recorded` are those, by name.
 
     It warns once of each topic that cannot be recorded, or not all of it.
-
-    Attributes:
-        recorded: The topics that have been found, by name.
     """
 
     def __init__(self, node: ManagedNode[RecorderParameters]) -> None:
@@ -152,34 +254,28 @@ class TopicFinder:
         """Look at the graph and return the topics that have been subscribed to by this call."""
         self._polls += 1
         graph = (name for name, _ in self._node.get_topic_names_and_types())
-        found = []
+        before = set(self.recorded)
         for name in dict.fromkeys([*self._listed, *filter(self._selection.wants, graph)]):
             count = self._node.count_publishers(name)
-            if (
-                count == self._publisher_counts.get(name)
-                and self._polls % _POLLS_PER_FULL_LOOK != 0
-            ):
-                continue
-            self._publisher_counts[name] = count
-            try:
-                if self._look_at(name, self._node.get_publishers_info_by_topic(name)):
-                    found.append(self.recorded[name])
-            except (BagWriteError, NodeError) as error:
-                self._warn(f"not recording {name}: {error}")
-        return found
+            if count != self._publisher_counts.get(name) or not self._polls % _POLLS_PER_FULL_LOOK:
+                self._publisher_counts[name] = count
+                try:
+                    self._look_at(name, self._node.get_publishers_info_by_topic(name))
+                except (BagWriteError, NodeError) as error:
+                    self._warn(f"not recording {name}: {error}")
+        return [topic for name, topic in self.recorded.items() if name not in before]
 
-    def _look_at(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> bool:
-        """Subscribe to publishers that are new; return whether the topic is."""
+    def _look_at(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
+        """Subscribe to publishers that are new, of a topic that may be new."""
         topic = self.recorded.get(name)
-        is_new = topic is None and bool(publishers)
-        if is_new:
+        if topic is None:
             types = sorted({info.topic_type for info in publishers})
+            if not types:
+                return
             if len(types) > 1:
                 raise BagWriteError(f"its publishers disagree about its type: {', '.join(types)}")
             given, depth = self._given.get(name, name), self._selection.queue_depth
             topic = RecordedTopic(self._node, name, given, publishers, depth)
-        if topic is None:
-            return False
         own = topic.definition
         for info in publishers:
             if info.topic_type != own.type:
@@ -193,7 +289,6 @@ class TopicFinder:
                 )
         topic.subscribe([info for info in publishers if info.topic_type == own.type])
         self.recorded[name] = topic
-        return is_new
 
     def _warn(self, text: str) -> None:
         if text not in self._warnings:
@@ -201,13 +296,11 @@ class TopicFinder:
             self._node.log(Level.WARN, text)
 
 
-def to_bag_qos(profile: QoSProfile) -> QosProfile:
-    """Return a profile that a publisher offers in the form a bag has it."""
-    names = QosProfile.__struct_fields__
-    return QosProfile(**{name: _to_bag(getattr(profile, name)) for name in names})
-
-
 def _to_bag(value: Any) -> Any:
+    """Return a QoS profile, or a part of one, in the form a bag has it."""
+    if isinstance(value, QoSProfile):
+        names = QosProfile.__struct_fields__
+        return QosProfile(**{name: _to_bag(getattr(value, name)) for name in names})
     if isinstance(value, Duration):
         return QosTime(*divmod(value.nanoseconds, 10**9))
     return value.name.lower() if isinstance(value, Enum) else value
