@@ -8,15 +8,16 @@ microsecond, a tenth of what a ROS message object costs; and many at once cost l
 """
 
 import struct
+import sys
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.cdr import HEADER, LITTLE, CdrReader
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.errors import MessageError
 from tsobs_ros.series import NANOSECONDS, Stamps
 
@@ -32,6 +33,10 @@ _CONSTANT = HEADER + 8
 
 Places = NDArray[np.intp]
 """Which messages of a sequence, ascending."""
+
+
+Wanted = Sequence[Sequence[tuple[str, str]]]
+"""Groups of places to read: name of an entry, and `position`, `velocity` or `effort`."""
 
 
 class JointState(NamedTuple):
@@ -254,6 +259,31 @@ class JointStateDecoder:
             left = np.isin(places, found[-1].places, assume_unique=True, invert=True)
             places, rows = places[left], rows[left]
         return found
+
+    def read_places(
+        self,
+        count: int,
+        groups: Iterable[tuple[Places, NDArray[np.uint8]]],
+        wanted: Wanted,
+    ) -> tuple[Flags, Stamps, Array]:
+        """Read numbers of messages, with whether there are any, shape (count,), and the stamps.
+
+        Args:
+            count: The number of messages.
+            groups: Those of the same size, as of `decode_rows`.
+            wanted: Of a message the last group is read of which it has any entry; what it lacks
+                is NaN.
+        """
+        named, stamps = np.zeros(count, np.bool_), np.zeros(count, np.int64)
+        values = np.full((count, len(wanted[0])), np.nan)
+        for group in chain.from_iterable(self.decode_rows(*one) for one in groups):
+            own = [one for one in wanted if not {name for name, _ in one}.isdisjoint(group.names)]
+            named[group.places], stamps[group.places] = bool(own), group.stamps
+            for at, (name, field) in enumerate(own[-1] if own else ()):
+                place = group.names.index(name) if name in group.names else sys.maxsize
+                if place < (numbers := getattr(group, field)).shape[1]:
+                    values[group.places, at] = numbers[:, place]
+        return named, stamps, values
 
 
 def joint_names(messages: Iterable[bytes]) -> tuple[str, ...]:

@@ -11,10 +11,10 @@ from contextlib import redirect_stderr
 from dataclasses import replace
 from heapq import heappop, heappush
 from io import StringIO
-from itertools import chain
+from itertools import chain, pairwise
 from operator import attrgetter, itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from mcap.records import Chunk, Schema
@@ -22,18 +22,23 @@ from numpy.typing import NDArray
 
 from tsobs_ros.bag.container import (
     RECOVER_HINT,
+    ROW,
     RecordError,
     Records,
     Rows,
     Span,
     Summary,
+    pieces,
     read_span,
     read_summary,
 )
 from tsobs_ros.bag.metadata import BagMetadata, Descriptions, TopicInfo, read_metadata
 from tsobs_ros.errors import BagReadError, missing_library
 from tsobs_ros.files import open_regular
+from tsobs_ros.series import Stamps
 from tsobs_ros.yaml_files import MAX_BYTES
+
+Read = TypeVar("Read")
 
 UNCHECKED = "messages have no checksum: damage in them is not noticed"
 """What follows if any message read is unchecked."""
@@ -66,6 +71,17 @@ class DecodedMessage(NamedTuple):
     message: Any
     log_time: int
     publish_time: int
+
+
+class RawMessages(NamedTuple):
+    """A topic's messages as bytes in the order of recording, n of them; times in ns, shape (n,).
+
+    `groups` are those of the same size: their places and their bytes, shapes (k,) and (k, size).
+    """
+
+    log_times: Stamps
+    publish_times: Stamps
+    groups: list[tuple[NDArray[np.intp], NDArray[np.uint8]]]
 
 
 class BagReader:
@@ -318,11 +334,40 @@ class BagReader:
             raise self._error(text)
         return decoder
 
-    def require(self, topics: Collection[str]) -> None:
-        """Raise `BagReadError` unless the bag has all of some topics."""
+    def blocks(
+        self,
+        topics: Collection[str],
+        size: int | None = None,
+        *,
+        on_damage: Callable[[BagReadError], None] | None = None,
+    ) -> Iterator[dict[str, RawMessages]]:
+        """Yield some topics in blocks of at least `size` messages, or in one block.
+
+        `on_damage` is called with damage to the bag, up to which all is returned.
+        """
+        names, found, records = list(topics), [np.zeros(0, ROW)], dict[int, bytes]()
+
+        def block() -> dict[str, RawMessages]:
+            rows = np.concatenate(found)
+            each = enumerate(names)
+            return {name: _raw(rows[rows["channel"] == place], records) for place, name in each}
+
+        for rows, new in until_damage(self.rows(names), on_damage):
+            found.append(rows)
+            records |= new
+            if size is not None and sum(map(len, found)) >= size:
+                yield block()
+                found, records = [rows[:0]], {}
+        yield block()
+
+    def require(self, topics: Collection[str], type_: str = "") -> None:
+        """Raise `BagReadError` unless the bag has all of some topics, and of this type if given."""
         if unknown := sorted(set(topics) - set(self.topics)):
             has = ", ".join(self.topics) or "none"
             raise self._error(f"no topic {', '.join(unknown)}; topics: {has}")
+        for name in topics if type_ else ():
+            if (found := self.topics[name].type) != type_:
+                raise self._error(f"{name} is {found}, expected {type_}")
 
     def spans_with(self, topics: Collection[str]) -> Iterator[Span]:
         """Yield the chunks that may have messages of some topics."""
@@ -354,3 +399,34 @@ class BagReader:
             topic = self.topics[described.topics[id_].name]
             count = statistics.channel_message_counts.get(id_, 0)
             self.topics[topic.name] = replace(topic, count=topic.count + count)
+
+
+def until_damage(
+    messages: Iterable[Read], on_damage: Callable[[BagReadError], None] | None
+) -> Iterator[Read]:
+    """Yield messages up to damage to the bag, and call with that."""
+    try:
+        yield from messages
+    except BagReadError as error:
+        if on_damage is None:
+            raise
+        on_damage(error)
+
+
+def _raw(rows: Rows, records: Mapping[int, bytes]) -> RawMessages:
+    groups = []
+    for size in np.unique(rows["size"]).tolist():
+        places = np.flatnonzero(rows["size"] == size)
+        groups.append((places, _gather(rows[places], records, size)))
+    return RawMessages(rows["log_time"].copy(), rows["publish_time"].copy(), groups)
+
+
+def _gather(rows: Rows, records: Mapping[int, bytes], size: int) -> NDArray[np.uint8]:
+    """Return the bytes of messages of one size, shape (n, size)."""
+    gathered = np.empty((len(rows), size), np.uint8)
+    edges = np.flatnonzero(np.diff(rows["chunk"], prepend=-1, append=-1))
+    for begin, end in pairwise(edges.tolist() if size else ()):
+        data = np.frombuffer(records[int(rows["chunk"][begin])], np.uint8)
+        own = pieces(data, size)[rows["begin"][begin:end]]
+        gathered[begin:end] = own.view(np.uint8).reshape(-1, size)
+    return gathered

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.estimate_topics import CONDITIONS
-from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.events import (
     COAST_AFTER,
@@ -20,7 +19,7 @@ from tsobs_ros.estimation.events import (
     EventLog,
 )
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.series import NANOSECONDS, Stamps
 
 C = TypeVar("C", bound=IntEnum)
 
@@ -182,8 +181,8 @@ def health_of(conditions: Array) -> Health | None:
 def find_events(
     joints: Sequence[str],
     source: str,
-    stamps: Times,
-    log_times: Times,
+    stamps: Stamps,
+    log_times: Stamps,
     conditions: Array,
     restarted: NDArray[Any] | None = None,
     *,

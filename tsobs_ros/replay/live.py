@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import MessageSeries, decode_ticks
-from tsobs_ros.bag.joint_series import RawMessages, read_blocks
 from tsobs_ros.bag.joint_states import JOINT_STATE
-from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.bag.reader import BagReader, RawMessages
 from tsobs_ros.checks import Integers
 from tsobs_ros.errors import BagReadError, MessageError
 from tsobs_ros.series import NANOSECONDS, Spool
@@ -103,7 +102,7 @@ class LiveRun:
         ticks, checksums = Spool(_TICK), Spool(np.dtype(np.int64))
         self._estimates = Spool(_MESSAGE)
         self.restarts: list[MessageSeries] = []
-        for block in read_blocks(reader, names.values(), _BLOCK, on_damage=on_damage):
+        for block in reader.blocks(names.values(), _BLOCK, on_damage=on_damage):
             for topic, name in names.items():
                 messages = block[name]
                 if topic == topics.TICKS:

@@ -23,7 +23,7 @@ from tsobs_ros.estimation.records import REASONS, USED, RejectReason
 from tsobs_ros.series import Stamps
 
 if TYPE_CHECKING:
-    from tsobs_ros.bag.joint_series import RawMessages  # which needs a library that nodes lack
+    from tsobs_ros.bag.reader import RawMessages  # which needs a library that nodes lack
 
 NOT_NAMED = -1
 """Code of a joint that a message does not name."""

@@ -13,16 +13,9 @@ import numpy as np
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import TICK_LOG
-from tsobs_ros.bag.joint_series import (
-    RawMessages,
-    Times,
-    read_blocks,
-    require_joint_states,
-    until_damage,
-)
 from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.metadata import TopicInfo
-from tsobs_ros.bag.reader import UNCHECKED, BagReader
+from tsobs_ros.bag.reader import UNCHECKED, BagReader, RawMessages, until_damage
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.request import AnyRequest, ArmRequest, TSRequest
@@ -32,7 +25,7 @@ from tsobs_ros.estimation.records import USED
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
 from tsobs_ros.replay.live import COMPARED, LiveRun
 from tsobs_ros.replay.samples import MISSING, Batch, MeasurementReader
-from tsobs_ros.series import NANOSECONDS, Spool
+from tsobs_ros.series import NANOSECONDS, Spool, Stamps
 
 MEASUREMENTS = "joint_measurements"
 ARM_QUANTITIES = ("link_angle", "link_velocity", "motor_angle", "motor_velocity")
@@ -54,7 +47,7 @@ Records: TypeAlias = Any
 """Record arrays, one row per message or tick."""
 
 
-def passes(stamps: Times) -> list[tuple[int, int]]:
+def passes(stamps: Stamps) -> list[tuple[int, int]]:
     """Return the begin and end of each pass of time, as of stamps [ns] in order of arrival.
 
     Before a further pass they go back by more than a second, and stay back.
@@ -143,7 +136,7 @@ class BagSource:
         self.reader = BagReader(path)
         of_topic = self._recorded_observers()
         self.topic = self._find_measurements(list(of_topic)) if topic is None else topic
-        require_joint_states(self.reader, self.topic)
+        self.reader.require([self.topic], JOINT_STATE)
         self.namespace = of_topic.get(self.topic, self.topic.rpartition("/")[0])
         self.ran = recorded_observer(self.reader, f"{self.namespace}/{_OBSERVER}")
         first = self._first_names()
@@ -320,7 +313,7 @@ class BagSource:
         samples, without_input = Spool(self._sample_type), 0
         joints = dict(zip(self.joints, self.signals, strict=True))
         read = MeasurementReader(joints, self._assume_zero_torque)
-        for block in read_blocks(self.reader, [self.topic], _BLOCK, on_damage=self.damaged):
+        for block in self.reader.blocks([self.topic], _BLOCK, on_damage=self.damaged):
             batch = read.read_raw(block[self.topic])
             lack = (batch.codes == MISSING).any(axis=0) & ~(batch.codes == USED).any(axis=0)
             without_input += int(lack.sum())

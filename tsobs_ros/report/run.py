@@ -12,8 +12,8 @@ import numpy as np
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import DIAGNOSTICS, RecordedStatus, read_statuses
-from tsobs_ros.bag.joint_series import JointReader, Wanted, read_blocks, require_joint_states
-from tsobs_ros.checks import Array, Flags
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder, Wanted
+from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import USED
@@ -175,19 +175,14 @@ def read_series(source: BagSource, asked: Mapping[Key, tuple[str, Wanted]]) -> d
         BagReadError: The bag has no such topic, or a topic is of another type.
     """
     names = dict.fromkeys(topic for topic, _ in asked.values())
-    for name in names:
-        require_joint_states(source.reader, name)
+    source.reader.require(names, JOINT_STATE)
     spools = {key: SeriesSpool(len(groups[0])) for key, (_, groups) in asked.items()}
-    readers = {key: JointReader(groups) for key, (_, groups) in asked.items()}
-    for block in read_blocks(source.reader, names, BLOCK, on_damage=source.damaged):
+    decoder = JointStateDecoder()
+    for block in source.reader.blocks(names, BLOCK, on_damage=source.damaged):
         for key, (topic, groups) in asked.items():
-            read, there = readers[key](block[topic]), np.zeros(len(block[topic].log_times), bool)
-            values: Array = np.full((len(there), len(groups[0])), np.nan)
-            for place in range(len(groups)):
-                named: Flags = read.named[:, place]
-                values[named] = read.values[named, place, : values.shape[1]]
-                there |= named
-            spools[key].add(read.stamps[there], read.log_times[there], values[there])
+            logged = block[topic].log_times
+            there, stamps, values = decoder.read_places(len(logged), block[topic].groups, groups)
+            spools[key].add(stamps[there], logged[there], values[there])
     return {key: spool.read() for key, spool in spools.items()}
 
 

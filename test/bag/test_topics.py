@@ -19,7 +19,6 @@ from tsobs_ros.bag.cdr import (
     read_statuses,
 )
 from tsobs_ros.bag.estimate_topics import parameter_names, sides
-from tsobs_ros.bag.joint_series import JointReader, read_blocks, require_joint_states
 from tsobs_ros.bag.joint_states import (
     JOINT_STATE,
     JointStateDecoder,
@@ -30,7 +29,7 @@ from tsobs_ros.errors import BagReadError, MessageError
 
 COUNT = 50
 NAMES = [("a", "b"), ("b",), ("other", "a"), ("a",)]
-WANTED = [[("a", "position"), ("a", "effort")], [("b", "position")]]
+WANTED = [[("b", "position"), ("none", "effort")], [("a", "position"), ("a", "effort")]]
 
 
 @pytest.fixture
@@ -55,24 +54,20 @@ def bag(tmp_path: Path) -> BagReader:
 def test_blocks_hold_what_the_messages_do(bag: BagReader, size: int | None) -> None:
     decode, row = JointStateDecoder(), 0
     messages = list(bag.messages(["/j"]))
-    read = JointReader(WANTED)
-    for block in read_blocks(bag, ["/text", "/j"], size):
-        series, count = read(block["/j"]), len(block["/j"].log_times)
-        assert sum(len(data) for _, data in block["/j"].groups) == count
+    for block in bag.blocks(["/text", "/j"], size):
+        raw, count = block["/j"], len(block["/j"].log_times)
+        named, stamps, values = decode.read_places(count, raw.groups, WANTED)
         for k in range(count):
             message, row = messages[row], row + 1
-            assert (series.log_times[k], series.publish_times[k]) == message[3:]
-            expected = np.full((2, 2), np.nan)
-            if message.publish_time != 7:
+            assert (raw.log_times[k], raw.publish_times[k]) == message[3:]
+            assert named[k] == (message.publish_time != 7)
+            if named[k]:
                 state = decode(message.data)
-                assert series.stamps[k] == state.stamp
-                for joint, name in enumerate("ab"):
-                    assert series.named[k, joint] == (name in state.names)
-                    if name in state.names:
-                        expected[joint, 0] = state.position[state.names.index(name)]
-                if state.effort:
-                    expected[0, 1] = state.effort[0]
-            np.testing.assert_array_equal(series.values[k], expected)
+                # Of the last group that it has an entry of.
+                name = "a" if "a" in state.names else "b"
+                effort = state.effort[0] if state.effort else np.nan
+                expected = [state.position[state.names.index(name)], effort]
+                np.testing.assert_array_equal([stamps[k], *values[k]], [state.stamp, *expected])
     assert row == COUNT
     assert set(joint_names(message.data for message in messages)) == {"a", "b", "other"}
     with pytest.raises(MessageError):
@@ -85,13 +80,13 @@ def test_up_to_damage_everything_is_read(bag: BagReader) -> None:
     data[last.offset + last.size - 20] ^= 255
     path.write_bytes(data)
     with pytest.raises(BagReadError, match="no topic /none"):
-        next(read_blocks(bag, ["/none"]))
-    with pytest.raises(BagReadError, match="expected sensor"):
-        require_joint_states(bag, "/text")
+        next(bag.blocks(["/none"]))
+    with pytest.raises(BagReadError, match="/text is std_msgs/msg/String, expected sensor"):
+        bag.require(["/j", "/text"], JOINT_STATE)
     with pytest.raises(BagReadError, match="damaged"):
-        list(read_blocks(bag, ["/j"]))
+        list(bag.blocks(["/j"]))
     damage: list[BagReadError] = []
-    (block,) = read_blocks(bag, ["/j"], on_damage=damage.append)
+    (block,) = bag.blocks(["/j"], on_damage=damage.append)
     assert len(damage) == 1
     assert 40 < len(block["/j"].log_times) < COUNT
 
