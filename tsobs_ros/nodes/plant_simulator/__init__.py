@@ -108,11 +108,6 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._publish_sample.wait_for_acknowledgement()
 
     @property
-    def rejected_commands(self) -> int:
-        """Number of torque commands that were not one finite number since `configure`."""
-        return self._commands.rejected
-
-    @property
     def finished(self) -> bool:
         """Whether the duration has been simulated; a process then ends."""
         return super().finished or (self.configured and self._is_over)

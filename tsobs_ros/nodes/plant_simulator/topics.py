@@ -4,7 +4,6 @@
 
 import math
 from collections.abc import Sequence
-from itertools import islice
 from operator import attrgetter
 from typing import Any
 
@@ -16,13 +15,14 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from std_msgs.msg import Float64MultiArray
 
 from tsobs_ros.bag.estimate_topics import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, sides
+from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.signals import Place, positions
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.wire import QUIET, DrainedSubscription, JointStatePublisher, set_stamp
-from tsobs_ros.simulation.plant import Trajectories
+from tsobs_ros.simulation.plant import Scenario, Trajectories
 
 _ACKNOWLEDGE_TIMEOUT = 1.0
 
@@ -31,16 +31,13 @@ class TorqueCommands:
     """The torque commands of a node, each of which holds for some time.
 
     A command has a number for each arm, and for each input of a T–S system, in the joints' order.
-
-    Attributes:
-        subscription: That of the topic.
-        rejected: Number of commands that were not so many finite numbers.
     """
 
     def __init__(self, node: ManagedNode[PlantSimulatorParameters]) -> None:
-        self.rejected = 0
-        self._counts = [each.input_count for each in node.parameters.scenarios().values()]
-        self._node = node
+        plants = node.parameters.scenarios().values()
+        self._counts = [each.input_count for each in plants]
+        self._is_arm = np.repeat([isinstance(each, Scenario) for each in plants], self._counts)
+        self._node, self._rejected = node, 0
         self.subscription = DrainedSubscription(
             node, Float64MultiArray, "joint_torque_command", QoSProfile(depth=10)
         )
@@ -48,33 +45,30 @@ class TorqueCommands:
 
     def forget(self) -> None:
         """Let no command hold."""
-        self._torques: list[list[float]] = []
+        self._torques: list[Array] = []
         self._end = 0.0
 
     def take(self, sample: int) -> None:
         """Take what has arrived, to hold from a sample on."""
-        given = self._node.parameters
+        given, count = self._node.parameters, len(self._is_arm)
         for message, _ in self.subscription.drain():
-            if len(message.data) != sum(self._counts) or not all(map(math.isfinite, message.data)):
-                self.rejected += 1
+            torques = np.array(message.data)
+            if len(torques) != count or not np.isfinite(torques).all():
+                self._rejected += 1
                 if self._node.may_log("commands"):
                     self._node.log(
                         Level.WARN,
-                        f"rejected {self.rejected} torque commands so far: expected "
-                        f"{sum(self._counts)} finite numbers, got {list(message.data)[:4]}",
+                        f"rejected {self._rejected} torque commands so far: expected {count} "
+                        f"finite numbers, got {torques[:4].tolist()}",
                     )
                 continue
-            numbers = iter(message.data)
-            self._torques = []
-            for request, count in zip(given.requests.values(), self._counts, strict=True):
-                limit = given.torque_limit if isinstance(request, ArmRequest) else math.inf
-                own = islice(numbers, count)
-                self._torques.append([min(max(each, -limit), limit) for each in own])
-            self._end = math.inf
-            if given.command_timeout > 0.0:
-                self._end = sample + max(1, round(given.command_timeout * given.sample_rate))
+            limits = np.where(self._is_arm, given.torque_limit, math.inf)
+            limited = np.clip(torques, -limits, limits)
+            self._torques = np.split(limited, np.cumsum(self._counts)[:-1])
+            held = max(1, round(given.command_timeout * given.sample_rate))
+            self._end = sample + (held if given.command_timeout > 0.0 else math.inf)
 
-    def at(self, sample: int) -> list[list[float]] | list[None]:
+    def at(self, sample: int) -> list[Array] | list[None]:
         """Return each joint's inputs commanded at a sample, None without a command."""
         return self._torques if sample < self._end else [None] * len(self._counts)
 
