@@ -19,9 +19,8 @@ from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.model.arm import QUANTITIES
 from tsobs_ros.settings import check, setting
-from tsobs_ros.simulation.delays import AngleDelay
 from tsobs_ros.simulation.signals import recurs
-from tsobs_ros.simulation.streams import RandomStream, Source
+from tsobs_ros.simulation.streams import AngleDelay, RandomStream, Source
 
 if TYPE_CHECKING:
     from tsobs_ros.simulation.plant import Scenario, SystemScenario
@@ -102,8 +101,8 @@ class ArmMotion:
         self._payload = scenario.payload
         bare, loaded = (_arm_record(scenario, *more) for more in ((0.0, 0.0), self._payload.total))
         self._arms = np.concatenate([bare, loaded])
-        places = [QUANTITIES.index(output.measures) for output in outputs]
-        self._sensed = AngleDelay(places, [output.delay for output in outputs], self._rate)
+        delays = {QUANTITIES.index(output.measures): output.delay for output in outputs}
+        self._sensed = AngleDelay(delays, self._rate)
         spread = RandomStream(seeds, Source.INITIAL_STATE).take(4)
         start = np.array(scenario.initial_state) + spread * np.array(scenario.initial_spread)
         self.states = scenario.arm.to_physical(start)

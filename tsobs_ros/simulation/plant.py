@@ -21,11 +21,10 @@ from tsobs_ros.model.arm import DIRECT, SIDES, ElasticJointArm, TorquePath
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.settings import check, setting
-from tsobs_ros.simulation.delays import TorqueDelay
 from tsobs_ros.simulation.motion import ArmMotion, Friction, Motion, Payload, SystemMotion
 from tsobs_ros.simulation.sensor import Disturbance, Output, SimulatedOutput
 from tsobs_ros.simulation.signals import Signal, Sine, StuckSensor
-from tsobs_ros.simulation.streams import Source
+from tsobs_ros.simulation.streams import Source, TorqueDelay
 
 _BLOCK = 2**16
 """Samples of all runs that are moved at a time, so that the memory stays bounded."""
@@ -267,7 +266,7 @@ class Plant:
             Output(runs, rate, number, each) for number, each in enumerate(scenario.outputs)
         ]
         *self._torques, self._error = (
-            Disturbance(runs, rate, (Source.TORQUE, number), signals)
+            Disturbance(runs, rate, Source.TORQUE, number, signals)
             for number, signals in enumerate((*scenario.torque_disturbance, scenario.torque_error))
         )
         self._held = np.zeros((len(runs), len(self._outputs)))

@@ -15,9 +15,8 @@ from tsobs_ros.core.functions import evaluate
 from tsobs_ros.model.arm import QUANTITIES
 from tsobs_ros.schema import decode
 from tsobs_ros.settings import check, live_setting
-from tsobs_ros.simulation.delays import Past
 from tsobs_ros.simulation.signals import GaussMarkov, Signal, StuckSensor, recurs
-from tsobs_ros.simulation.streams import RandomStream, Source, key_of
+from tsobs_ros.simulation.streams import Past, RandomStream, Source
 
 
 @dataclass(frozen=True)
@@ -104,17 +103,19 @@ class SimulatedOutput:
 
 
 class Disturbance:
-    """The disturbance of an output or a torque, in every run of a batch: a sum of signals.
-
-    `key` is what the random numbers of drifts are for, and the number of the output or torque.
-    """
+    """The disturbance of an output or a torque by its number, in every run of a batch."""
 
     def __init__(
-        self, seeds: Sequence[int], rate: float, key: tuple[Source, int], signals: Sequence[Signal]
+        self,
+        seeds: Sequence[int],
+        rate: float,
+        source: Source,
+        number: int,
+        signals: Sequence[Signal],
     ) -> None:
-        self._seeds, self._rate, self._source = seeds, rate, key[0]
-        self._key, self._generation = key_of(key[1]), 0
+        self._seeds, self._rate, self._source, self._number = seeds, rate, source, number
         self._signals: tuple[Signal, ...] | None = None
+        self._generation = 0
         self.exchange(signals, 0)
 
     def exchange(self, signals: Sequence[Signal], index: int) -> None:
@@ -128,8 +129,8 @@ class Disturbance:
         self._drifts = []
         for place, each in enumerate(signals):
             if isinstance(each, GaussMarkov):
-                key = self._generation, place, *self._key
-                stream = RandomStream(self._seeds, self._source, key)
+                key = self._generation, place, self._number
+                stream = RandomStream(self._seeds, self._source, *key)
                 self._drifts.append((each, stream, np.zeros(len(self._seeds))))
         self._generation += 1
 
@@ -165,12 +166,11 @@ class Output:
     def __init__(
         self, seeds: Sequence[int], rate: float, number: int, asked: SimulatedOutput
     ) -> None:
-        key = (Source.DISTURBANCE, number)
-        self._disturbance = Disturbance(seeds, rate, key, asked.disturbance)
-        self._seeds, self._rate, self._sensor, self._past = seeds, rate, Sensor(), Past(0)
-        self._key = key_of(number)
-        self._normal = RandomStream(seeds, Source.MEASUREMENT, self._key)
-        self._uniform = RandomStream(seeds, Source.OUTLIER, self._key, uniform=True)
+        self._disturbance = Disturbance(seeds, rate, Source.DISTURBANCE, number, asked.disturbance)
+        self._seeds, self._rate, self._number = seeds, rate, number
+        self._sensor, self._past = Sensor(), Past(0)
+        self._normal = RandomStream(seeds, Source.MEASUREMENT, number)
+        self._uniform = RandomStream(seeds, Source.OUTLIER, number, uniform=True)
         # Of Student's t, with as many numbers a sample as its degrees of freedom.
         self._tail: RandomStream | None = None
         self._last = np.zeros(len(seeds))
@@ -184,8 +184,8 @@ class Output:
         sensor = asked.sensor
         degrees, latency = sensor.noise_degrees, round(sensor.latency * self._rate)
         if degrees != self._sensor.noise_degrees:
-            key = (degrees, *self._key)
-            self._tail = RandomStream(self._seeds, Source.TAIL, key) if degrees else None
+            tail = RandomStream(self._seeds, Source.TAIL, degrees, self._number)
+            self._tail = tail if degrees else None
         if latency != self._past.length:
             self._past = Past(latency)
         self._sensor = sensor

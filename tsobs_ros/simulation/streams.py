@@ -1,18 +1,20 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The random numbers of simulated plants.
+"""What a batch of simulated runs draws and remembers: random numbers, past values, delays.
 
-There is one independent, reproducible stream for each source of randomness and each run. The
+There is one independent, reproducible stream of random numbers for each source and each run. The
 streams of one seed are distinguished by a key, not by the order in which they were made, so that
 switching one source on, off or to another size leaves the numbers of all others as they were.
 """
 
 import enum
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
 from tsobs_ros.checks import Array
+from tsobs_ros.model.arm import TorquePath
 
 
 class Source(enum.IntEnum):
@@ -27,25 +29,22 @@ class Source(enum.IntEnum):
     TORQUE = 6
 
 
-def key_of(number: int) -> tuple[int, ...]:
-    """Return the key of one of several outputs or torques, that of the first without a number."""
-    return (number,) if number else ()
-
-
 class RandomStream:
     """Normal numbers, or uniform ones in [0, 1), of every run, in order.
 
     Args:
         seeds: One for each run.
         source: What the numbers are for.
-        key: Further integers that distinguish streams of the same source.
+        key: Further integers that distinguish streams of the same source; the last one is the
+            number of an output or torque, left out if it is 0.
         uniform: Draw uniform numbers.
     """
 
     def __init__(
-        self, seeds: Iterable[int], source: Source, key: tuple[int, ...] = (), uniform: bool = False
+        self, seeds: Iterable[int], source: Source, *key: int, uniform: bool = False
     ) -> None:
-        sequences = [np.random.SeedSequence(seed, spawn_key=(source, *key)) for seed in seeds]
+        spawn_key = (source, *(key if not key or key[-1] else key[:-1]))
+        sequences = [np.random.SeedSequence(seed, spawn_key=spawn_key) for seed in seeds]
         generators = [np.random.Generator(np.random.Philox(each)) for each in sequences]
         self._draws = [each.random if uniform else each.standard_normal for each in generators]
 
@@ -55,3 +54,87 @@ class RandomStream:
         for draw, row in zip(self._draws, block, strict=True):
             draw(out=row)
         return block
+
+
+class Past:
+    """The last values of a series in every run of a batch, shape (runs, length, …)."""
+
+    def __init__(self, length: int) -> None:
+        self.length = length
+        self.values: Array | None = None
+
+    def joined(self, values: Array) -> Array:
+        """Return the next values behind those that are kept; before the first it was the same."""
+        if self.values is None:
+            self.values = np.repeat(values[:, :1], self.length, axis=1)
+        known = np.concatenate([self.values, values], axis=1)
+        self.values = known[:, values.shape[1] :]
+        return known
+
+
+class TorqueDelay:
+    """The path of a commanded torque to the motor, at a rate [Hz]."""
+
+    def __init__(self, path: TorquePath, rate: float) -> None:
+        self._path = path
+        whole, self._share = _cut(path.delay, rate)
+        self._past = Past(whole + 1)
+
+    def through(self, commands: Array) -> Array:
+        """Return the mean torque at the motor from each sample to the next, shape (runs, samples).
+
+        Commands are of the samples that follow those of the last call, of the same shape. Each is
+        held for a period; the first one is taken to have been there always.
+        """
+        samples, known = commands.shape[1], self._past.joined(commands)
+        older, newer = known[:, :samples], known[:, 1 : samples + 1]
+        mean = newer + self._share * (older - newer)
+        return np.asarray(self._path.gain * mean + self._path.offset)
+
+
+class AngleDelay:
+    """Measured states of an arm, angles as they were some time ago.
+
+    Args:
+        delays: By the place of what is measured in a state how late it is [s]. Only an angle may be
+            late; its velocity is the next state.
+        rate: Samples per second [Hz].
+    """
+
+    def __init__(self, delays: Mapping[int, float], rate: float) -> None:
+        self._period = 1.0 / rate
+        self._cuts = {place: _cut(delay, rate) for place, delay in delays.items()}
+        self._past = Past(max(whole + (share > 0.0) for whole, share in self._cuts.values()))
+
+    def measured(self, states: Array) -> Array:
+        """Return the measured values of samples that follow those of the last call.
+
+        Before the first one, angles moved at its velocities.
+        """
+        samples, past, T = states.shape[1], self._past, self._period
+        if past.values is None:
+            ages = T * np.arange(past.length, 0, -1)[:, np.newaxis]
+            past.values = np.repeat(states[:, :1], past.length, axis=1)
+            past.values[..., 0::2] -= ages * past.values[..., 1::2]
+        known, found = past.joined(states), []
+        for place, (whole, share) in self._cuts.items():
+            now = past.length - whole
+            newer = known[:, now : now + samples]
+            angles = newer[..., place]
+            if share > 0.0:  # a cubic between two samples
+                older, t = known[:, now - 1 : now - 1 + samples], 1.0 - share
+                rest = 1.0 - t
+                angles = rest * rest * (1.0 + 2.0 * t) * older[..., place]
+                angles = angles + t * t * (1.0 + 2.0 * rest) * newer[..., place]
+                slopes = rest * older[..., place + 1] - t * newer[..., place + 1]
+                angles = angles + T * t * rest * slopes
+            found.append(angles)
+        return np.stack(found, axis=-1)
+
+
+def _cut(delay: float, rate: float) -> tuple[int, float]:
+    """Return a delay [s] in whole periods and the share of another one."""
+    periods = delay * rate
+    # A whole number of periods must stay one, whatever the product rounds to.
+    whole = math.floor(periods + 1e-9)
+    return whole, max(0.0, periods - whole)
