@@ -36,7 +36,6 @@ from tsobs_ros.simulation.signals import (
     Multisine,
     NoTorque,
     Pulses,
-    Signal,
     Sine,
     Sinusoid,
     StuckSensor,
@@ -135,19 +134,6 @@ def test_a_run_is_the_same_bits_in_a_batch_alone_in_one_call_and_sample_by_sampl
                 assert getattr(batch, field)[place].tobytes() == whole.tobytes()
                 steps = [getattr(each, field)[place] for each in stepping]
                 assert np.stack(steps).tobytes() == whole.tobytes()
-
-
-def test_signals_of_others_are_used() -> None:
-    class Stairs(Signal):
-        def _at(self, times: Array) -> Array:
-            return np.floor(4.0 * times)
-
-    plant = Plant(arm_with(Sensor(0.0), Stairs(), BiasStep(0.5, 0.25), **STILL), [0, 1])
-    plant.run(100)
-    plant.exchange(replace(plant.scenario, inputs=(Stairs(),)))
-    run, stairs = plant.run(100), [float(k // 50) for k in range(100, 200)]
-    assert run.torques[1, :, 0].tolist() == stairs
-    assert (run.disturbances[0, :, 0] - 0.5).tolist() == stairs
 
 
 @pytest.mark.parametrize(

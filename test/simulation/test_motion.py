@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The motion of arms against physics and against SciPy, and its delays."""
+"""The motion of arms and T–S systems against physics and SciPy, and its delays."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,12 +11,16 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from tsobs_ros.design.file import load_request
+from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm, TorquePath
 from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.plants import scenario_of
+from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.motion import Friction
-from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput
-from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import BiasStep
+from tsobs_ros.simulation.plant import Plant, Scenario, SystemScenario
+from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
+from tsobs_ros.simulation.signals import BiasStep, Constant, Sine
 
 Vector = NDArray[np.float64]
 ARM = ElasticJointArm()
@@ -127,3 +131,49 @@ def test_an_angle_is_measured_as_it_was(delay: float) -> None:
     # Before the first sample it moved as at the first.
     start = run.physical[0]
     np.testing.assert_allclose(seen[0, :2], start[[0, 2]] - delay * start[[1, 3]], atol=1e-12)
+
+
+def pendulum(**theta: float) -> SystemScenario:
+    scenario = scenario_of(load_request(config_path("ts_example.request.yaml")), theta)
+    assert isinstance(scenario, SystemScenario)
+    return scenario
+
+
+def test_a_system_moves_as_its_equations_with_the_true_parameters_say() -> None:
+    scenario = replace(
+        pendulum(gravity=0.15),
+        process_noise=np.zeros(2),
+        initial_state=(0.9, 0.0),
+        inputs=(Sine(0.4, 2.0),),
+    )
+    run = Plant(scenario).run(150)
+
+    def moves(_: float, x: Any, u: float) -> list[float]:
+        # The rules blend to sin x₁ on their domain; so do the directions of the change.
+        return [x[1], -9.81 * 1.15 * np.sin(x[0]) - 0.2 * x[1] + u]
+
+    x = np.array([0.9, 0.0])
+    for k in range(150):
+        assert run.physical[k] == pytest.approx(x, abs=1e-6)
+        u = run.torques[k, 0]
+        assert u == pytest.approx(0.4 * np.sin(2.0 * k / 100.0), abs=1e-12)
+        x = solve_ivp(moves, (0.0, 0.01), x, args=(u,), rtol=1e-10, atol=1e-12).y[:, -1]
+    assert run.torque_disturbances.shape == (150, 0)
+
+
+def test_a_system_is_commanded_and_has_the_stated_noise() -> None:
+    run = Plant(pendulum(), [3, 4]).run(1000, np.full((1000, 1), 0.25))
+    assert (run.torques == 0.25).all()
+    noise = run.measurements - run.physical
+    np.testing.assert_allclose(noise.std(axis=(0, 1)), [0.01, 0.02], rtol=0.05)
+    # White noise on the rate's derivative of 1e-3 rad²/s³.
+    still = replace(pendulum(), rate=1000.0, inputs=(Constant(0.0),))
+    speeds = Plant(still, range(4000)).run(2).physical[:, 1, 1]
+    assert speeds.std() == pytest.approx(np.sqrt(1e-3 * 1e-3), rel=0.05)
+
+
+def test_what_fits_no_system_is_refused() -> None:
+    with pytest.raises(ModelError, match=r"initial_state: expected shape \(2,\), got \(1,\)"):
+        replace(pendulum(), initial_state=(1.0,))
+    with pytest.raises(ModelError, match="mismatch: expected some of gravity, got 'mass'"):
+        pendulum(mass=0.1)
