@@ -17,7 +17,7 @@ from tsobs_ros.comparison import BOUNDS, compare_scenarios, render_scenarios, wh
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
-from tsobs_ros.methods import CONTENDERS
+from tsobs_ros.methods import METHODS
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS
 
@@ -82,7 +82,7 @@ def test_another_arm_is_compared_by_the_observers_that_fit_it() -> None:
 
     found = compare_scenarios(other, ["noise"], 2, duration=8.0)
 
-    assert set(found["observers"]) == {*CONTENDERS, "pcrb"} - {"ekf_augmented", "paper"}
+    assert set(found["observers"]) == {*METHODS, "pcrb"} - {"ekf_augmented", "paper"}
     assert "ekf_augmented is left out: " in " ".join(found["notes"])
     assert found["scenarios"]["noise"]["certified"]["normalised_rmse"] < 0.1
     with pytest.raises(ModelError, match="paper is left out: method paper: expected"):

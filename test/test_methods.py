@@ -9,7 +9,7 @@ import tsobs_ros as ts
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
-from tsobs_ros.methods import METHODS, ObserverSettings, make_tracker, warning
+from tsobs_ros.methods import CERTIFIED, METHODS, ObserverSettings, make_tracker, warning
 from tsobs_ros.resources import config_path
 
 
@@ -22,7 +22,7 @@ def example_1() -> Design:
 def test_a_system_is_observed_by_the_methods_that_fit(method: str, example_1: Design) -> None:
     """At rest with a disturbance on the second output; the others see no state move."""
     settings = ObserverSettings(method=method)
-    if method not in ("certified", "ekf", "paper"):
+    if method not in (*CERTIFIED, "ekf", "paper"):
         with pytest.raises(ModelError, match=f"method {method}: expected a design for an arm"):
             make_tracker(example_1, settings)
         return

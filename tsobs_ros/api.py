@@ -19,7 +19,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.records import REASONS, Basis, RejectReason
 from tsobs_ros.estimation.state import types_of
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.methods import CONTENDERS, ObserverSettings, make_tracker
+from tsobs_ros.methods import METHODS, ObserverSettings, make_tracker
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.replay.health import PROVED
@@ -384,7 +384,7 @@ def compare(
     path: str | Path,
     design: Design | str | Path | None = None,
     *,
-    methods: Sequence[str] = tuple(CONTENDERS),
+    methods: Sequence[str] = tuple(METHODS),
     joints: Sequence[str] = (),
     held_out: str | None = None,
     held_out_std: float | None = None,

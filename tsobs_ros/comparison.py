@@ -18,7 +18,7 @@ from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import THETA_STD
 from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
-from tsobs_ros.methods import CONTENDERS, METHODS, ObserverSettings, contender, make_estimator
+from tsobs_ros.methods import METHODS, ObserverSettings, make_estimator
 from tsobs_ros.model.disturbance import DisturbanceTerm, sum_of
 from tsobs_ros.model.flow import ArmFlow, arm_uncertainty
 from tsobs_ros.report.comparison import aligned, number_text
@@ -50,7 +50,6 @@ BOUNDS = ("pcrb", "pcrb_augmented")
 
 ABOUT = {
     **METHODS,
-    "certified_fixed": "the same without learning",
     "pcrb": "least error of an estimator that is not biased by the sensor's offset, if it knows "
     "the arm, the rest of the disturbance and when it jumps (posterior Cramér–Rao bound)",
     "pcrb_augmented": "the same if it does not know the uncertain parameters",
@@ -84,7 +83,7 @@ def compare_scenarios(
     design: Design,
     scenarios: Sequence[str] = DEFAULT_SCENARIOS,
     seeds: int = 20,
-    methods: Sequence[str] = tuple(CONTENDERS),
+    methods: Sequence[str] = tuple(METHODS),
     *,
     settings: ObserverSettings | None = None,
     duration: float | None = None,
@@ -118,7 +117,7 @@ def compare_scenarios(
         )
     contenders, remarks = dict[str, ObserverSettings](), list[str]()
     for name in methods:
-        chosen = contender(settings or ObserverSettings(), name)
+        chosen = replace(settings or ObserverSettings(), method=name)
         try:
             make_estimator(design, chosen)
             contenders[name] = chosen

@@ -3,7 +3,7 @@
 """The observers that can be run on a design, by name, and the trackers that run them."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from tsobs_ros.yaml_files import read_yaml
 
 METHODS = {
     "certified": "the design's observer: certified gain, supervised, learning what is uncertain",
+    "certified_fixed": "the same without learning",
     "ekf_plain": "extended Kalman filter of an arm, of the same model, disturbance and noise",
     "ekf": "the same with a gate for outliers",
     "ekf_augmented": "the same with the parameters that the design calls uncertain as states",
@@ -40,8 +41,8 @@ EKFS = ("ekf", "ekf_augmented")
 FILTERS = ("ekf_plain", *EKFS)
 """All EKFs."""
 
-CONTENDERS = ("certified", "certified_fixed", *(name for name in METHODS if name != "certified"))
-"""Names of what is compared; `certified_fixed` is the certified one that does not learn."""
+CERTIFIED = ("certified", "certified_fixed")
+"""The design's observer."""
 
 _ARMS_ONLY = ("ekf_plain", "ekf_augmented", "high_gain", "proportional_integral")
 
@@ -144,24 +145,11 @@ def _flat(section: Any, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def contender(settings: ObserverSettings, name: str) -> ObserverSettings:
-    """Return settings with the method of a name of `CONTENDERS`.
-
-    Raises:
-        ModelError: There is no such name.
-    """
-    if name not in CONTENDERS:
-        raise ModelError(f"method: expected one of {', '.join(CONTENDERS)}, got {name!r}")
-    if name == "certified_fixed":
-        return replace(settings, method="certified", adapt=False)
-    return replace(settings, method=name)
-
-
 def warning(design: Design, method: str) -> str:
     """Return what a user of a method on a design is warned of, empty if there is nothing."""
     if method == "paper":
         return PAPER_WARNING if isinstance(design.request, ArmRequest) else SYSTEM_WARNING
-    if method == "certified" or method in FILTERS:
+    if method in (*CERTIFIED, *FILTERS):
         return ""
     return (
         f"method {method}: takes any disturbance of the sensor for motion of the arm; no bound is "
@@ -192,12 +180,12 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
         gate = baselines.GATE if is_arm and method != "ekf_plain" else math.inf
         covariances = (request.measurement_covariance, request.initial_covariance)
         return baselines.extended_kalman(request.flow, *covariances, uncertainty, gate=gate)
-    if method == "certified":
+    if method in CERTIFIED:
         estimator = design.observer(
             settings.settle_time,
             settings.gain_mode,
             settings.torque_rate if is_arm else None,
-            adapt=settings.adapt,
+            adapt=bool(settings.learnt(design)),
             supervision=settings.supervision,
         )
     elif isinstance(request, TSRequest):

@@ -11,7 +11,7 @@ import pytest
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateEncoder
 from tsobs_ros.cli.main import main
-from tsobs_ros.methods import CONTENDERS, METHODS
+from tsobs_ros.methods import METHODS
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 START, PERIOD, LATENCY = 1_700_000_000_000_000_000, 5_000_000, 300_000
@@ -181,7 +181,7 @@ def test_compare_leaves_out_what_does_not_fit_the_arm_and_says_why(bag, tmp_path
     assert main([*command, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     left_out = {"paper", "ekf_augmented"}
-    assert {row["observer"] for row in result["errors"]} == set(CONTENDERS) - left_out
+    assert {row["observer"] for row in result["errors"]} == set(METHODS) - left_out
     assert any("paper is left out: method paper: expected" in each for each in result["remarks"])
 
     assert main([*command, "--method", "paper"]) == 1

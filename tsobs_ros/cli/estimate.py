@@ -218,7 +218,7 @@ def _lines_of(run: "Run", width: int) -> list[str]:
         for what, number in counts.items()
         if number
     ]
-    if run.observer.settings.method == "certified":
+    if run.observer.settings.method.startswith("certified"):
         about += [(joint, line) for joint, one in run.health().items() for line in one.lines()]
     several = len(run.observer.designs) > 1
     lines += [f"{'':<{width}}  {f'{joint}: ' if several else ''}{line}" for joint, line in about]

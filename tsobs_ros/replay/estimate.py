@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain, product
 from pathlib import Path
@@ -41,7 +41,7 @@ from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.health import judge_rate, rate_of
 from tsobs_ros.estimation.records import GATED, HEALTH, NON_FINITE, REASONS, USED, RejectReason
 from tsobs_ros.estimation.tracker import TrackerRun
-from tsobs_ros.methods import ObserverSettings, contender, make_estimator, make_tracker
+from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.health import Health, JointEvent, find_events, health_of
 from tsobs_ros.replay.live import COMPARED, Agreement, digests
@@ -82,17 +82,17 @@ def make_observers(
     methods: Sequence[str],
     settings: ObserverSettings,
 ) -> list[Observer]:
-    """Return an observer for each design of `choose_designs` and each name of `CONTENDERS`.
+    """Return an observer for each design of `choose_designs` and each method.
 
     Their names have what distinguishes them.
 
     Raises:
-        ModelError: There is no such method.
+        ParameterError: There is no such method.
     """
     found = []
     for stem, method in product(designs, methods):
         name = "_".join([stem] * (len(designs) > 1) + [method] * (len(methods) > 1))
-        found.append(Observer(name or "observer", contender(settings, method), designs[stem]))
+        found.append(Observer(name or "observer", replace(settings, method=method), designs[stem]))
     return found
 
 

@@ -10,6 +10,7 @@ from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.estimation.events import NOISY, EventKind
 from tsobs_ros.estimation.health import LastMinute, Level, Status, duration_text
 from tsobs_ros.estimation.records import Learning, RejectReason
+from tsobs_ros.methods import CERTIFIED
 from tsobs_ros.nodes.observer.joints import FAILURES, NAMES, ObservedJoint
 
 _MANY_REJECTED = 0.01
@@ -159,7 +160,7 @@ def _domain_status(joint: ObservedJoint) -> Status:
 
 
 def _certificate_status(joint: ObservedJoint, now: int) -> Status:
-    if joint.method != "certified":
+    if joint.method not in CERTIFIED:
         return Status("certificate", Level.WARN, f"method {joint.method}: nothing is certified", {})
     loaded, estimate, request = joint.loaded, joint.latest, joint.request
     values = {
