@@ -5,34 +5,63 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.request import TorqueDisturbance
-from tsobs_ros.identification.joint import (
-    DELAY,
-    FRICTION,
-    OFFSET,
-    Found,
-    Joint,
-    Unknowns,
-)
+from tsobs_ros.identification.joint import DELAY, FRICTION, OFFSET, Found, Joint, Unknowns
 from tsobs_ros.identification.likelihood import GATE, Recording, innovations
-from tsobs_ros.identification.result import OutputFit, Traces
 from tsobs_ros.model.disturbance import DisturbanceTerm
 
 HORIZON = 1.0
 """Time for which a free run is compared [s]: longer ones of an arm without gravity drift away."""
 
-_WARM_UP = 2.0
-"""Time of filtering before a free run [s]."""
+_WARM_UP, _MAX_RUNS = 2.0, 20
+"""Time of filtering before a free run [s], and number of free runs."""
 
-_MAX_RUNS = 20
 
-_TONE = 20.0
-"""Power of a tone by the mean of the spectrum around it: by chance e⁻²⁰ at a given frequency."""
+class OutputFit(NamedTuple):
+    """How well an output is predicted in the part that was held out.
+
+    Attributes:
+        name: The output's name.
+        one_step: 100 (1 − |y − ŷ|/|y − mean y|) with ŷ one sample ahead [%].
+        free_run: The same with ŷ simulated from the torque alone for `HORIZON` [%].
+        innovation_std: 1σ of the innovations by what the model expects; 1 if it is right.
+        correlation: Of neighbouring innovations; 0 if they are white.
+    """
+
+    name: str
+    one_step: float
+    free_run: float
+    innovation_std: float
+    correlation: float
+
+
+class Traces(NamedTuple):
+    """The held-out part, or the end of the recording without one, for figures.
+
+    Attributes:
+        time: [s], shape (n,).
+        measured: Outputs, shape (n, p).
+        predicted: One sample ahead, shape (n, p).
+        simulated: From the torque alone, piece by piece, shape (n, p).
+        residual: Innovations by their expected 1σ, shape (n, p).
+        torque: Of the log [N m], shape (n,).
+        velocity: Estimated, of the motor [rad/s], shape (n,).
+        unexplained: Torque at the motor that model and log lack [N m], shape (n,).
+    """
+
+    time: Array
+    measured: Array
+    predicted: Array
+    simulated: Array
+    residual: Array
+    torque: Array
+    velocity: Array
+    unexplained: Array
 
 
 def output_fits(
@@ -42,39 +71,27 @@ def output_fits(
 
     The recording is whole, so that the filter has settled at `begin`.
     """
-    request = joint.request
-    found = innovations(joint, recording)
-    residual = found.standardised
-    simulated = _simulated(joint, recording, begin)
-    measured = recording.y[begin:]
-    predicted = measured - (residual * np.sqrt(found.variances))[begin:]
+    found, late = innovations(joint, recording), slice(begin, None)
+    measured, simulated = recording.y[late], _simulated(joint, recording, begin)
+    predicted, residual = measured - found.errors[late], found.standardised[late]
     fits = []
-    for place, output in enumerate(request.sensors):
-        r, y, made = residual[begin:, place], measured[:, place], simulated[:, place]
+    columns = zip(measured.T, predicted.T, simulated.T, residual.T, strict=True)
+    for name, (y, ahead, made, r) in zip(joint.request.output_names, columns, strict=True):
         there = np.isfinite(r)
-        run = np.isfinite(made) & there
-        clean = np.clip(r[there], -GATE, GATE)
-        power = float(clean @ clean) or 1.0
+        run, clean = np.isfinite(made) & there, np.clip(r[there], -GATE, GATE)
         fits.append(
             OutputFit(
-                output.measures,
-                one_step=_fit(y[there], predicted[there, place]),
-                free_run=_fit(y[run], made[run]) if run.any() else math.nan,
-                horizon=HORIZON,
+                name,
+                one_step=_fit(y[there], ahead[there]),
+                free_run=_fit(y[run], made[run]),
                 innovation_std=float(np.sqrt((clean**2).mean())),
-                correlation=float(clean[1:] @ clean[:-1]) / power,
+                correlation=float(clean[1:] @ clean[:-1]) / (float(clean @ clean) or 1.0),
             )
         )
-    traces = Traces(
-        recording.time[begin:],
-        measured,
-        predicted,
-        simulated,
-        residual[begin:],
-        recording.u[begin:],
-        request.arm.to_physical(found.states[begin:, :4]),
-        _unexplained(joint, recording)[begin:],
-    )
+    time, torque = recording.time[late], recording.u[late]
+    velocity = joint.request.arm.to_physical(found.states[late, :4])[:, 3]
+    unexplained = _unexplained(joint, recording)[late]
+    traces = Traces(time, measured, predicted, simulated, residual, torque, velocity, unexplained)
     return tuple(fits), traces
 
 
@@ -82,22 +99,20 @@ def _simulated(joint: Joint, recording: Recording, begin: int) -> Array:
     """Return the outputs simulated from the torque alone, from some starts for a horizon each."""
     period = joint.request.period
     span, warm = round(HORIZON / period), round(_WARM_UP / period)
-    made = np.full((recording.count - begin, recording.y.shape[1]), np.nan)
+    made = np.full_like(recording.y, np.nan)
     starts = list(range(max(begin, 1), recording.count - 1, span))
     for start in starts[:: max(1, len(starts) // _MAX_RUNS)]:
-        end = min(start + span, recording.count)
-        first = max(0, start - warm)
+        first, end = max(0, start - warm), min(start + span, recording.count)
         part = recording.part(first, end)
-        if (part.durations[:-1] < 0.0).any():
-            continue
-        found = innovations(joint, part, corrected_until=start - first)
-        made[start - begin : end - begin] = (part.y - found.errors)[start - first :]
-    return made
+        if (part.durations[:-1] >= 0.0).all():
+            found = innovations(joint, part, corrected_until=start - first)
+            made[start:end] = (part.y - found.errors)[start - first :]
+    return made[begin:]
 
 
 def _fit(measured: Array, made: Array) -> float:
-    """Return 100 (1 − |y − ŷ|/|y − mean y|) [%]."""
-    spread = float(np.linalg.norm(measured - measured.mean()))
+    """Return 100 (1 − |y − ŷ|/|y − mean y|) [%], NaN of outputs that do not move."""
+    spread = float(np.linalg.norm(measured - measured.mean())) if len(measured) else 0.0
     return 100.0 * (1.0 - float(np.linalg.norm(measured - made)) / spread) if spread else math.nan
 
 
@@ -148,31 +163,6 @@ def news(numbers: Sequence[Found]) -> tuple[list[str], list[str]]:
         elif last == "offset":
             lacks.append(f"offset of {name}, {value}; subtract it from what the driver publishes")
     return added, lacks
-
-
-def tones(joint: Joint, recording: Recording) -> list[str]:
-    """Return the tones in the outputs' innovations."""
-    found, request = [], joint.request
-    r = innovations(joint, recording).standardised
-    for place, output in enumerate(request.sensors):
-        clean = np.nan_to_num(np.clip(r[:, place], -GATE, GATE))
-        power = np.abs(np.fft.rfft(clean * np.hanning(len(clean)))) ** 2
-        frequencies = np.fft.rfftfreq(len(clean), request.period)
-        # The median of a wide neighbourhood, by the mean of an exponential variable's.
-        level = median_filter(power, 2 * max(10, len(power) // 100) + 1) / math.log(2)
-        ratio = power / np.maximum(level, 1e-300)
-        ratio[:4] = 0.0
-        peak = int(ratio.argmax())
-        if ratio[peak] > _TONE:
-            hertz = float(frequencies[peak])
-            std = float(np.sqrt(request.measurement_covariance[place, place]))
-            # A window's gain of a tone's power by that of noise.
-            size = std * math.sqrt(2.0 * float(ratio[peak]) / len(clean) * 3.0)
-            found.append(
-                f"a tone of {hertz:.3g} Hz in {output.measures}, about {size:.2g} in size; its "
-                f"disturbance: {{kind: sinusoid, frequency: {2.0 * math.pi * hertz:.4g}}}"
-            )
-    return found
 
 
 def _unexplained(joint: Joint, recording: Recording) -> Array:

@@ -48,15 +48,14 @@ _ANGLE_SHARE = 0.9
 """Largest angle by the request's domain."""
 
 _DRAWS, _TRIED = 64, 4
-"""Random arms within the uncertainty, and those that candidates are simulated with."""
+"""Random arms within the uncertainty, and the arms that candidates are simulated with."""
 
 _BOUND, _RUBBING = 0.3, 0.04
 """Relative error of a number about which the request says nothing, and largest Coulomb friction of
 random arms by the torque of reference."""
 
-_CANDIDATES, _LEAST_CANDIDATES, _STARTS = 120, 20, 8
-_FULL_TIME, _LONGEST = 30.0, 600.0
-"""Duration up to which the search tries all candidates, and largest duration [s]."""
+_STARTS, _LONGEST = 8, 600.0
+"""Random motions before the search changes the best one, and largest duration [s]."""
 
 _TONES, _KNOTS, _PERIODS, _BEYOND = 24, 6, 3.0, 2.5
 """Number of tones, and of frequencies at which their amplitudes are chosen; periods of the slowest
@@ -91,10 +90,7 @@ class Excitation:
         angles: Of link and motor of the nominal arm [rad], shape (n, 2).
         numbers: The wanted numbers, as a fit of a recording would know them.
         limits: Largest torque, angle and velocity of link and motor that are allowed.
-        nominal: What the nominal arm reaches of them.
         worst: What the farthest arm within the request's uncertainty reaches.
-        arms: Number of arms that were simulated.
-        frequencies: Slowest and fastest tone [rad/s].
         seed: Of the search.
     """
 
@@ -104,10 +100,7 @@ class Excitation:
     angles: Array
     numbers: tuple[Found, ...]
     limits: Limits
-    nominal: Limits
     worst: Limits
-    arms: int
-    frequencies: tuple[float, float]
     seed: int
 
     def number(self, name: str) -> Found:
@@ -126,24 +119,19 @@ class Excitation:
             "samples": len(self.time),
             "seed": self.seed,
             "limits": self.limits._asdict(),
-            "nominal": self.nominal._asdict(),
-            "worst": self.worst._asdict() | {"arms": self.arms},
-            "frequencies": list(self.frequencies),
+            "worst": self.worst._asdict(),
             "numbers": [each._asdict() | {"seen": each.seen} for each in self.numbers],
             "unseen": list(self.unseen),
         }
 
     def __str__(self) -> str:
         rows = [(f"{n.before:.4g}", f"{n.prior_std:.2g}", f"{n.std:.2g}") for n in self.numbers]
-        slowest, fastest = (frequency / math.tau for frequency in self.frequencies)
         return "\n".join(
             [
                 *table(self.numbers, ("value", "before", "after"), rows),
                 "before, after: expected 1 sigma before and after a recording of this motion",
-                f"limits: {self.limits}; the nominal arm reaches {self.nominal}, the farthest of "
-                f"{self.arms} arms {self.worst}",
-                f"{len(self.time):,} samples, {self.time[-1]:g} s, tones from {slowest:.3g} to "
-                f"{fastest:.3g} Hz",
+                f"limits: {self.limits}; arms within the uncertainty reach {self.worst}",
+                f"{len(self.time):,} samples, {self.time[-1]:g} s",
             ]
         )
 
@@ -157,12 +145,10 @@ class Excitation:
         Raises:
             OutputError: The file cannot be written, or exists and may not be replaced.
         """
-        path = Path(path)
-        require_new([path], force=force)
+        require_new([Path(path)], force=force)
         rows = np.column_stack([self.time, self.torque, self.angles]).tolist()
         lines = (f"{t:.9g},{u:.9g},{link:.6g},{motor:.6g}\n" for t, u, link, motor in rows)
-        text = _HEADER.format(self, self.time[-1]) + "".join(lines)
-        write_whole(path, text, force=force)
+        write_whole(path, _HEADER.format(self, self.time[-1]) + "".join(lines), force=force)
 
 
 _HEADER = """\
@@ -201,21 +187,18 @@ class _Motions:
                 f"rate: expected at least {math.ceil(8.0 * joint / math.tau)} Hz for the joint's "
                 f"resonance of {joint:.4g} rad/s, got {request.rate:g}"
             )
-        fastest = min(_BEYOND * joint, fastest)
-        self.frequencies = np.geomspace(slowest, fastest, _TONES)
-        s, k = 1j * self.frequencies, arm.stiffness
-        # Some damping, so that no tone is lost at a resonance.
-        rub_link = arm.link_damping + 0.1 * math.sqrt(arm.link_inertia * (k + arm.gravity_torque))
-        rub_motor = arm.motor_damping + 0.1 * math.sqrt(arm.motor_inertia * k)
-        spring = arm.link_inertia * s * s + rub_link * s + arm.gravity_torque
-        torque = (arm.motor_inertia * s * s + rub_motor * s) * (1.0 + spring / k) + spring
-        self._gains = 1.0 / np.abs(torque)
+        self.frequencies = np.geomspace(slowest, min(_BEYOND * joint, fastest), _TONES)
+        # Beside the imaginary axis, so that no tone is lost at a resonance.
+        poles = (0.1 + 1j) * self.frequencies[:, np.newaxis, np.newaxis] * np.eye(4)
+        of_torque = np.linalg.solve(poles - arm.slope_matrix(1.0), arm.input_matrix)
+        self._gains = np.abs(arm.output_matrix @ of_torque).ravel()
         at = self.times / max(self.times[-1], 1e-9)
         rise = np.clip(np.minimum(at, 1.0 - at) / _EDGE, 0.0, 1.0)
         # Four derivatives are smooth.
         self._window = rise**5 * (126 + rise * (-420 + rise * (540 + rise * (-315 + rise * 70))))
 
         self.unknowns = unknowns = Unknowns.of(request, free)
+        self._measured = [QUANTITIES.index(each.measures) for each in request.sensors]
         noise = np.random.default_rng((seed, 2)).standard_normal
         self._noise = noise((len(self.times), len(request.sensors))) * request.output_std
         prior = unknowns.at(np.zeros(unknowns.count))
@@ -235,7 +218,7 @@ class _Motions:
         times = self.times + 0.5 * self.request.period
         waves = np.sin(np.outer(times, self.frequencies) + phases)
         angle = self._window * (waves @ amplitudes)
-        return np.asarray(angle / max(float(np.abs(angle).max()), 1e-300))
+        return np.asarray(angle / np.abs(angle).max())
 
     def torque(self, angle: Array) -> Array:
         """Return the torque under which the nominal arm moves so, shape (n,) [N m]."""
@@ -264,7 +247,7 @@ class _Motions:
         return np.column_stack([np.full(len(arms), np.abs(torque).max()), reached])
 
     def scaled(
-        self, genes: Array, arms: Sequence[Scenario], scale: float = 0.3, rounds: int = 4
+        self, genes: Array, arms: Sequence[Scenario], scale: float, rounds: int
     ) -> tuple[Array, float, Limits]:
         """Return torque, scale and what is reached of a motion as large as the limits allow.
 
@@ -285,11 +268,10 @@ class _Motions:
 
     def std(self, torque: Array) -> Array:
         """Return 1σ of the numbers after a recording, by that before it, shape (k,)."""
-        states, k = simulated(self._recorded, torque), self.unknowns.count
-        y = states[:, _columns(self.request)] + self._noise
-        durations = np.full(len(torque), self.request.period)
-        recording = Recording("the motion", self.times, durations, y, torque)
-        information = Likelihood(self.unknowns, [recording]).evaluate(np.zeros(k)).information
+        y = simulated(self._recorded, torque)[:, self._measured] + self._noise
+        durations, k = np.full(len(torque), self.request.period), self.unknowns.count
+        recording = Recording(self.times, durations, y, torque)
+        information = Likelihood(self.unknowns, recording).evaluate(np.zeros(k)).information
         return np.sqrt(np.diag(np.linalg.inv(information + np.eye(k))))
 
     def best(
@@ -301,22 +283,20 @@ class _Motions:
     ) -> Array:
         """Return the genes of the motion that shows most, of so many within the arms' limits."""
         steps = np.repeat([1.0, 2.0], [_TONES, _KNOTS])
-        cost, genes, scale, size, near = math.inf, np.zeros(len(steps)), 0.3, 0.5, arms[:1]
+        cost, genes, scale, size = math.inf, np.zeros(len(steps)), 0.3, 0.5
         for place in range(candidates):
-            searching = place >= _STARTS
-            if searching:
-                other = genes + steps * size * rng.standard_normal(len(steps))
-            else:
+            if starting := place < _STARTS:
                 other = np.concatenate([rng.uniform(0.0, math.tau, _TONES), np.zeros(_KNOTS)])
+            else:
+                other = genes + steps * size * rng.standard_normal(len(steps))
             if place in (0, _STARTS):
-                # The nominal arm and those that come closest to their limits, or beyond.
-                torque = self.torque(scale * self.angle(other))
-                shares = (self.reached(torque, arms) / self.limits)[1:, 1:].max(axis=1)
-                order = np.argsort(-shares, kind="stable")[:_TRIED]
-                near = [arms[0], *(arms[1 + at] for at in order.tolist())]
-            torque, other_scale, _ = self.scaled(other, near, scale, 1 if searching else 3)
+                # The arms that come closest to their limits, or beyond.
+                shares = self.reached(self.torque(scale * self.angle(other)), arms) / self.limits
+                order = np.argsort(-shares[:, 1:].max(axis=1), kind="stable")
+                near = [arms[at] for at in order[:_TRIED].tolist()]
+            torque, other_scale, _ = self.scaled(other, near, scale, 3 if starting else 1)
             new = float(np.log(self.std(torque)[self._wanted]).mean())
-            if searching:
+            if not starting:
                 size = min(size * 1.5, 1.5) if new < cost else size * 0.9
             if new < cost:
                 cost, genes, scale = new, other, other_scale
@@ -354,8 +334,8 @@ def excite(
         advance: Called with the number of motions that were tried, for progress.
 
     Raises:
-        ModelError: The request is for no arm, a name is unknown, a limit allows no motion that
-            could be measured, or the duration is too short for the slowest frequency.
+        ModelError: The request is for no arm, a name is unknown, a limit is beyond the request's,
+            or the duration is too short for the slowest frequency.
 
     >>> import tsobs_ros as ts
     >>> motion = ts.excite(ts.ArmRequest(rate=50.0), duration=20.0, candidates=1)
@@ -375,8 +355,7 @@ def excite(
             f"{abs(path.offset) / path.gain:g} N m, got {limits.torque:g}"
         )
     if candidates is None:
-        share = min(1.0, _FULL_TIME / duration)
-        candidates = max(_LEAST_CANDIDATES, round(_CANDIDATES * share))
+        candidates = round(min(120.0, max(20.0, 3600.0 / duration)))
     elif candidates < 1:
         raise ModelError(f"candidates: expected at least 1, got {candidates}")
     # What a fit would find of delays, gain and offset does not depend on theirs.
@@ -387,11 +366,9 @@ def excite(
     thinned = _thinned(request, motions.frequencies[-1])
     search = _Motions(thinned, duration, inner, free, seed)
     rng = np.random.default_rng((seed, 0))
-    _require_visible(motions, arms[:1], limits)
     genes = search.best([replace(arm, rate=thinned.rate) for arm in arms], candidates, rng, advance)
-    torque, _, worst = motions.scaled(genes, arms)
+    torque, _, worst = motions.scaled(genes, arms, 0.3, 4)
     commands = (torque - path.offset) / path.gain
-    largest = float(np.abs(commands).max())
     pairs = zip(motions.unknowns.numbers, motions.std(torque).tolist(), strict=True)
     return Excitation(
         request=known,
@@ -400,10 +377,7 @@ def excite(
         angles=simulated(arms[0], torque)[:, ::2],
         numbers=tuple(number.found(0.0, std) for number, std in pairs),
         limits=limits,
-        nominal=Limits(largest, *motions.reached(torque, arms[:1])[0, 1:].tolist()),
-        worst=worst._replace(torque=largest),
-        arms=len(arms),
-        frequencies=(float(motions.frequencies[0]), float(motions.frequencies[-1])),
+        worst=worst._replace(torque=float(np.abs(commands).max())),
         seed=seed,
     )
 
@@ -456,34 +430,27 @@ def trial_arms(request: ArmRequest, draws: int, seed: int) -> list[Scenario]:
     Corners have the least damping, with which resonances grow most; random ones also have friction.
     """
     arm, rng = request.arm, np.random.default_rng((seed, 1))
-    names = [name for name in UNCERTAINTY if getattr(arm, name)]
-    bounds = [min(request.uncertainty.get(UNCERTAINTY[name], _BOUND), 0.9) for name in names]
-    dampings = {name: getattr(arm, name) for name in ("link_damping", "motor_damping")}
-    spreads = [request.uncertainty.get(name, _BOUND * own) for name, own in dampings.items()]
-
-    def arm_with(
-        errors: Sequence[float], damping: Sequence[float], rub: Sequence[float]
-    ) -> Scenario:
-        each = zip(dampings.items(), damping, spreads, strict=True)
-        changes = {name: max(0.0, own + by * spread) for (name, own), by, spread in each}
-        for name, error, bound in zip(names, errors, bounds, strict=True):
+    bounds = {
+        name: min(request.uncertainty.get(entry, _BOUND), 0.9)
+        for name, entry in UNCERTAINTY.items()
+        if getattr(arm, name)
+    }
+    corners = [(*signs, -1.0, -1.0) for signs in product((-1.0, 1.0), repeat=len(bounds))]
+    errors = np.vstack([corners, rng.uniform(-1.0, 1.0, (draws, len(bounds) + 2))])
+    rubs = np.vstack([np.zeros((len(corners), 2)), rng.uniform(size=(draws, 2))])
+    found = [_scenario(request)]
+    for row, rub in zip(errors.tolist(), rubs * _RUBBING * arm.reference_torque, strict=True):
+        changes = {}
+        for (name, bound), error in zip(bounds.items(), row, strict=False):
             # Those of inertias are errors of their inverses.
             power = -1.0 if UNCERTAINTY[name].endswith("inverse_inertia") else 1.0
             changes[name] = getattr(arm, name) * (1.0 + error * bound) ** power
-        friction = [_RUBBING * arm.reference_torque * each for each in rub]
-        return _scenario(replace(request, arm=replace(arm, **changes)), friction)
-
-    corners = product((-1.0, 1.0), repeat=len(names))
-    found = [_scenario(request), *(arm_with(signs, (-1.0, -1.0), (0.0, 0.0)) for signs in corners)]
-    for _ in range(draws):
-        errors, damping = rng.uniform(-1.0, 1.0, len(names)), rng.uniform(-1.0, 1.0, 2)
-        found.append(arm_with(errors.tolist(), damping.tolist(), rng.uniform(size=2).tolist()))
+        for name, error in zip(("link_damping", "motor_damping"), row[-2:], strict=True):
+            own = getattr(arm, name)
+            spread = request.uncertainty.get(name, _BOUND * own)
+            changes[name] = max(0.0, own + error * spread)
+        found.append(_scenario(replace(request, arm=replace(arm, **changes)), rub.tolist()))
     return found
-
-
-def _columns(request: ArmRequest) -> list[int]:
-    """Return the places of what is measured in the state."""
-    return [QUANTITIES.index(each.measures) for each in request.sensors]
 
 
 def _thinned(request: ArmRequest, fastest: float) -> ArmRequest:
@@ -499,19 +466,3 @@ def _thinned(request: ArmRequest, fastest: float) -> ArmRequest:
         return replace(request, outputs=outputs, rate=request.rate / fewer)
     except ModelError:  # a disturbance would be too fast for the samples
         return request
-
-
-def _require_visible(motions: _Motions, arms: Sequence[Scenario], limits: Limits) -> None:
-    """Refuse limits within which no output moves by more than its noise."""
-    request = motions.request
-    torque, _, reached = motions.scaled(np.zeros(_TONES + _KNOTS), arms)
-    moved = np.abs(simulated(arms[0], torque)[:, _columns(request)]).max(axis=0)
-    if (moved > request.output_std).any():
-        return
-    shares = {name: getattr(reached, name) / getattr(limits, name) for name in limits._fields}
-    name = max(shares, key=shares.__getitem__)
-    raise ModelError(
-        f"max_{name}: {getattr(limits, name):g} allows no motion that can be measured: "
-        f"{request.sensors[0].measures} would move by {moved[0]:.2g}, and its noise is "
-        f"{request.output_std[0]:.2g}"
-    )

@@ -14,7 +14,7 @@ from scipy.optimize import OptimizeResult, minimize
 from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.identification.diagnosis import news, output_fits, tones, unseen
+from tsobs_ros.identification.diagnosis import news, output_fits, unseen
 from tsobs_ros.identification.joint import (
     DELAY,
     FRICTION,
@@ -83,7 +83,7 @@ class Optimum(NamedTuple):
 
 def maximise(
     unknowns: Unknowns,
-    recordings: Sequence[Recording],
+    recording: Recording,
     advance: Advance,
     *,
     starts: int = _STARTS,
@@ -98,23 +98,19 @@ def maximise(
     k, rng, best = unknowns.count, np.random.default_rng(0), begin
     if best is None:
         short, longer = (
-            Likelihood(unknowns, [_longest(recordings).middle(count)], advance=advance)
+            Likelihood(unknowns, recording.middle(count), advance=advance)
             for count in (_START_SAMPLES, _MIDDLE_SAMPLES)
         )
         points = [np.zeros(k), *(0.5 * rng.standard_normal((starts - 1, k)))]
         found = [_search(short, point, _FEW_STEPS) for point in points]
         best = _search(longer, min(found, key=short.cost), _FEW_STEPS)
-    gated = Likelihood(unknowns, recordings, GATE, advance)
+    gated = Likelihood(unknowns, recording, GATE, advance)
     best = _search(gated, best, steps)
     made = gated.evaluate(best)
     inverse = np.linalg.inv(made.information + np.eye(k))
     # White innovations make both alike; coloured ones do not, and then their spread counts.
     robust = inverse @ (made.spread + np.eye(k)) @ inverse
     return Optimum(unknowns, best, np.sqrt(np.maximum(np.diag(robust), np.diag(inverse))), made)
-
-
-def _longest(recordings: Sequence[Recording]) -> Recording:
-    return max(recordings, key=lambda recording: recording.count)
 
 
 def _search(likelihood: Likelihood, start: Array, steps: int) -> Array:
@@ -130,6 +126,7 @@ def _search(likelihood: Likelihood, start: Array, steps: int) -> Array:
         if 0.5 * made.gradient @ step < _TOLERANCE or 0.0 < gained < 5.0 * _TOLERANCE:
             raise StopIteration
 
+    radii = {"initial_trust_radius": 0.5, "max_trust_radius": 2.0}
     found = minimize(
         likelihood.cost,
         start,
@@ -137,17 +134,12 @@ def _search(likelihood: Likelihood, start: Array, steps: int) -> Array:
         jac=lambda at: likelihood.evaluate(at).gradient,
         hess=lambda at: likelihood.evaluate(at).information + unit,
         callback=settle,
-        options={
-            "initial_trust_radius": 0.5,
-            "max_trust_radius": 2.0,
-            "gtol": 0.0,
-            "maxiter": steps,
-        },
+        options={"gtol": 0.0, "maxiter": steps, **radii},
     )
     return np.asarray(found.x)
 
 
-def _with_zero(optimum: Optimum, recordings: Sequence[Recording], advance: Advance) -> Optimum:
+def _with_zero(optimum: Optimum, recording: Recording, advance: Advance) -> Optimum:
     """Return the optimum with the first angle's zero as it is, unless it is surely another one.
 
     Gravity shows it, but a torque's offset does nearly the same.
@@ -156,7 +148,7 @@ def _with_zero(optimum: Optimum, recordings: Sequence[Recording], advance: Advan
         if each.name.endswith("_angle.offset") and not each.significant:
             fewer = optimum.unknowns.without(each.name)
             begin = np.delete(optimum.coordinates, place)
-            return maximise(fewer, recordings, advance, begin=begin)
+            return maximise(fewer, recording, advance, begin=begin)
     return optimum
 
 
@@ -164,7 +156,7 @@ def _with_disturbed_sensor(
     request: ArmRequest,
     free: Sequence[str],
     optimum: Optimum,
-    recordings: Sequence[Recording],
+    recording: Recording,
     advance: Advance,
 ) -> tuple[ArmRequest, Optimum, list[str]]:
     """Return request and optimum with a drifting sensor if that explains far more of the motion.
@@ -173,7 +165,7 @@ def _with_disturbed_sensor(
     likeliest with so much process noise that nothing else is left to be found. The innovations are
     small then, but a free run fails. It succeeds if the sensor may be off for a while.
     """
-    part = _longest(recordings).middle(_MIDDLE_SAMPLES)
+    part = recording.middle(_MIDDLE_SAMPLES)
     numbers = zip(optimum.unknowns.numbers, optimum.coordinates.tolist(), strict=True)
     noisy = any(one.name.startswith("process_noise") and at > 1.0 for one, at in numbers)
     before = best = _free_run(optimum.joint, part) if noisy else 100.0
@@ -185,7 +177,7 @@ def _with_disturbed_sensor(
         term = DisturbanceTerm("gauss_markov", {"std": 0.02 * swing, "time_constant": 0.03})
         disturbed = request.with_terms(place, (term,))
         unknowns = Unknowns.of(disturbed, free)
-        tried = maximise(unknowns, [part], advance, starts=1, steps=_FEW_STEPS)
+        tried = maximise(unknowns, part, advance, starts=1, steps=_FEW_STEPS)
         reached = _free_run(tried.joint, part)
         if 100.0 - reached < 0.5 * (100.0 - best):
             changed, chosen, name, best = disturbed, tried, output.measures, reached
@@ -193,7 +185,7 @@ def _with_disturbed_sensor(
         return request, optimum, []
     text = f"something that {name} shows and the arm does not do: a free run explains "
     text += f"{best:.3g} % with it, {before:.3g} % without"
-    found = maximise(chosen.unknowns, recordings, advance, begin=chosen.coordinates)
+    found = maximise(chosen.unknowns, recording, advance, begin=chosen.coordinates)
     return changed, found, [text]
 
 
@@ -203,9 +195,7 @@ def _free_run(joint: Joint, recording: Recording) -> float:
     return min(each.free_run for each in fits)
 
 
-def _observable(
-    joint: Joint, numbers: Sequence[Found], recordings: Sequence[Recording], advance: Advance
-) -> ArmRequest:
+def _observable(optimum: Optimum, recording: Recording, advance: Advance) -> ArmRequest:
     """Return the request of an observer, which has Coulomb friction as a torque disturbance.
 
     A sign has no bounded slope, so no certificate covers friction in the model; as a Gauss–Markov
@@ -213,20 +203,21 @@ def _observable(
     reversals: likelier ones are shorter, and do not allow for friction that lasts. The noises are
     the likeliest of a filter without friction.
     """
+    joint, numbers, known = optimum.joint, optimum.numbers, list[str]()
     request, found = joint.request, {each.name: each for each in numbers}
-    significant, known = {each.name for each in numbers if each.significant}, list[str]()
+    significant = {each.name for each in numbers if each.significant}
     for side, name in zip(SIDES, FRICTION, strict=True):
         torques = request.torque_disturbance
         if name in significant and not getattr(torques, side):
-            values = {"std": found[name].value}
-            values["time_constant"] = _reversal_time(joint, recordings, side)
+            time_constant = _reversal_time(joint, recording, side)
+            values = {"std": found[name].value, "time_constant": time_constant}
             term = DisturbanceTerm("gauss_markov", values)
             request = replace(request, torque_disturbance=replace(torques, **{side: (term,)}))
             known += [f"torque_disturbance.{side}.0.{key}" for key in values]
     if significant.intersection(FRICTION):
         smooth = with_values(replace(joint, request=request), dict.fromkeys(FRICTION, 0.0))
         noises = replace(Unknowns.of(request).noises().without(*known), joint=smooth)
-        request = maximise(noises, recordings, advance, starts=1).joint.request
+        request = maximise(noises, recording, advance, starts=1).joint.request
     bounds = {
         name: bound
         for name, bound in request.uncertainty.items()
@@ -244,24 +235,20 @@ def _observable(
         for each in numbers_of(request)
         if not each.from_nothing and each.positive and each.name != TORQUE_GAIN
     }
-    for each in numbers:
-        if not (each.before or each.significant) and each.name in values:
-            values[each.name] = 0.0
+    nothing = [each.name for each in numbers if not (each.before or each.significant)]
+    values |= dict.fromkeys(values.keys() & nothing, 0.0)
     own = Joint.of(replace(request, uncertainty=bounds))
     path = replace(joint, request=with_values(own, values).request)
     return path.with_path(significant | ({DELAY, OFFSET} - found.keys()))
 
 
-def _reversal_time(joint: Joint, recordings: Sequence[Recording], side: str) -> float:
+def _reversal_time(joint: Joint, recording: Recording, side: str) -> float:
     """Return the mean time between reversals of a side's motion [s]."""
-    time, reversals = 0.0, 1
-    for recording in recordings:
-        states = innovations(joint, recording).states
-        velocity = joint.request.arm.to_physical(states[:, :4])[:, 3 if side == "motor" else 1]
-        moving = velocity[np.abs(velocity) > 0.02 * np.abs(velocity).max()]
-        reversals += int((np.diff(np.sign(moving)) != 0.0).sum())
-        time += float(np.maximum(recording.durations, 0.0).sum())
-    return float(f"{time / reversals:.3g}")
+    states = joint.request.arm.to_physical(innovations(joint, recording).states[:, :4])
+    velocity = states[:, 3 if side == "motor" else 1]
+    moving = velocity[np.abs(velocity) > 0.02 * np.abs(velocity).max()]
+    reversals = 1 + int((np.diff(np.sign(moving)) != 0.0).sum())
+    return float(f"{np.maximum(recording.durations, 0.0).sum() / reversals:.3g}")
 
 
 def fit(
@@ -311,27 +298,26 @@ def fit(
     )
     unknowns = Unknowns.of(start, free)
     begins = [round((1.0 - held_out) * each.count) for each in recordings]
-    fitted = [each.part(0, end) for each, end in zip(recordings, begins, strict=True)]
-    require_torque(unknowns, fitted[0].middle(_START_SAMPLES))
+    parts = [each.part(0, end) for each, end in zip(recordings, begins, strict=True)]
+    fitted = Recording.joined(parts)
+    require_torque(unknowns, fitted.middle(_START_SAMPLES))
     optimum = maximise(unknowns, fitted, advance)
     start, optimum, disturbed = _with_disturbed_sensor(start, free, optimum, fitted, advance)
     optimum = _with_zero(optimum, fitted, advance)
-    likeliest, numbers = optimum.joint, optimum.numbers
-    longest = max(range(len(recordings)), key=lambda place: recordings[place].count)
-    whole = recordings[longest]
-    begin = begins[longest] if held_out else whole.count // 2
-    outputs, traces = output_fits(likeliest, whole, begin)
-    added, lacks = news(numbers)
+    whole, begin = max(zip(recordings, begins, strict=True), key=lambda each: each[0].count)
+    shown_from = begin if held_out else whole.count // 2
+    outputs, traces = output_fits(optimum.joint, whole, shown_from)
+    added, lacks = news(optimum.numbers)
     return Fit(
-        request=_observable(likeliest, numbers, fitted, advance),
+        request=_observable(optimum, fitted, advance),
         before=start,
-        joint=likeliest,
-        numbers=numbers,
+        joint=optimum.joint,
+        numbers=optimum.numbers,
         unseen=unseen(optimum.unknowns, optimum.evaluation.information),
         added=(*disturbed, *added),
-        lacks=(*lacks, *tones(likeliest, _longest(fitted))),
+        lacks=tuple(lacks),
         outputs=outputs,
-        samples=(sum(begins), sum(each.count for each in recordings) - sum(begins)),
+        samples=(fitted.count, sum(each.count for each in recordings) - fitted.count),
         outliers=optimum.evaluation.outliers,
         notes=tuple(notes),
         traces=traces,

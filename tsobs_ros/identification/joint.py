@@ -89,8 +89,7 @@ class Number(NamedTuple):
     """A number of a joint and its prior.
 
     Attributes:
-        name: As of `Found`.
-        unit: As of `Found`.
+        name, unit: As of `Found`.
         start: The request's value, or what stands for nothing.
         prior_std: 1σ beforehand: of the logarithm if `positive`.
         positive: Whether its logarithm is estimated.
@@ -163,10 +162,9 @@ class Joint:
         return cls(request.at_rate(request.rate), extras)
 
     @property
-    def friction(self) -> tuple[float, float]:
+    def friction(self) -> list[float]:
         """Coulomb friction at motor and link [N m]."""
-        motor, link = (self.extras[name] for name in FRICTION)
-        return motor, link
+        return [self.extras[name] for name in FRICTION]
 
     def of_outputs(self, key: str) -> list[float]:
         """Return the "delay" or "offset" of each output."""
@@ -195,30 +193,20 @@ class Unknowns:
 
     @classmethod
     def of(cls, request: ArmRequest, free: Sequence[str] = ()) -> "Unknowns":
-        """Return the unknown numbers of a request.
-
-        Args:
-            request: Of an arm.
-            free: Names of the numbers to estimate, or beginnings of them; all but the torque's gain
-                if empty.
+        """Return the unknown numbers of a request: all but the torque's gain, or those of some
+        names or beginnings of them.
 
         Raises:
             ModelError: A name is unknown.
         """
-
-        def means(prefix: str, name: str) -> bool:
-            return name in (prefix, f"arm.{prefix}") or name.startswith(f"{prefix}.")
-
         known = {number.name: number for number in numbers_of(request)}
+        chosen = set() if free else known.keys() - {TORQUE_GAIN}
         for name in free:
-            if not any(means(name, each) for each in known):
+            named = {n for n in known if n in (name, f"arm.{name}") or n.startswith(f"{name}.")}
+            if not named:
                 raise ModelError(f"free: expected some of {', '.join(known)}, got {name!r}")
-        chosen = [
-            number
-            for name, number in known.items()
-            if (any(means(each, name) for each in free) if free else name != TORQUE_GAIN)
-        ]
-        return cls(Joint.of(request), tuple(chosen))
+            chosen |= named
+        return cls(Joint.of(request), tuple(known[name] for name in known if name in chosen))
 
     @property
     def count(self) -> int:
@@ -318,11 +306,8 @@ def delayed(torque: Array, durations: Array, delay: float) -> Array:
     """Return the mean over each step of a held torque that acts later by a delay, or earlier."""
     if delay == 0.0:
         return torque
-    times = np.concatenate([[0.0], np.cumsum(durations)])
-    sums = np.concatenate([[0.0], np.cumsum(torque * durations)])
-    at = times - delay
-    integral = np.interp(at, times, sums)
     # Before the first sample and behind the last one the torque is what it is there.
-    integral += np.minimum(at - times[0], 0.0) * torque[0]
-    integral += np.maximum(at - times[-1], 0.0) * torque[-1]
-    return np.asarray(np.diff(integral) / durations)
+    steps, u = np.pad(durations, 1, constant_values=abs(delay)), np.pad(torque, 1, mode="edge")
+    times = np.concatenate([[0.0], np.cumsum(steps)])
+    sums = np.concatenate([[0.0], np.cumsum(u * steps)])
+    return np.asarray(np.diff(np.interp(times[1:-1] - delay, times, sums)) / durations)

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The likelihood of recordings under a joint's numbers, by the innovations of a Kalman filter.
+"""The likelihood of a recording under a joint's numbers, by the innovations of a Kalman filter.
 
 With the innovation e of each output given all before it and its variance s,
 
@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tsobs_ros.checks import Array, Flags
+from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.estimation.estimator import riccati_estimator
 from tsobs_ros.estimation.state import numbers_of
@@ -52,14 +52,13 @@ class Recording:
     """Samples of one joint.
 
     Attributes:
-        name: Of the file.
         time: Since the first sample [s], shape (n,).
-        durations: From each sample to the next [s], below 0 where a gap begins, shape (n,).
+        durations: From each sample to the next [s], below 0 where a gap begins, behind which a
+            filter starts again, shape (n,).
         y: Outputs of the request, NaN if missing, shape (n, p).
         u: Torque held from each sample on [N m], shape (n,).
     """
 
-    name: str
     time: Array
     durations: Array
     y: Array
@@ -72,13 +71,19 @@ class Recording:
 
     def part(self, begin: int, end: int) -> "Recording":
         """Return the samples from one on up to another."""
-        cut = slice(begin, end)
-        return Recording(self.name, self.time[cut], self.durations[cut], self.y[cut], self.u[cut])
+        return Recording(*(values[begin:end] for values in vars(self).values()))
 
     def middle(self, count: int) -> "Recording":
         """Return so many samples about the middle, all if it has fewer."""
         begin = max(0, (self.count - count) // 2)
         return self.part(begin, begin + count)
+
+    @classmethod
+    def joined(cls, recordings: Sequence["Recording"]) -> "Recording":
+        """Return recordings as one, with gaps between them."""
+        whole = cls(*map(np.concatenate, zip(*(vars(e).values() for e in recordings), strict=True)))
+        whole.durations[np.cumsum([each.count for each in recordings]) - 1] = -1.0
+        return whole
 
 
 class Innovations(NamedTuple):
@@ -148,7 +153,7 @@ class Evaluation(NamedTuple):
     Attributes:
         cost: −log L, up to a constant, and the prior's share.
         gradient: Of the cost by the coordinates, shape (k,).
-        information: Of the recordings, without the prior, shape (k, k).
+        information: Of the recording, without the prior, shape (k, k).
         spread: Σ of products of the scores of blocks, shape (k, k).
         outliers: Number of innovations beyond the gate.
     """
@@ -161,7 +166,7 @@ class Evaluation(NamedTuple):
 
 
 class Likelihood:
-    """−log L of some recordings over the coordinates of the unknown numbers, with their prior.
+    """−log L of a recording over the coordinates of the unknown numbers, with their prior.
 
     Innovations beyond the gate [sigmas] are outliers; `advance` is called with the number of
     filtered samples.
@@ -170,49 +175,31 @@ class Likelihood:
     def __init__(
         self,
         unknowns: Unknowns,
-        recordings: Sequence[Recording],
+        recording: Recording,
         gate: float = math.inf,
         advance: Callable[[int], None] = lambda _: None,
     ) -> None:
-        self.unknowns, self.recordings = unknowns, tuple(recordings)
+        self.unknowns, self.recording = unknowns, recording
         self._gate, self._advance = gate, advance
+        self._there = np.isfinite(recording.y)
         self._spacing = np.full(unknowns.count, 1e-4)
         self._known: dict[bytes, Evaluation] = {}
 
     def _filtered(
-        self, coordinates: Array, used: Sequence[Recording], gate: float
+        self, coordinates: Array, recording: Recording, gate: float
     ) -> tuple[Array, Array]:
-        """Return standardised innovations and logarithms of variances of all samples, (n,) each.
-
-        Those that the recordings in use lack are NaN.
+        """Return standardised innovations and logarithms of variances of all measured samples,
+        (n,) each; those that are left out of the given recording are NaN.
         """
-        joint = self.unknowns.at(coordinates)
-        errors, logs = [], []
-        for whole, recording in zip(self.recordings, used, strict=True):
-            found = innovations(joint, recording, gate=gate)
-            there = np.isfinite(whole.y)
-            with np.errstate(all="ignore"):
-                errors.append(found.standardised[there])
-                logs.append(np.log(found.variances)[there])
-            self._advance(recording.count)
-        return np.concatenate(errors), np.concatenate(logs)
-
-    def _without(self, outliers: Flags) -> list[Recording]:
-        """Return the recordings without some samples, of all samples one behind the other."""
-        cleaned, begin = [], 0
-        for recording in self.recordings:
-            y = recording.y.copy()
-            there = np.isfinite(y)
-            end = begin + int(there.sum())
-            y[there] = np.where(outliers[begin:end], np.nan, y[there])
-            cleaned.append(replace(recording, y=y))
-            begin = end
-        return cleaned
+        found = innovations(self.unknowns.at(coordinates), recording, gate=gate)
+        self._advance(recording.count)
+        with np.errstate(all="ignore"):
+            return found.standardised[self._there], np.log(found.variances[self._there])
 
     def cost(self, coordinates: Array) -> float:
         """Return −log L with the prior's share; infinite where the filter fails."""
         try:
-            errors, logs = self._filtered(coordinates, self.recordings, self._gate)
+            errors, logs = self._filtered(coordinates, self.recording, self._gate)
         except (ValueError, OverflowError):
             return math.inf
         return self._cost(coordinates, errors, logs)
@@ -227,10 +214,13 @@ class Likelihood:
         key = coordinates.tobytes()
         if key in self._known:
             return self._known[key]
-        errors, logs = self._filtered(coordinates, self.recordings, self._gate)
+        errors, logs = self._filtered(coordinates, self.recording, self._gate)
         regular = errors * errors <= self._gate * self._gate
         # A sample that is an outlier at one of two points only would make their difference a jump.
-        filtered = partial(self._filtered, used=self._without(~regular), gate=math.inf)
+        y = self.recording.y.copy()
+        y[self._there] = np.where(regular, y[self._there], np.nan)
+        cleaned = replace(self.recording, y=y)
+        filtered = partial(self._filtered, recording=cleaned, gate=math.inf)
         with ThreadPoolExecutor(WORKERS) as pool:
             moved = list(pool.map(filtered, coordinates + np.diag(self._spacing)))
         by_error, by_log = (

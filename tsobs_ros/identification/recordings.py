@@ -19,7 +19,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import LogError, ModelError
 from tsobs_ros.estimation.records import USED
-from tsobs_ros.identification.joint import Unknowns, with_values
+from tsobs_ros.identification.joint import TORQUE_GAIN, Unknowns, with_values
 from tsobs_ros.identification.likelihood import Likelihood, Recording
 from tsobs_ros.replay.estimate import open_source
 from tsobs_ros.series import NANOSECONDS
@@ -55,10 +55,7 @@ def read(
 ) -> tuple[ArmRequest, list[Recording], list[str]]:
     """Return the request with the recordings' rate, the checked recordings, and remarks.
 
-    Args:
-        request: What its numbers are taken for.
-        logs: Paths of CSV logs or bags, or arrays.
-        **options: Of `open_source`.
+    Options are those of `open_source`.
 
     Raises:
         LogError: A recording is of no use; the text names it and says why, in one line.
@@ -67,14 +64,7 @@ def read(
     """
     if not logs:
         raise ModelError("logs: expected at least one recording")
-    raw = [
-        _complete(
-            *_of_file(request, log, options)
-            if isinstance(log, str | Path)
-            else _of_arrays(request, log)
-        )
-        for log in logs
-    ]
+    raw = [_complete(*_samples(request, log, options)) for log in logs]
     period = float(np.median(np.concatenate([np.diff(time) for _, time, _, _ in raw])))
     notes = []
     if abs(period * request.rate - 1.0) > 0.02:
@@ -90,11 +80,14 @@ def read(
         notes.append(f"note: the zeros of the angles differ; subtracted from {names}: {shown}")
     found = []
     for name, time, y, u in raw:
-        recording, gaps = _even(name, time, y - zeros, u, request.period)
+        recording = Recording(time, _even(time, request.period), y - zeros, u)
+        if lost := int((recording.durations < 0.0).sum()):
+            notes.append(f"note: {name}: {lost} gaps are left out")
+        try:
+            _require_motion(request, recording)
+        except LogError as error:
+            raise LogError(f"{name}: {error}") from None
         found.append(recording)
-        notes += [f"note: {name}: {gaps}"] * bool(gaps)
-        _require_motion(request, recording)
-        _require_no_gear(request, recording)
     return request, found, notes
 
 
@@ -113,7 +106,18 @@ def _zeros(request: ArmRequest, y: Array) -> Array:
     return zeros
 
 
-def _of_file(request: ArmRequest, log: str | Path, options: dict[str, Any]) -> _Raw:
+def _samples(request: ArmRequest, log: str | Path | Samples, options: dict[str, Any]) -> _Raw:
+    """Return the samples of a log, a bag or arrays."""
+    if not isinstance(log, str | Path):
+        times, y, u = (np.asarray(each, np.float64) for each in log)
+        y = y.reshape(len(times), -1) if times.ndim == 1 and len(times) else y
+        p = len(request.sensors)
+        if times.ndim != 1 or y.shape != (len(times), p) or u.shape != times.shape:
+            raise ModelError(
+                f"logs: expected times (n,), outputs (n, {p}) and torques (n,), got "
+                f"{times.shape}, {y.shape} and {u.shape}"
+            )
+        return "the arrays", times, y, u
     source = open_source(log, **options)
     if len(source.joints) != 1:
         raise LogError(f"{log}: joints {', '.join(source.joints)}: name one of them with --joint")
@@ -126,90 +130,65 @@ def _of_file(request: ArmRequest, log: str | Path, options: dict[str, Any]) -> _
     return str(log), times, whole.y[keep, 0], whole.u[keep, 0, 0]
 
 
-def _of_arrays(request: ArmRequest, log: Samples) -> _Raw:
-    times, y, u = (np.asarray(each, np.float64) for each in log)
-    y = y.reshape(len(times), -1) if times.ndim == 1 and len(times) else y
-    p = len(request.sensors)
-    if times.ndim != 1 or y.shape != (len(times), p) or u.shape != times.shape:
-        raise ModelError(
-            f"logs: expected times (n,), outputs (n, {p}) and torques (n,), got "
-            f"{times.shape}, {y.shape} and {u.shape}"
-        )
-    return "the arrays", times, y, u
-
-
 def _complete(name: str, times: Array, y: Array, u: Array) -> _Raw:
     """Return the samples with a time, a torque and an output, in order of time."""
     keep = np.isfinite(times) & np.isfinite(u) & np.isfinite(y).any(axis=1)
-    times, y, u = times[keep], y[keep], u[keep]
-    times, first = np.unique(times, return_index=True)
-    y, u = y[first], u[first]
-    if len(times) < LEAST_SAMPLES or times[-1] - times[0] < LEAST_TIME:
-        length = times[-1] - times[0] if len(times) else 0.0
+    times, first = np.unique(times[keep], return_index=True)
+    length = float(times[-1] - times[0]) if len(times) else 0.0
+    if len(times) < LEAST_SAMPLES or length < LEAST_TIME:
         raise LogError(
             f"{name}: too short: {len(times)} samples with angle and torque in {length:.3g} s; "
             f"expected at least {LEAST_SAMPLES} in {LEAST_TIME:g} s"
         )
-    return name, times - times[0], np.ascontiguousarray(y), np.ascontiguousarray(u)
+    return name, times - times[0], y[keep][first], u[keep][first]
 
 
-def _even(name: str, time: Array, y: Array, u: Array, period: float) -> tuple[Recording, str]:
-    """Return a recording whose nearly even times are even, and a remark about its gaps."""
+def _even(time: Array, period: float) -> Array:
+    """Return the durations between samples, nearly even ones as even, -1 where a gap begins."""
     durations = np.diff(time, append=time[-1] + period)
     steps = np.round(durations / period)
     drift = np.cumsum(durations - np.maximum(steps, 1.0) * period)
     gaps = durations > _GAP * period
     jitter = np.abs(durations - period) < _JITTER * period
     if (jitter | gaps).all() and np.ptp(drift[~gaps]) < 0.5 * period:
-        durations = np.where(gaps, durations, period)
-    remark = ""
-    if gaps.any():
-        lost = float(durations[gaps].sum())
-        remark = f"{int(gaps.sum())} gaps, {lost:.3g} s in all, are left out"
-    return Recording(name, time, np.where(gaps, -1.0, durations), y, u), remark
+        durations[~gaps] = period
+    return np.where(gaps, -1.0, durations)
 
 
 def _require_motion(request: ArmRequest, recording: Recording) -> None:
-    """Refuse a recording at rest or beyond the domain, or one that lacks torque or an output."""
-    name, y, u, moves = recording.name, recording.y, recording.u, False
+    """Refuse a recording at rest or beyond the domain, one that lacks torque or an output, and
+    angles of motor and link with a gear between them.
+    """
+    y, u, names, moves = recording.y, recording.u, request.output_names, False
     if float(np.ptp(u)) == 0.0:
-        raise LogError(
-            f"{name}: the torque is {u[0] + 0.0:.4g} N m throughout: nothing moves the arm"
-        )
+        raise LogError(f"the torque is {u[0] + 0.0:.4g} N m throughout: nothing moves the arm")
     for place, output in enumerate(request.sensors):
         values = y[np.isfinite(y[:, place]), place]
         if len(values) < LEAST_SAMPLES:
-            raise LogError(f"{name}: {output.measures}: only {len(values)} samples have it")
+            raise LogError(f"{output.measures}: only {len(values)} samples have it")
         noise = max(float(np.median(np.abs(np.diff(values, 2)))) / 1.65, 1e-12)
         swing = float(np.quantile(values, 0.98) - np.quantile(values, 0.02))
         moves |= swing > _LEAST_MOTION * max(noise, 0.05 * output.measurement_std)
         largest, domain = float(np.quantile(np.abs(values), 0.999)), request.max_angle
         if output.measures.endswith("_angle") and largest > min(1.0001 * domain, _FARTHEST):
             raise LogError(
-                f"{name}: {output.measures}: up to {largest:.4g} rad, beyond "
-                f"{min(domain, math.pi):.4g} rad: if these are degrees, "
-                f"{math.radians(largest):.3g} rad, say so: --units angle=deg; if it is the motor's "
-                "side of a gear, divide by its ratio; else widen x_max, or leave that motion out"
+                f"{output.measures}: up to {largest:.4g} rad, beyond {min(domain, math.pi):.4g} "
+                f"rad: if these are degrees, {math.radians(largest):.3g} rad, say so: --units "
+                "angle=deg; if it is the motor's side of a gear, divide by its ratio; else widen "
+                "x_max, or leave that motion out"
             )
     if not moves:
-        raise LogError(f"{name}: at rest: no output moves by more than its noise")
-
-
-def _require_no_gear(request: ArmRequest, recording: Recording) -> None:
-    """Refuse angles of motor and link with a gear between them."""
-    names = request.output_names
-    if not {"motor_angle", "link_angle"} <= set(names):
-        return
-    both = recording.y[:, [names.index("motor_angle"), names.index("link_angle")]]
-    both = both[np.isfinite(both).all(axis=1)]
-    (motor, cross), (_, link) = np.cov(both.T)
-    if cross * cross > 0.5 * motor * link and not 0.5 < cross / link < 2.0:
-        sign = " and has the opposite sign" if cross < 0.0 else ""
-        raise LogError(
-            f"{recording.name}: motor_angle moves {abs(cross / link):.4g} times as far as "
-            f"link_angle{sign}: if a gear is between them, divide the motor's angle by its ratio, "
-            "and multiply the torque by it"
-        )
+        raise LogError("at rest: no output moves by more than its noise")
+    if {"motor_angle", "link_angle"} <= set(names):
+        both = y[:, [names.index("motor_angle"), names.index("link_angle")]]
+        (motor, cross), (_, link) = np.cov(both[np.isfinite(both).all(axis=1)].T)
+        if cross * cross > 0.5 * motor * link and not 0.5 < cross / link < 2.0:
+            sign = " and has the opposite sign" if cross < 0.0 else ""
+            raise LogError(
+                f"motor_angle moves {abs(cross / link):.4g} times as far as link_angle{sign}: if a "
+                "gear is between them, divide the motor's angle by its ratio, and multiply the "
+                "torque by it"
+            )
 
 
 def require_torque(unknowns: Unknowns, recording: Recording) -> None:
@@ -223,18 +202,17 @@ def require_torque(unknowns: Unknowns, recording: Recording) -> None:
     at = np.array([2.0 if each.name.startswith("process") else 0.0 for each in noises.numbers])
     costs = {}
     for gain in (sign * scale for sign in (1.0, -1.0) for scale in _SCALES):
-        joint = with_values(noises.joint, {"torque.gain": gain})
-        costs[gain] = Likelihood(replace(noises, joint=joint), [recording]).cost(at)
+        joint = with_values(noises.joint, {TORQUE_GAIN: gain})
+        costs[gain] = Likelihood(replace(noises, joint=joint), recording).cost(at)
     likeliest = min(costs, key=costs.__getitem__)
     upright = min((each for each in costs if each > 0.0), key=costs.__getitem__)
     if likeliest < 0.0 and costs[likeliest] < costs[upright] - _BETTER:
         raise LogError(
-            f"{recording.name}: torque: its sign is the opposite of the angle's: with the other "
-            "sign the motion follows from it; change the sign of torque or angle"
+            "torque: its sign is the opposite of the angle's: with the other sign the motion "
+            "follows from it; change the sign of torque or angle"
         )
     if not 0.08 < upright < 12.0 and costs[upright] < costs[1.0] - _BETTER:
         raise LogError(
-            f"{recording.name}: torque: the request's arm moves as if the torque were about "
-            f"{upright:.2g} times as large: is its unit mN m (--units torque=mNm), or is it for "
-            "the other side of a gear?"
+            f"torque: the request's arm moves as if the torque were about {upright:.2g} times as "
+            "large: is its unit mN m (--units torque=mNm), or is it for the other side of a gear?"
         )

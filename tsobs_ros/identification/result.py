@@ -1,60 +1,16 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Records of a fit: what was found, how well it is known, and what the model lacks."""
+"""The result of a fit: what was found, how well it is known, and what the model lacks."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import yaml
 
-from tsobs_ros.checks import Array
 from tsobs_ros.design.file import arm_entries
 from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.identification.diagnosis import HORIZON, OutputFit, Traces
 from tsobs_ros.identification.joint import Found, Joint, found_named, table
-
-
-class OutputFit(NamedTuple):
-    """How well an output is predicted in the part that was held out.
-
-    Attributes:
-        name: The output's name.
-        one_step: 100 (1 − |y − ŷ|/|y − mean y|) with ŷ one sample ahead [%].
-        free_run: The same with ŷ simulated from the torque alone for `horizon` [%].
-        horizon: [s].
-        innovation_std: 1σ of the innovations by what the model expects; 1 if it is right.
-        correlation: Of neighbouring innovations; 0 if they are white.
-    """
-
-    name: str
-    one_step: float
-    free_run: float
-    horizon: float
-    innovation_std: float
-    correlation: float
-
-
-class Traces(NamedTuple):
-    """The held-out part, or the end of the recording without one, for figures.
-
-    Attributes:
-        time: [s], shape (n,).
-        measured: Outputs, shape (n, p).
-        predicted: One sample ahead, shape (n, p).
-        simulated: From the torque alone, piece by piece, shape (n, p).
-        residual: Innovations by their expected 1σ, shape (n, p).
-        torque: Of the log [N m], shape (n,).
-        state: Estimated [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (n, 4).
-        unexplained: Torque at the motor that model and log lack [N m], shape (n,).
-    """
-
-    time: Array
-    measured: Array
-    predicted: Array
-    simulated: Array
-    residual: Array
-    torque: Array
-    state: Array
-    unexplained: Array
 
 
 @dataclass(frozen=True)
@@ -69,7 +25,7 @@ class Fit:
         unseen: What the recordings do not show, a line for each direction: the numbers that look
             alike, and a motion that would show them.
         added: What the request's model lacks and the fitted one has, a line each.
-        lacks: What the fitted one still lacks, with the entry of a request that would add it.
+        lacks: What the fitted one still lacks.
         outputs: How well each output is predicted.
         samples: Number of samples that were fitted, and of those held out.
         outliers: Number of innovations that were taken for outliers.
@@ -115,7 +71,7 @@ class Fit:
         for one in self.outputs:
             lines.append(
                 f"{one.name}, held out: one sample ahead {one.one_step:.4g} %, simulated for "
-                f"{one.horizon:.3g} s {one.free_run:.4g} %; innovations {one.innovation_std:.3g} "
+                f"{HORIZON:.3g} s {one.free_run:.4g} %; innovations {one.innovation_std:.3g} "
                 f"times as large as expected, neighbours correlated by {one.correlation:.2f}"
             )
         lines += [f"not shown: {each}" for each in self.unseen]
@@ -127,14 +83,13 @@ class Fit:
         return "\n".join([*lines, *self.notes])
 
 
-_HEADER = """\
-What `tsobs design` is asked for, with numbers of `tsobs fit` from {names}.
-Units are SI and radians. Noises below are those of a filter without Coulomb friction."""
-
-
 def request_text(fit: Fit, names: str) -> str:
     """Return the fitted request as a file; its comments have the recordings' names and the fit."""
-    comments = [*_HEADER.format(names=names).splitlines(), *str(fit).splitlines()]
+    comments = [
+        f"What `tsobs design` is asked for, with numbers of `tsobs fit` from {names}.",
+        "Units are SI and radians. Noises below are those of a filter without Coulomb friction.",
+        *str(fit).splitlines(),
+    ]
     lines = [*(f"# {each}" for each in comments), "design:"]
     for name, value in arm_entries(fit.request).items():
         if name == "outputs":

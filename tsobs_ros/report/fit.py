@@ -10,6 +10,7 @@ import numpy as np
 
 from tsobs_ros import __version__
 from tsobs_ros.checks import Array
+from tsobs_ros.identification.diagnosis import HORIZON
 from tsobs_ros.identification.likelihood import GATE
 from tsobs_ros.identification.result import Fit
 from tsobs_ros.report.metrics import SIGMAS
@@ -65,7 +66,7 @@ def _rows(fit: Fit) -> Iterator[tuple[Plot, ...]]:
         curves = tuple(thinned_curve(key, traces.time, y, max_gap=gap) for key, y in values.items())
         remark = (
             f"{_percent(one.one_step)} predicted one sample ahead",
-            f"{_percent(one.free_run)} simulated, from the estimate every {one.horizon:g} s",
+            f"{_percent(one.free_run)} simulated, from the estimate every {HORIZON:g} s",
         )
         value = Plot(name, unit, limits_around(values.values()), curves, remark)
         yield value, _residual(name, traces.time, residual, gap)
@@ -73,7 +74,7 @@ def _rows(fit: Fit) -> Iterator[tuple[Plot, ...]]:
         "applied": (traces.time, traces.torque),
         "unexplained": (traces.time, traces.unexplained),
     }
-    speed = traces.state[:, 3]
+    speed = traces.velocity
     friction = -fit.joint.friction[0] * np.sign(speed)
     yield lines("torque", "N m", torques, gap), _friction(speed, traces.unexplained, friction)
 
