@@ -65,13 +65,7 @@ def high_gain(
 ) -> Estimator:
     """Return the proportional high-gain observer (PO), or with an integral the PIO.
 
-    Args:
-        arm: The physical model.
-        theta: θ [rad/s].
-        period: Nominal sampling period [s].
-        measurement_std: 1σ of a sample [rad], the only known part of an innovation's size.
-        torque: How torques reach the motor.
-        integral: Whether the integral of the measurement is measured in its place.
+    θ is in rad/s, the period in s. 1σ of a sample [rad] is all that is known of an innovation.
 
     Raises:
         ModelError: A number is not finite and above zero.
@@ -177,6 +171,9 @@ class SystemOfSamples(ArmOfSamples):
     kind, linear_share = native.KIND_SYSTEM, 0.5
 
 
+_ALWAYS = RuleBase(((membership("always"),),))
+
+
 def open_estimator(
     F: Array,
     Y: Array,
@@ -202,7 +199,7 @@ def open_estimator(
         period: Nominal sampling period [s].
         scale: Physical units of the plant's states, the first of x̂, shape (plant,).
         rule_base: Memberships of the first measurements; one rule that always fires if None.
-        gravity_gain: g [1/s²].
+        gravity_gain: g of an arm [1/s²].
         D: Sample to expected measurement, shape (p, p); zero if None.
         disturbance: State and sample to estimated disturbance, shapes (p, n) and (p, p); None if
             it is not estimated.
@@ -210,20 +207,18 @@ def open_estimator(
     """
     _, n, p = Y.shape
     shape = Shape(n, len(scale), p, U.shape[2])
-    if rule_base is None:
-        rules = RuleBase(((membership("always"),),))
-        flow = ArmOfSamples(F, Y, U, C, period, rules, gravity_gain).record()
-    else:
-        flow = SystemOfSamples(F, Y, U, C, period, rule_base, 0.0).record()
+    kind = ArmOfSamples if rule_base is None else SystemOfSamples
+    flow = kind(F, Y, U, C, period, rule_base or _ALWAYS, gravity_gain).record()
     model = new_model(shape, period, flow, torque=torque)
     model["gain_mode"] = native.GAIN_OPEN
-    direct = np.zeros((p, p)) if D is None else D
-    matrices = {"C": C, "D": direct, "R": measurement_covariance, "scale": scale}
-    lacking: tuple[str, ...] = ("state_bound", "disturbance_bound", "disturbance_rate")
+    matrices = {"C": C, "R": measurement_covariance, "scale": scale}
+    lacking = ["state_bound", "disturbance_bound", "disturbance_rate"]
+    if D is not None:
+        matrices["D"] = D
     if disturbance is None:
-        lacking += ("disturbance",)
+        lacking.append("disturbance")
     else:
         matrices |= zip(("disturbance_map", "disturbance_direct"), disturbance, strict=True)
     for name, values in matrices.items():
         fill_matrix(model[0][name], values)
-    return Estimator(shape, model, lacking)
+    return Estimator(shape, model, tuple(lacking))
