@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import chain, product
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +49,8 @@ from tsobs_ros.replay.live import COMPARED, Agreement, digests
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.loop import WINDOW, Window, Windows
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
-from tsobs_ros.replay.source import ARM_QUANTITIES, BagSource, Records
-from tsobs_ros.series import Spool, Stamps
+from tsobs_ros.replay.source import ARM_QUANTITIES, BagSource
+from tsobs_ros.series import Series, Spool, Stamps
 from tsobs_ros.settings import values_of
 
 _OF_BAGS = (".mcap", ".yaml", ".db3")
@@ -124,8 +125,6 @@ class Run:
         windows: The recording's.
 
     Attributes:
-        observer: The observer.
-        windows: The recording's.
         signals: The places of each joint's signals.
         trackers: One per joint.
         estimates: Number of ticks with an estimate.
@@ -144,16 +143,14 @@ class Run:
 
     def __init__(self, observer: Observer, source: BagSource, windows: Windows) -> None:
         self.observer, self.windows, self._source = observer, windows, source
-        settings, each = observer.settings, {id(design): design for design in observer.designs}
-        made = {key: make_estimator(design, settings) for key, design in each.items()}
-        self.trackers = [make_tracker(one, settings, made[id(one)]) for one in observer.designs]
+        self.trackers = [make_tracker(one, observer.settings) for one in observer.designs]
         self.estimates = self.used = 0
         self.rejected: Counter[RejectReason] = Counter()
         # How often each output was gated and missing.
         self._outputs = [np.zeros((one.estimator.shape.p, 2), int) for one in self.trackers]
         self.signals = source.signals_of([design.request for design in observer.designs])
         self._prefix = f"{source.namespace}/{observer.name}/"
-        joints = zip(source.joints, self.signals, observer.designs, strict=True)
+        each = zip(source.joints, self.signals, observer.designs, self.trackers, strict=True)
         self._encoder = EstimateEncoder(
             self._prefix,
             [
@@ -161,18 +158,19 @@ class Run:
                     joint,
                     own,
                     alone=len(source.joints) == 1,
-                    learnt=settings.learnt(design),
-                    rated="disturbance_rate" not in made[id(design)].lacking,
+                    learnt=observer.settings.learnt(design),
+                    rated="disturbance_rate" not in tracker.estimator.lacking,
                 )
-                for joint, own, design in joints
+                for joint, own, design, tracker in each
             ],
         )
         self._made = Spool(np.dtype(np.int64))
-        self._conditions = Spool(np.dtype(np.float64))
-        self._parameters_due = self._health_due = -topics.SLOW_PERIOD
+        # Stamps of the last estimate, parameters and health that a node would have published.
+        self._last, self._parameters, self._health = 0, -topics.SLOW_PERIOD, -topics.SLOW_PERIOD
+        # Stamps and log times of published health, its numbers, and whether a restart is in front.
         self._slow: list[tuple[NDArray[Any], ...]] = []
-        # Number of restarts, of ticks since the last one, and the stamp of the last estimate.
-        self._restarts = self._ticks = self._last = 0
+        # Number of restarts, and of ticks since the last one.
+        self._restarts = self._ticks = 0
         self._is_first, self._has_restarted = True, False
 
     def begin(self, writer: BagWriter, definition: MessageDefinition) -> None:
@@ -202,7 +200,7 @@ class Run:
 
     def run(self, window: Window, *, encode: bool) -> list[MessageSeries]:
         """Run the observer over a window, and return the messages, if they are to be encoded."""
-        self.window, ticks = window, window.ticks
+        self.window, ticks, live = window, window.ticks, self.windows.live
         if window.restarts:
             for tracker in self.trackers:
                 tracker.forget()
@@ -210,20 +208,34 @@ class Run:
             self._has_restarted = True
         self._estimate()
         made: list[MessageSeries] = []
+        # Recorded messages of restarts are copied.
+        if (self._is_first or window.restarts) and not (live is not None and live.restarts):
+            first = ticks[:1]
+            restarts = [np.full((len(first), 1), float(self._restarts))] * len(self.trackers)
+            made += self._encoder.messages(topics.RESTARTS, first, restarts)
+        self._is_first = self._is_first and not len(ticks)
         if encode:
-            made += self._restart_messages()
             made += self._tick_messages()
             of_use = ticks[np.searchsorted(ticks.known, np.arange(len(window.samples)), "right")]
             of_use.stamps = window.samples.stamps
             made += self._encoder.messages(topics.INNOVATION, of_use, self.innovations)
-        live = self.windows.live
         for topic in COMPARED if encode or live is not None else ():
-            messages = self._messages(topic, ticks)
+            messages = self._messages(topic)
             made += messages
             for one in messages if live is not None else ():
                 self._made.add(digests(topic, one.data))
-        made += self._slow_messages(encode=encode)
-        self._is_first = self._is_first and not len(ticks)
+        valid: Flags = np.array([own["parameters_valid"] == 1.0 for own in self.rows])
+        due, self._parameters = _due(ticks.stamps, np.asarray(valid.any(axis=0)), self._parameters)
+        for topic in topics.PARAMETER_TOPICS if encode and len(due) else ():
+            made += self._messages(topic, due, valid)
+        due, self._health = _due(ticks.stamps, self.done, self._health)
+        if len(due):
+            made += self._messages(topics.HEALTH, due) if encode else []
+            restarted = np.arange(len(due)) < self._has_restarted
+            self._has_restarted = False
+            health = [self.values(joint, *HEALTH)[due] for joint in range(len(self.rows))]
+            times = ticks.stamps[due], ticks.log_times[due]
+            self._slow.append((*times, np.stack(health, axis=1), restarted))
         return made if encode else []
 
     def values(self, joint: int, *names: str) -> Array:
@@ -233,10 +245,16 @@ class Run:
 
     def _estimate(self) -> None:
         """Make the estimates of the window, each joint on its own, and count."""
-        samples, joints = self.window.samples, range(len(self.trackers))
-        with ThreadPoolExecutor(min(len(joints), os.cpu_count() or 1)) as pool:
-            results = list(pool.map(self._run_joint, joints))
-        self.done = self._published(results)
+        samples, ticks, _ = self.window
+        with ThreadPoolExecutor(min(len(self.trackers), os.cpu_count() or 1)) as pool:
+            results = list(pool.map(self._run_joint, range(len(self.trackers))))
+        done: Flags = np.any([one.there for one in results], axis=0) & ticks.estimated
+        if self.windows.at_samples:
+            done &= np.any([one.newest == ticks.stamps for one in results], axis=0)
+        # Stamps of what a node publishes rise up to a restart.
+        stamps = np.where(done, ticks.stamps, 0)
+        before = np.maximum.accumulate(np.append(self._last, stamps))
+        self._last, self.done = int(before[-1]), done & (stamps > before[:-1])
         self.estimates += int(self.done.sum())
         self.rows, self.innovations = [], []
         for joint, one in enumerate(results):
@@ -266,29 +284,14 @@ class Run:
             self.observer.settings.stale_after,
         )
 
-    def _published(self, results: Sequence[TrackerRun]) -> Flags:
-        """Return the ticks at which a node would publish estimates; stamps rise to a restart."""
-        ticks = self.window.ticks
-        done: Flags = np.any([one.there for one in results], axis=0) & ticks.estimated
-        if self.windows.at_samples:
-            done &= np.any([one.newest == ticks.stamps for one in results], axis=0)
-        stamps = np.where(done, ticks.stamps, 0)
-        before = np.maximum.accumulate(np.append(self._last, stamps))
-        self._last = int(before[-1])
-        return done & (stamps > before[:-1])
-
-    def _messages(self, topic: str, at: Records, rows: Any = slice(None)) -> list[MessageSeries]:
-        """Return the messages of a topic of estimates at some of the ticks."""
+    def _messages(
+        self, topic: str, rows: Any = slice(None), there: Flags | None = None
+    ) -> list[MessageSeries]:
+        """Return the messages of a topic at some of the ticks, of the joints that are there."""
         each = [self.values(joint, *ESTIMATES[topic])[rows] for joint in range(len(self.rows))]
-        return self._encoder.messages(topic, at, each)
-
-    def _restart_messages(self) -> list[MessageSeries]:
-        """Return the message of the start or a restart, unless recorded ones are copied."""
-        live, first = self.windows.live, self.window.ticks[:1]
-        if not (self._is_first or self.window.restarts) or (live is not None and live.restarts):
-            return []
-        each = [np.full((len(first), 1), float(self._restarts))] * len(self.trackers)
-        return self._encoder.messages(topics.RESTARTS, first, each)
+        for own, known in zip(each, there[:, rows] if there is not None else (), strict=False):
+            own[~known] = np.nan
+        return self._encoder.messages(topic, self.window.ticks[rows], each)
 
     def _tick_messages(self) -> list[MessageSeries]:
         """Return the messages of the tick log."""
@@ -308,30 +311,6 @@ class Run:
             times = ticks.log_times[rows], ticks.publish_times[rows]
             found.append(MessageSeries(self._prefix + topics.TICKS, TICK_LOG, *times, data))
         return found
-
-    def _slow_messages(self, *, encode: bool) -> list[MessageSeries]:
-        """Note what the estimates are worth; return the messages that come now and then."""
-        ticks, made = self.window.ticks, list[MessageSeries]()
-        valid: Flags = np.array([own["parameters_valid"] == 1.0 for own in self.rows])
-        due, self._parameters_due = _due(
-            ticks.stamps, np.asarray(valid.any(axis=0)), self._parameters_due
-        )
-        for topic in topics.PARAMETER_TOPICS if encode and len(due) else ():
-            each = [self.values(joint, *ESTIMATES[topic])[due] for joint in range(len(self.rows))]
-            for own, there in zip(each, valid[:, due], strict=True):
-                own[~there] = np.nan
-            made += self._encoder.messages(topic, ticks[due], each)
-        conditions = np.stack([self.values(j, *HEALTH) for j in range(len(self.rows))], axis=1)
-        self._conditions.add(conditions)
-        due, self._health_due = _due(ticks.stamps, self.done, self._health_due)
-        if len(due):
-            if encode:
-                made += self._messages(topics.HEALTH, ticks[due], due)
-            restarted = np.zeros(len(due), np.bool_)
-            restarted[0], self._has_restarted = self._has_restarted, False
-            times = ticks.stamps[due], ticks.log_times[due]
-            self._slow.append((*times, conditions[due], restarted))
-        return made
 
     def outputs(self) -> dict[str, dict[str, dict[str, int]]]:
         """Return how often each output was gated and missing, of joints that have several."""
@@ -355,26 +334,34 @@ class Run:
             found += [f"warning: {name}: {text}"] if off else []
         return found
 
-    @cached_property
+    @property
     def events(self) -> list[JointEvent]:
-        """What the node would have logged, in order; known after the last window."""
-        if not self._slow:
-            return []
-        source = self._source
-        return find_events(
-            source.joints,
-            source.topic,
-            *map(np.concatenate, zip(*self._slow, strict=True)),
-            stale_after=self.observer.settings.stale_after,
-            same_clock=source.same_clock,
-        )
+        """What the node would have logged, known after the last window."""
+        found = list[JointEvent]()
+        for joint, (health, restarted) in self._healths.items():
+            found += find_events(
+                joint,
+                self._source.topic,
+                health,
+                restarted,
+                stale_after=self.observer.settings.stale_after,
+                same_clock=self._source.same_clock,
+            )
+        return sorted(found, key=attrgetter("log_time"))
 
     def health(self) -> dict[str, Health]:
         """Return the health of each joint that has estimates."""
-        joints = self._source.joints
-        conditions = self._conditions.read().reshape(-1, len(joints), len(HEALTH))
-        found = ((name, health_of(conditions[:, joint])) for joint, name in enumerate(joints))
+        found = ((joint, health_of(own.values)) for joint, (own, _) in self._healths.items())
         return {joint: one for joint, one in found if one is not None}
+
+    @property
+    def _healths(self) -> dict[str, tuple[Series, Flags]]:
+        """The published health of each joint, and whether there was a restart before it."""
+        if not self._slow:
+            return {}
+        stamps, log_times, values, restarted = map(np.concatenate, zip(*self._slow, strict=True))
+        each = zip(self._source.joints, values.swapaxes(0, 1), strict=True)
+        return {joint: (Series(stamps, own, log_times), restarted) for joint, own in each}
 
     def agreement(self) -> Agreement | None:
         """Return the comparison with the recorded estimates, if there is a tick log."""

@@ -2,15 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The health of recorded estimates: their events in order, and a summary."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tsobs_ros.bag.estimate_topics import CONDITIONS
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.estimation.events import (
     COAST_AFTER,
     NOISY,
@@ -19,7 +18,7 @@ from tsobs_ros.estimation.events import (
     EventLog,
 )
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
-from tsobs_ros.series import NANOSECONDS, Stamps
+from tsobs_ros.series import NANOSECONDS, Series
 
 C = TypeVar("C", bound=IntEnum)
 
@@ -179,12 +178,10 @@ def health_of(conditions: Array) -> Health | None:
 
 
 def find_events(
-    joints: Sequence[str],
+    joint: str,
     source: str,
-    stamps: Stamps,
-    log_times: Stamps,
-    conditions: Array,
-    restarted: NDArray[Any] | None = None,
+    health: Series,
+    restarted: Flags | None = None,
     *,
     stale_after: float = STALE_AFTER,
     same_clock: bool = True,
@@ -192,25 +189,21 @@ def find_events(
     """Return the events that a node would have logged, in order.
 
     Args:
-        joints: Names of J joints.
+        joint: The joint's name.
         source: Where the measurements come from.
-        stamps: Of n conditions [ns].
-        log_times: Of the same [ns].
-        conditions: Their numbers, NaN without an estimate, shape (n, J, 7).
+        health: Numbers of conditions, NaN without an estimate, with log times.
         restarted: Whether the observer was restarted before each; never if None.
         stale_after: Age of the newest measurement for STALE [s].
         same_clock: Whether stamps and log times are of the same clock.
     """
-    logs = [EventLog(source, COAST_AFTER, stale_after) for _ in joints]
-    restarted = np.zeros(len(stamps), np.bool_) if restarted is None else restarted
-    found = []
-    columns = (each.tolist() for each in (stamps, log_times, restarted, conditions))
-    for stamp, log_time, is_restarted, rows in zip(*columns, strict=True):
-        for joint, log, row in zip(joints, logs, rows, strict=True):
-            if is_restarted:
-                log.restart()
-            if row[0] == row[0]:
-                for event in log.update(Estimate.of_health(stamp, row)):
-                    before = stamp - event.stamp if same_clock else 0
-                    found.append(JointEvent(joint, log_time - before, event))
+    log, found = EventLog(source, COAST_AFTER, stale_after), list[JointEvent]()
+    restarted = np.zeros(len(health.stamps), bool) if restarted is None else restarted
+    series = health.stamps, health.log_times, health.values, restarted
+    for stamp, log_time, row, is_restarted in zip(*(x.tolist() for x in series), strict=True):
+        if is_restarted:
+            log.restart()
+        if row[0] == row[0]:
+            for event in log.update(Estimate.of_health(stamp, row)):
+                before = stamp - event.stamp if same_clock else 0
+                found.append(JointEvent(joint, log_time - before, event))
     return found

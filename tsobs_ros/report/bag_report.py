@@ -6,11 +6,10 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
-
-import numpy as np
 
 from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile
@@ -187,10 +186,9 @@ def make_bag_report(
     metrics = measure(run, expected)
     health, events = None, list[JointEvent]()
     if run.health is not None:
-        stamps, values, _ = run.health
-        health = health_of(values)
-        events = find_events([run.joint], run.topic, stamps, stamps, values[:, np.newaxis])
-        events.sort(key=lambda one: one.log_time)
+        health = health_of(run.health.values)
+        stamped = run.health._replace(log_times=run.health.stamps)
+        events = sorted(find_events(run.joint, run.topic, stamped), key=attrgetter("log_time"))
     diagnosed = diagnose(diagnostics(source), run.origin, metrics.last)
     rival = None
     if ekf and run.true_state is not None:
