@@ -15,8 +15,8 @@ from tsobs_ros.replay.health import JointEvent, health_of
 from tsobs_ros.report.diagnosed import diagnose
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.page import write_html
-from tsobs_ros.report.panels import picture
-from tsobs_ros.report.summary import About, Summary, Table, summarise
+from tsobs_ros.report.panels import Table, picture
+from tsobs_ros.report.summary import Summary, summarise
 from tsobs_ros.series import Series
 
 HOSTILE = "</script><img src=x onerror=alert(1)><b>&\u202e$x$"
@@ -55,7 +55,7 @@ def page(simulated, troubled, diagnosed, tmp_path):
     shown = picture(run, metrics, (0.03,), diagnosed=diagnosed)
     path = tmp_path / "run.html"
     table = Table("A table", ("what", "number"), [(HOSTILE, "1")], 1, HOSTILE)
-    write_html(shown, path, About(Summary(Level.WARN, "It went so-so."), (table,)))
+    write_html(shown, path, [table], summary=Summary(Level.WARN, "It went so-so."))
     return path
 
 

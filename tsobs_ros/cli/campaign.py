@@ -95,8 +95,9 @@ def _show(options: argparse.Namespace, folder: "CampaignFolder", seconds: float 
 def _rerun(options: argparse.Namespace) -> int:
     from tsobs_ros.campaign.folder import CampaignFolder
     from tsobs_ros.campaign.rerun import rerun
-    from tsobs_ros.cli.report import report_on
+    from tsobs_ros.report.bag_report import make_bag_report
 
     number, folder = options.rerun
     bag = rerun(CampaignFolder.open(Path(folder)).campaign, int(number), options.output)
-    return report_on(bag, options.output, as_json=options.json)
+    show(*make_bag_report(bag, options.output), options.json)
+    return 0

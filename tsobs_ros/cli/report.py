@@ -7,7 +7,6 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from tsobs_ros.cli.common import Commands, add_command, at_least_one, keywords, progress, show
 from tsobs_ros.errors import LogError
@@ -53,17 +52,8 @@ def run(options: argparse.Namespace) -> int:
     from tsobs_ros.report.bag_report import make_bag_report
 
     output = options.output or options.bag.parent
-    return report_on(
-        options.bag, output, as_json=options.json, **keywords(options, make_bag_report)
-    )
-
-
-def report_on(bag: Path, output: Path, *, as_json: bool, **options: Any) -> int:
-    """Report on a bag and return the exit code; the options are those of `make_bag_report`."""
-    from tsobs_ros.report.bag_report import make_bag_report
-
-    result = make_bag_report(bag, output, **options)
-    show(result.as_mapping(), result.text(), as_json)
+    report = make_bag_report(options.bag, output, **keywords(options, make_bag_report))
+    show(*report, options.json)
     return 0
 
 

@@ -4,8 +4,6 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
@@ -16,7 +14,6 @@ from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.files import require_new, written_whole
 from tsobs_ros.replay.health import (
-    Health,
     JointEvent,
     find_events,
     health_of,
@@ -24,118 +21,13 @@ from tsobs_ros.replay.health import (
     map_events,
 )
 from tsobs_ros.replay.source import BagSource
-from tsobs_ros.report.comparison import Rival, about_ekfs, aligned, best_ekf, metrics_cells
+from tsobs_ros.report.comparison import about_ekfs, aligned, best_ekf, metrics_cells
 from tsobs_ros.report.diagnosed import Diagnosed, diagnose
 from tsobs_ros.report.metrics import RunMetrics, innovation_std, measure
-from tsobs_ros.report.panels import Picture, picture
+from tsobs_ros.report.panels import Table, picture
 from tsobs_ros.report.run import RecordedRun, diagnostics, read_run
-from tsobs_ros.report.summary import About, Summary, Table, summarise
+from tsobs_ros.report.summary import summarise
 from tsobs_ros.series import NANOSECONDS
-
-
-@dataclass(frozen=True)
-class BagReport:
-    """A report that has been made.
-
-    Health is None if it was not recorded, the EKF if it is not asked for. Facts are names and
-    values of what the report was made with, remarks its limits, files those that were written.
-    """
-
-    bag: Path
-    design: DesignFile
-    run: RecordedRun
-    metrics: RunMetrics
-    health: Health | None
-    events: Sequence[JointEvent]
-    ekf: Rival | None
-    diagnosed: Diagnosed
-    shown: Picture
-    facts: Sequence[tuple[str, str]]
-    files: Sequence[Path]
-    remarks: Sequence[str]
-
-    @cached_property
-    def summary(self) -> Summary:
-        """How the run went, in words."""
-        until = int(self.run.measurements.stamps.max())
-        known = self.metrics, self.health, self.diagnosed, self.shown.timing
-        return summarise(*known, self.events, until)
-
-    @property
-    def _cells(self) -> list[list[str]]:
-        return metrics_cells(self.metrics, self.ekf and self.ekf.metrics)
-
-    @property
-    def _note(self) -> str:
-        """The line on what the errors are of."""
-        note = f"Errors over the {self.metrics.settled_time:.1f} s that count as settled."
-        return note + (f" {about_ekfs([self.ekf.method])}." if self.ekf else "")
-
-    def text(self) -> str:
-        """Return the report for a terminal."""
-        what = f"{self.run.joint}, design {self.design.name} ({self.design.identity})"
-        parts = [
-            [f"{self.bag}: {what}", self.summary.text, self.shown.headline],
-            aligned(self._cells),
-            [self._note, *(() if self.health is None else self.health.lines())],
-            list_events(self.events, self.run.origin),
-            self.remarks,
-            [f"wrote {path}" for path in self.files],
-        ]
-        return "\n\n".join("\n".join(map(printable, part)) for part in parts if part)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return the report as plain data that JSON can hold."""
-        health = self.health and {
-            **self.health.as_mapping(),
-            **map_events(self.events, self.run.origin),
-        }
-        return {
-            "bag": str(self.bag),
-            "joint": self.run.joint,
-            "design": {"file": self.design.name, "sha256": self.design.sha256},
-            "version": __version__,
-            "summary": {"level": self.summary.level.name, "text": self.summary.text},
-            **self.metrics.as_mapping(),
-            "health": health,
-            "timing": self.shown.timing._asdict(),
-            "diagnostics": self.diagnosed.as_mapping(),
-            "ekf": self.ekf and self.ekf.as_mapping(self.metrics),
-            "files": [str(path) for path in self.files],
-            "remarks": list(self.remarks),
-        }
-
-    @property
-    def about(self) -> About:
-        """What its page has beside the panels."""
-        head, *rows = self._cells
-        faults = [
-            (
-                one.output or self.run.joint,
-                one.kind,
-                one.level.name,
-                f"{one.begin:.1f}",
-                f"{one.end:.1f}",
-                f"{one.magnitude:.3g} {one.unit}",
-            )
-            for one in self.diagnosed.faults
-        ]
-        events = [
-            (f"{(time - self.run.origin) / NANOSECONDS:.1f}", event.level.name, event.text)
-            for _, time, event in self.events
-        ]
-        rejected = [(reason, str(count)) for reason, count in self.diagnosed.rejected.items()]
-        health = () if self.health is None else self.health.lines()
-        columns = ("sensor", "fault", "level", "since [s]", "until [s]", "size")
-        tables = [
-            Table("Errors and bounds", head, rows, 2, self._note),
-            Table("Faults of sensors", columns, faults, 3),
-            Table("Events", ("time [s]", "level", "what"), events, 3),
-            Table("Rejected measurements", ("reason", "number"), rejected),
-            Table("What it was made with", ("what", "value"), self.facts, 2),
-            Table("Remarks", ("",), [(line,) for line in [*health, *self.remarks]], 1),
-        ]
-        return About(self.summary, tables)
 
 
 def make_bag_report(
@@ -149,8 +41,10 @@ def make_bag_report(
     topic: str | None = None,
     force: bool = False,
     notes: Mapping[str, str] = MappingProxyType({}),
-) -> BagReport:
+) -> tuple[dict[str, Any], str]:
     """Measure a bag and write `report.html`, `report.png` and `report.json` to a folder.
+
+    Returns the report as plain data, which is that of the last one, and as text for a terminal.
 
     Args:
         bag: Bag folder or MCAP file.
@@ -167,7 +61,7 @@ def make_bag_report(
     Raises:
         BagReadError: The bag cannot be read or lacks what a report needs.
         DesignFileError: The design is none, or not that of the bag; or that is not known here.
-        OutputError: A file exists already.
+        OutputError: A file exists already, or cannot be written.
         OutputError: A file cannot be written.
         ModuleNotFoundError: matplotlib or plotly is not installed.
     """
@@ -184,26 +78,89 @@ def make_bag_report(
         raise BagReadError(f"{bag}: several joints, choose one of {', '.join(source.joints)}")
     run, expected = read_run(source, file.design.request), innovation_std(file.design)
     metrics = measure(run, expected)
-    health, events = None, list[JointEvent]()
+    health, events, health_lines = None, list[JointEvent](), tuple[str, ...]()
     if run.health is not None:
         health = health_of(run.health.values)
         stamped = run.health._replace(log_times=run.health.stamps)
         events = sorted(find_events(run.joint, run.topic, stamped), key=attrgetter("log_time"))
+        health_lines = () if health is None else health.lines()
     diagnosed = diagnose(diagnostics(source), run.origin, metrics.last)
     rival = None
     if ekf and run.true_state is not None:
         rival = best_ekf(source, file, source.ran.settings())
     shown = picture(run, metrics, expected, diagnosed=diagnosed, rival=rival and rival.run)
+    until = int(run.measurements.stamps.max())
+    summary = summarise(metrics, health, diagnosed, shown.timing, events, until)
     remarks = [*source.ran.doubt(given), *source.ran.remarks, *_limits(run, metrics, diagnosed)]
-    facts = [*_facts(bag, source, file), *notes.items()]
-    known = metrics, health, events, rival, diagnosed, shown
-    report = BagReport(bag, file, run, *known, facts, files, remarks)
+    cells = metrics_cells(metrics, rival and rival.metrics)
+    note = f"Errors over the {metrics.settled_time:.1f} s that count as settled."
+    note += f" {about_ekfs([rival.method])}." if rival else ""
+    mapping = {
+        "bag": str(bag),
+        "joint": run.joint,
+        "design": {"file": file.name, "sha256": file.sha256},
+        "version": __version__,
+        "summary": {"level": summary.level.name, "text": summary.text},
+        **metrics.as_mapping(),
+        "health": health and {**health.as_mapping(), **map_events(events, run.origin)},
+        "timing": shown.timing._asdict(),
+        "diagnostics": diagnosed.as_mapping(),
+        "ekf": rival and rival.as_mapping(metrics),
+        "files": [str(path) for path in files],
+        "remarks": remarks,
+    }
+    tables = [
+        Table("Errors and bounds", cells[0], cells[1:], 2, note),
+        *_tables(run, diagnosed, events),
+        Table(
+            "What it was made with",
+            ("what", "value"),
+            [*_facts(bag, source, file), *notes.items()],
+            2,
+        ),
+        Table("Remarks", ("",), [(line,) for line in [*health_lines, *remarks]], 1),
+    ]
     with written_whole(output, force=force) as folder:
         draw_run(shown, folder / files[0].name)
-        write_html(shown, folder / files[1].name, report.about)
-        text = json.dumps(report.as_mapping(), indent=2, allow_nan=False)
+        write_html(shown, folder / files[1].name, tables, summary=summary)
+        text = json.dumps(mapping, indent=2, allow_nan=False)
         (folder / files[2].name).write_text(text + "\n", encoding="utf-8")
-    return report
+    what = f"{run.joint}, design {file.name} ({file.identity})"
+    parts = [
+        [f"{bag}: {what}", summary.text, shown.headline],
+        aligned(cells),
+        [note, *health_lines],
+        list_events(events, run.origin),
+        remarks,
+        [f"wrote {path}" for path in files],
+    ]
+    return mapping, "\n\n".join("\n".join(map(printable, part)) for part in parts if part)
+
+
+def _tables(run: RecordedRun, diagnosed: Diagnosed, events: Sequence[JointEvent]) -> list[Table]:
+    """Return the tables of what happened."""
+    faults = [
+        (
+            one.output or run.joint,
+            one.kind,
+            one.level.name,
+            f"{one.begin:.1f}",
+            f"{one.end:.1f}",
+            f"{one.magnitude:.3g} {one.unit}",
+        )
+        for one in diagnosed.faults
+    ]
+    logged = [
+        (f"{(time - run.origin) / NANOSECONDS:.1f}", event.level.name, event.text)
+        for _, time, event in events
+    ]
+    rejected = [(reason, str(count)) for reason, count in diagnosed.rejected.items()]
+    columns = ("sensor", "fault", "level", "since [s]", "until [s]", "size")
+    return [
+        Table("Faults of sensors", columns, faults, 3),
+        Table("Events", ("time [s]", "level", "what"), logged, 3),
+        Table("Rejected measurements", ("reason", "number"), rejected),
+    ]
 
 
 def _limits(run: RecordedRun, metrics: RunMetrics, diagnosed: Diagnosed) -> Iterator[str]:

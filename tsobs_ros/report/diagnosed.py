@@ -69,59 +69,52 @@ def diagnose(statuses: Iterable[RecordedStatus], origin: int, until: float) -> D
     """Gather what statuses have up to the end of a run [s]; times count from a stamp [ns]."""
     found, running = Diagnosed(), dict[str, FaultSpan]()
     reasons = {f"{_REJECTED}{reason.value}": reason.value for reason in RejectReason}
-    numbers: dict[str, list[tuple[float, float]]] = {}
+    numbers: dict[str, list[tuple[float, float]]] = {key: [] for key in (*_TIMING, *reasons)}
     for status in statuses:
         time = (status.stamp - origin) / NANOSECONDS
         if not 0.0 <= time <= until + 1.0:
             continue
         found.count += 1
         if status.name[-1].startswith(_FAULT):
-            _note_fault(found.faults, running, time, status)
+            fault, output = _fault(status, time), status.name[-1].removeprefix(_FAULT)
+            known = running.pop(output, None)
+            if known is not None and time - known.end < _APART:
+                known.end = time
+                if known.kind == fault.kind:
+                    known.level = max(known.level, fault.level)
+                    known.magnitude, fault = max(known.magnitude, fault.magnitude), known
+            if fault.kind not in ("", "none"):
+                running[output] = fault
+                found.faults += [fault] if fault is not known else []
             continue
-        for key in status.values.keys() & {*reasons, *_TIMING}:
-            numbers.setdefault(key, []).append((time, _number(status.values[key])))
-    for key in (*_TIMING, *reasons):
-        if key not in numbers:
-            continue
-        times, values = np.array(numbers[key]).T
-        if key in _TIMING:
+        for key in status.values.keys() & numbers:
+            numbers[key].append((time, _number(status.values[key])))
+    for key, pairs in numbers.items():
+        times, values = np.array(pairs).reshape(-1, 2).T
+        grown = np.maximum(np.diff(values, prepend=0.0), 0.0)
+        if key in _TIMING and pairs:
             found.timing[key.removesuffix(" [ms]")] = (times, values)
-        else:
-            grown = np.maximum(np.diff(values, prepend=0.0), 0.0)
+        elif key in reasons and (total := int(grown.sum())):
             lengths = np.maximum(np.diff(times, prepend=times[0] - 1.0), 0.1)
-            if total := int(grown.sum()):
-                found.rejected[reasons[key]] = total
-                found.reject_rates[reasons[key]] = (times, grown / lengths)
+            found.rejected[reasons[key]] = total
+            found.reject_rates[reasons[key]] = (times, grown / lengths)
     return found
 
 
-def _note_fault(
-    faults: list[FaultSpan], running: dict[str, FaultSpan], time: float, status: RecordedStatus
-) -> None:
-    """Begin a fault, or prolong the one that the output has; the next status ends it."""
-    output = status.name[-1].removeprefix(_FAULT).removeprefix(" of ")
-    kind = status.values.get("kind", "")[:_MAX_KIND]
-    level, (size, unit) = Level(min(status.level, Level.STALE)), _size(status)
-    known = running.pop(output, None)
-    if known is not None and time - known.end < _APART:
-        known.end = time
-        if known.kind == kind:
-            known.level, known.magnitude = max(known.level, level), max(known.magnitude, size)
-            running[output] = known
-            return
-    if kind not in ("", "none"):
-        lasted = re.search(r"[\d.]+", status.values.get("since", ""))
-        begin = time - (_number(lasted.group()) if lasted else 0.0)
-        running[output] = FaultSpan(output, kind, level, max(0.0, begin), time, size, unit)
-        faults.append(running[output])
-
-
-def _size(status: RecordedStatus) -> tuple[float, str]:
-    """Return the magnitude of a fault and its unit."""
-    for key, text in status.values.items():
-        if key.startswith("magnitude"):
-            return _number(text), key.partition("[")[2].rstrip("]")[:_MAX_KIND]
-    return 0.0, ""
+def _fault(status: RecordedStatus, time: float) -> FaultSpan:
+    """Return the fault in a status at a time [s]; the next status ends it."""
+    lasted = re.search(r"[\d.]+", status.values.get("since", ""))
+    sizes = ((key, text) for key, text in status.values.items() if key.startswith("magnitude"))
+    name, size = next(sizes, ("", ""))
+    return FaultSpan(
+        status.name[-1].removeprefix(_FAULT).removeprefix(" of "),
+        status.values.get("kind", "")[:_MAX_KIND],
+        Level(min(status.level, Level.STALE)),
+        max(0.0, time - (_number(lasted.group()) if lasted else 0.0)),
+        time,
+        _number(size),
+        name.partition("[")[2].rstrip("]")[:_MAX_KIND],
+    )
 
 
 def _number(text: str) -> float:

@@ -21,12 +21,12 @@ from tsobs_ros.report.panels import (
     Picture,
     Plot,
     Style,
+    Table,
     limits_around,
     lines,
     thinned_curve,
 )
 from tsobs_ros.report.quantities import outputs_of
-from tsobs_ros.report.summary import About, Table
 from tsobs_ros.style import BLUE, ORANGE
 
 _DOTS, _GROUPS = 2500, 40
@@ -53,7 +53,7 @@ def write_page(path: Path, fit: Fit, names: str) -> None:
     lines.append(f"made by tsobs_ros {__version__}")
     found = Table("What was found", ("",), [(line,) for line in lines], 1)
     shown = Picture(f"Fit to {names}", headline, tuple(_rows(fit)), (begin, end))
-    write_html(shown, path, About(first=[numbers, found]))
+    write_html(shown, path, first=[numbers, found])
 
 
 def _rows(fit: Fit) -> Iterator[tuple[Plot, ...]]:

@@ -24,8 +24,9 @@ from tsobs_ros.report.panels import (
     Band,
     Picture,
     Plot,
+    Table,
 )
-from tsobs_ros.report.summary import About, Table
+from tsobs_ros.report.summary import Summary
 from tsobs_ros.style import GRID, INK, MUTED
 
 _VERDICTS = {Level.OK: ("good", "✓ Good:"), Level.WARN: ("warn", "! Mind:")}
@@ -35,11 +36,19 @@ _NUMBER = ' class="number"'
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
 
 
-def write_html(picture: Picture, path: Path, about: About) -> None:
+def write_html(
+    picture: Picture,
+    path: Path,
+    tables: Sequence[Table] = (),
+    *,
+    first: Sequence[Table] = (),
+    summary: Summary | None = None,
+) -> None:
     """Write a page that needs nothing but itself: no network, no second file.
 
     plotly.js is in it, compressed, which is most of the page: with a script beside it, a page
-    that is sent or moved alone would be blank.
+    that is sent or moved alone would be blank. Tables are below the plots, or above them if they
+    come first.
 
     Raises:
         OSError: The page cannot be written.
@@ -55,9 +64,10 @@ def write_html(picture: Picture, path: Path, about: About) -> None:
             f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
             f"<title>{escape(picture.name)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n"
         )
-        page.writelines(_head(picture, about))
+        page.writelines(_head(picture, summary))
+        page.writelines(_tables(first))
         page.write(figures)
-        page.writelines(_tables(about.tables))
+        page.writelines(_tables(tables))
         page.write("</main>\n")
         content = json.dumps(drawn, separators=(",", ":"), allow_nan=False)
         for name, text in (("library", get_plotlyjs()), ("content", content)):
@@ -66,15 +76,14 @@ def write_html(picture: Picture, path: Path, about: About) -> None:
         page.write(f"<script>\n{script}</script>\n</body>\n</html>\n")
 
 
-def _head(picture: Picture, about: About) -> Iterator[str]:
+def _head(picture: Picture, summary: Summary | None) -> Iterator[str]:
     yield f"<header>\n<h1>{escape(picture.name)}</h1>\n"
-    if text := escape(about.summary.text):
-        kind, verdict = _VERDICTS.get(about.summary.level, ("error", "✗ Bad:"))
-        yield f'<p class="verdict {kind}"><strong>{verdict}</strong>{text}</p>\n'
+    if summary is not None:
+        kind, verdict = _VERDICTS.get(summary.level, ("error", "✗ Bad:"))
+        yield f'<p class="verdict {kind}"><strong>{verdict}</strong>{escape(summary.text)}</p>\n'
     yield f'<p class="muted">{escape(picture.headline)}</p>\n</header>\n<main>\n'
     yield '<p id="failure" role="status"></p>\n'
     yield "<noscript><p>The figures need JavaScript; the tables do not.</p></noscript>\n"
-    yield from _tables(about.first)
 
 
 def _tables(tables: Sequence[Table]) -> Iterator[str]:

@@ -156,6 +156,19 @@ class Picture(NamedTuple):
         return tuple(plot for row in self.rows for plot in row)
 
 
+class Table(NamedTuple):
+    """A table of a page, which is not shown without rows.
+
+    `numbers` is the place of the first column of numbers, which are aligned to the right.
+    """
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    numbers: int = 1
+    note: str = ""
+
+
 def picture(
     run: RecordedRun,
     metrics: RunMetrics,

@@ -25,8 +25,7 @@ from tsobs_ros.paper.examples import example_1, example_2, example_3
 from tsobs_ros.paper.runs import SETTLED, ArmComparison, ExampleRun, compare_on_arm, run_example
 from tsobs_ros.report.figures import draw_run
 from tsobs_ros.report.page import write_html
-from tsobs_ros.report.panels import Picture, Plot, limits_around, lines, thinned_curve
-from tsobs_ros.report.summary import About, Table
+from tsobs_ros.report.panels import Picture, Plot, Table, limits_around, lines, thinned_curve
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 _TITLE = "The adaptive T–S observer: what its paper claims and what holds"
@@ -118,7 +117,7 @@ def make_paper_report(
     with written_whole(output, force=force) as folder:
         for picture, path in zip(pictures, figures, strict=True):
             draw_run(picture, folder / path.name)
-        write_html(whole, folder / page.name, About(tables=[_table(arm)], first=first))
+        write_html(whole, folder / page.name, [_table(arm)], first=first)
         (folder / data_file.name).write_text(
             json.dumps(data, indent=2, ensure_ascii=False) + "\n", encoding="utf-8"
         )

@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A run in plain words: how it went, and what its page has beside the panels."""
+"""How a run went, in plain words."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from tsobs_ros.estimation.health import Level, Phase
@@ -20,32 +20,11 @@ _CLAIMED = 0.4
 """Share of bounds that have to be claimed in a good run: a start and a jump of 20 s leave more."""
 
 
-class Table(NamedTuple):
-    """A table of a page, which is not shown without rows.
-
-    `numbers` is the place of the first column of numbers, which are aligned to the right.
-    """
-
-    title: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    numbers: int = 1
-    note: str = ""
-
-
 class Summary(NamedTuple):
     """How a run went: how well, and in plain words."""
 
-    level: Level = Level.OK
-    text: str = ""
-
-
-class About(NamedTuple):
-    """What a page has beside the panels: a verdict, and tables below and above the panels."""
-
-    summary: Summary = Summary()
-    tables: Sequence[Table] = ()
-    first: Sequence[Table] = ()
+    level: Level
+    text: str
 
 
 def summarise(
@@ -60,71 +39,74 @@ def summarise(
 
     A silence after the last measurement, `until` [ns], is no fault of the run.
     """
-    silences = sum(
-        one.event.text.startswith(Phase.COASTING.name) and one.event.stamp < until for one in events
-    )
     parts = [_of_estimates(metrics)]
     if health is not None:
         parts.append(_of_bounds(health))
     if diagnosed.count:
         parts.append(_of_faults(diagnosed, metrics))
-    parts.append(_of_data(metrics, diagnosed, timing, silences))
-    levels, sentences = zip(*parts, strict=True)
-    return Summary(max(levels), " ".join(sentences))
+    silences = sum(
+        one.event.text.startswith(Phase.COASTING.name) and one.event.stamp < until for one in events
+    )
+    rejected, total = sum(diagnosed.rejected.values()), max(metrics.measurements, 1) + timing.lost
+    parts.append(
+        Summary(
+            _warn_if(silences > 0 or timing.lost + rejected > _MANY_LOST * total),
+            f"Measurements missing: {timing.lost} of {total}; rejected: {rejected}; silences: "
+            f"{silences}.",
+        )
+    )
+    return Summary(max(one.level for one in parts), " ".join(one.text for one in parts))
 
 
-def _of_estimates(metrics: RunMetrics) -> tuple[Level, str]:
+def _of_estimates(metrics: RunMetrics) -> Summary:
     if not metrics.windows:
-        return Level.WARN, f"No part of the {metrics.duration:.1f} s counts as settled."
-    known = [one for one in metrics.quantities if one.inside is not None]
+        text = f"No part of the {metrics.duration:.1f} s counts as settled."
+        return Summary(Level.WARN, text)
+    known = [
+        (one.inside, one.quantity.name) for one in metrics.quantities if one.inside is not None
+    ]
     if known:
-        share, name = min((one.inside or 0.0, one.quantity.name) for one in known)
-        level = Level.OK if share >= _INSIDE else Level.WARN if share >= _TOO_FEW else Level.ERROR
-        return level, (
+        share, name = min(known)
+        return Summary(
+            Level.ERROR if share < _TOO_FEW else _warn_if(share < _INSIDE),
             f"Errors are inside their {SIGMAS:g}σ bound for {_percent(share)} of "
-            f"{metrics.settled_time:.1f} s (worst estimate: {name})."
+            f"{metrics.settled_time:.1f} s (worst estimate: {name}).",
         )
     if metrics.nis is None:
-        return Level.WARN, "Neither the truth nor the innovations are recorded."
-    good = _EXPECTED[0] <= metrics.nis <= _EXPECTED[1]
-    return Level.OK if good else Level.WARN, (
+        return Summary(Level.WARN, "Neither the truth nor the innovations are recorded.")
+    return Summary(
+        _warn_if(not _EXPECTED[0] <= metrics.nis <= _EXPECTED[1]),
         f"The truth is not known. The mean square of the innovations is {metrics.nis:.2f} times "
-        "what the design expects."
+        "what the design expects.",
     )
 
 
-def _of_bounds(health: Health) -> tuple[Level, str]:
+def _of_bounds(health: Health) -> Summary:
     if health.misfit:
-        return Level.WARN, f"{health.misfit[0].upper()}{health.misfit[1:]}."
-    return Level.OK if health.claimed >= _CLAIMED else Level.WARN, (
+        return Summary(Level.WARN, f"{health.misfit[0].upper()}{health.misfit[1:]}.")
+    return Summary(
+        _warn_if(health.claimed < _CLAIMED),
         f"Bounds were claimed for {_percent(health.claimed)} of the time, and proved, but for "
-        f"what is uncertain of learnt parameters, for {_percent(health.proved)}."
+        f"what is uncertain of learnt parameters, for {_percent(health.proved)}.",
     )
 
 
-def _of_faults(diagnosed: Diagnosed, metrics: RunMetrics) -> tuple[Level, str]:
+def _of_faults(diagnosed: Diagnosed, metrics: RunMetrics) -> Summary:
     if not diagnosed.faults:
-        return Level.OK, "No fault of a sensor was reported."
+        return Summary(Level.OK, "No fault of a sensor was reported.")
     worst = max(diagnosed.faults, key=lambda one: (one.level, one.end - one.begin))
     of = f" of {worst.output}" if worst.output else ""
     size = f" of {worst.magnitude:.2g} {worst.unit}".rstrip() if worst.magnitude else ""
     until = "to the end" if worst.end > metrics.last - 2.5 else f"to {worst.end:.1f} s"
-    return min(worst.level, Level.ERROR), (
+    return Summary(
+        min(worst.level, Level.ERROR),
         f"Reported sensor faults: {len(diagnosed.faults)}; worst: {worst.kind}{of}{size}, from "
-        f"{worst.begin:.1f} s {until}."
+        f"{worst.begin:.1f} s {until}.",
     )
 
 
-def _of_data(
-    metrics: RunMetrics, diagnosed: Diagnosed, timing: TimingSummary, silences: int
-) -> tuple[Level, str]:
-    rejected = sum(diagnosed.rejected.values())
-    total = max(metrics.measurements, 1) + timing.lost
-    many = timing.lost + rejected > _MANY_LOST * total
-    return Level.WARN if many or silences else Level.OK, (
-        f"Measurements missing: {timing.lost} of {total}; rejected: {rejected}; silences: "
-        f"{silences}."
-    )
+def _warn_if(wrong: bool) -> Level:
+    return Level.WARN if wrong else Level.OK
 
 
 def _percent(share: float) -> str:
