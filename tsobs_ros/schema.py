@@ -19,7 +19,7 @@ from dataclasses import MISSING, fields, is_dataclass
 from functools import lru_cache
 from os import PathLike
 from types import MappingProxyType, NoneType, UnionType
-from typing import Any, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -58,8 +58,8 @@ def encode(value: Any) -> Any:
     """Return the plain data that `decode` makes the value of, without entries that are None."""
     if is_dataclass(value):
         given = {
-            name: getattr(value, entry.field)
-            for name, entry in _entries(cast(Any, type(value))).items()
+            name: getattr(value, field)
+            for name, (field, *_) in _entries(cast(Any, type(value))).items()
         }
         if getattr(value, "OMIT_EMPTY", False):
             given = {name: each for name, each in given.items() if each}
@@ -99,18 +99,12 @@ def located(place: str, message: str) -> str:
     return f"{place}{joint}{message}"
 
 
-class _Entry(NamedTuple):
-    field: str
-    kind: Any
-    required: bool
-
-
 @lru_cache
-def _entries(kind: Any) -> dict[str, _Entry]:
-    """Return a dataclass' fields by the names of their entries."""
+def _entries(kind: Any) -> dict[str, tuple[str, Any, bool]]:
+    """Return a dataclass' fields by their entries' names: name, type, whether it is required."""
     hints = get_type_hints(kind)
     return {
-        each.metadata.get("name", each.name): _Entry(
+        each.metadata.get("name", each.name): (
             each.name,
             hints[each.name],
             each.default is MISSING and each.default_factory is MISSING,
@@ -125,17 +119,17 @@ def _decoded(data: Any, kind: Any, given: Mapping[str, Any] = MappingProxyType({
     if data is None and NoneType in choices:
         return None
     shapes = {_shape(each): each for each in choices if each is not NoneType}
-    if isinstance(data, dict):
-        for name in data:
-            if not isinstance(name, str):
-                raise DesignFileError(f"expected names of entries, got {name!r}")
+    for name in data if isinstance(data, dict) else ():
+        if not isinstance(name, str):
+            raise DesignFileError(f"expected names of entries, got {name!r}")
     if Any in shapes:
         return data
     if isinstance(data, dict) and dict in shapes:
         return _of_mapping(data, shapes[dict], given)
     if isinstance(data, list) and list in shapes:
         return _of_list(data, shapes[list])
-    return _plain(data, shapes)
+    is_array = (get_origin(kind) or kind) is np.ndarray  # of numbers, or of arrays
+    return _plain(data, {float, *shapes} if is_array else set(shapes))
 
 
 def _shape(kind: Any) -> Any:
@@ -148,73 +142,51 @@ def _shape(kind: Any) -> Any:
 
 def _of_mapping(data: dict[str, Any], kind: Any, given: Mapping[str, Any]) -> Any:
     origin = get_origin(kind) or kind
-    if is_dataclass(origin):
-        known = {k: v for k, v in _entries(cast(Any, origin)).items() if v.field not in given}
-        for name, entry in known.items():
-            if entry.required and name not in data:
-                raise DesignFileError(f"{name}: missing")
-        for name in data:
-            if name not in known:
-                raise DesignFileError(
-                    f"unknown entry {shown(name)}, expected some of {', '.join(known)}"
-                )
-        kinds = {name: entry.kind for name, entry in known.items()}
-        values = _each(data, kinds)
-        found = {known[name].field: each for name, each in values.items()}
-        return cast(Any, origin)(**found, **given)
     if hasattr(origin, "from_mapping"):
-        _each(data, dict.fromkeys(data, str | float))
-        return origin.from_mapping(data)
-    _, inner = get_args(kind) or (str, Any)
-    return _each(data, dict.fromkeys(data, inner))
-
-
-def _each(data: dict[str, Any], kinds: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the entries of a mapping as instances of their types."""
+        kinds: dict[str, Any] = dict.fromkeys(data, str | float)
+    elif is_dataclass(origin):
+        known = {k: v for k, v in _entries(cast(Any, origin)).items() if v[0] not in given}
+        if lacking := [name for name, entry in known.items() if entry[2] and name not in data]:
+            raise DesignFileError(f"{lacking[0]}: missing")
+        if unknown := [name for name in data if name not in known]:
+            expected = ", ".join(known)
+            raise DesignFileError(f"unknown entry {shown(unknown[0])}, expected some of {expected}")
+        kinds = {name: entry[1] for name, entry in known.items()}
+    else:
+        kinds = dict.fromkeys(data, (get_args(kind) or (str, Any))[1])
     values = {}
     for name, value in data.items():
         with within(name):
             values[name] = _decoded(value, kinds[name])
+    if hasattr(origin, "from_mapping"):
+        return origin.from_mapping(data)
+    if is_dataclass(origin):
+        return cast(Any, origin)(**{known[k][0]: each for k, each in values.items()}, **given)
     return values
 
 
 def _of_list(data: list[Any], kind: Any) -> Any:
-    origin = get_origin(kind) or kind
-    if origin is np.ndarray:
-        return np.array(_numbers(data))
-    inner, *_ = get_args(kind) or (Any,)
-    items = []
+    origin, items = get_origin(kind) or kind, list[Any]()
+    inner = kind if origin is np.ndarray else (get_args(kind) or (Any,))[0]
     for place, item in enumerate(data):
         with within(f"[{place}]"):
             items.append(_decoded(item, inner))
-    return items if origin is list else tuple(items)
+            if origin is np.ndarray and np.shape(items[-1]) != np.shape(items[0]):
+                expected, got = np.shape(items[0]), np.shape(items[-1])
+                raise DesignFileError(f"expected shape {expected} as [0] has, got {got}")
+    return np.array(items) if origin is np.ndarray else items if origin is list else tuple(items)
 
 
-def _plain(data: Any, kinds: Mapping[Any, Any]) -> Any:
+def _plain(data: Any, kinds: set[Any]) -> Any:
     if isinstance(data, int | float) and not abs(data) <= sys.float_info.max:
         raise DesignFileError(f"expected a finite number, got {shown(data)}")
     if type(data) in kinds:
         return data
-    if isinstance(data, str) and _NUMBER.fullmatch(data) and not {int, float}.isdisjoint(kinds):
+    if isinstance(data, str) and _NUMBER.fullmatch(data) and kinds & {int, float}:
         return _plain(float(data) if re.search(r"[.eE]", data) else int(data), kinds)
-    if not isinstance(data, bool):
-        if isinstance(data, int) and float in kinds:
-            return float(data)
-        if isinstance(data, float) and int in kinds and data.is_integer():
-            return int(data)
+    if type(data) is int and float in kinds:
+        return float(data)
+    if type(data) is float and int in kinds and data.is_integer():
+        return int(data)
     wanted = " or ".join(words for kind, words in _WORDS.items() if kind in kinds)
     raise DesignFileError(f"expected {wanted}, got {shown(data)}")
-
-
-def _numbers(value: Any) -> Any:
-    """Return numbers in lists of lists, all lists of a level of one length."""
-    if not isinstance(value, list):
-        return _plain(value, {float: float})
-    rows = []
-    for place, item in enumerate(value):
-        with within(f"[{place}]"):
-            rows.append(_numbers(item))
-            expected, got = np.shape(rows[0]), np.shape(rows[-1])
-            if got != expected:
-                raise DesignFileError(f"expected shape {expected} as [0] has, got {got}")
-    return rows
