@@ -4,7 +4,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import cached_property
 from itertools import chain
 from typing import Any, NamedTuple, Self, TypeAlias
@@ -33,12 +33,6 @@ class Channel(NamedTuple):
         """Return the disturbance by some terms."""
         each = tuple(terms)
         return cls(name, each, sum_of(each))
-
-
-def require_terms(name: str, terms: Sequence[DisturbanceTerm]) -> None:
-    """Refuse a disturbance without terms, which `clean` has one of."""
-    if not terms:
-        raise ModelError(f"{name}: expected at least one term, e.g. kind: clean")
 
 
 def require_squares(name: str, values: Iterable[float]) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, Fixed, as_matrix, finite, non_negative, positive, shown
-from tsobs_ros.design.problem import Channel, Request, Terms, require_squares, require_terms
+from tsobs_ros.design.problem import Channel, Request, Terms, require_squares
 from tsobs_ros.design.signals import (
     NO_LABELS,
     Field,
@@ -105,7 +105,6 @@ class Output:
         object.__setattr__(self, "measurement_std", std)
         object.__setattr__(self, "delay", non_negative("delay", self.delay))
         object.__setattr__(self, "disturbance", tuple(self.disturbance))
-        require_terms("disturbance", self.disturbance)
 
     @property
     def model(self) -> DisturbanceModel:
@@ -228,20 +227,16 @@ class ArmRequest(Request):
         units = Labels(tuple(unit.values()), tuple(unit[name] for name in measured), ("N m",))
         self._label(Labels(QUANTITIES, measured, ("torque",)), units)
         if not 0.0 < self.x_max <= math.pi:
-            degrees = f" rad; as degrees it would be {math.radians(self.x_max):.4g} rad"
-            hint = degrees if math.pi < self.x_max <= 180.0 else ""
-            raise ModelError(f"x_max: expected 0 < x_max <= π, got {self.x_max!r}{hint}")
+            raise ModelError(f"x_max: expected 0 < x_max <= π rad, got {self.x_max!r}")
         require_squares("initial_std", self.initial_std)
         self._take(plant_std=self.arm.from_physical(self.initial_std))
         self._check_rates()
         require_delay("torque.delay", self.torque.delay, self.period)
         for place, output in enumerate(self.outputs):
             require_delay(f"outputs[{place}].delay", output.delay, self.period)
-        uncertain = self.uncertainty_model
-        if self.certify_uncertainty:
-            if not uncertain.count:
-                raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
-            _ = uncertain.linear_places
+        if self.certify_uncertainty and not self.uncertainty_model.count:
+            raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
+        _ = self.covered.linear_places  # refused if too many
 
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:
@@ -308,26 +303,24 @@ class ArmRequest(Request):
 
     @property
     def headline(self) -> str:
-        parts = [f"disturbance {self.disturbance_model.label}"]
-        if self.outputs:
-            parts = [f"{output.measures} ({output.model.label})" for output in self.outputs]
-        parts += [
+        p = len(self.sensors)
+        parts = [
             f"{channel.name.removeprefix('the ')} ({channel.model.label})"
-            for channel in self.channels[len(self.sensors) :]
-            if channel.model.state_count
+            for place, channel in enumerate(self.channels)
+            if place < p or channel.model.state_count
         ]
+        if not self.outputs:
+            parts[0] = f"disturbance {self.disturbance_model.label}"
         gravity = f"|q1| <= {self.x_max:.4g} rad" if self.arm.gravity_torque else "no gravity"
         return ", ".join([*parts, gravity])
 
     @property
     def domain(self) -> str:
-        slopes = f"gravity slopes [{self.slope_range[0]:.4g}, 1] (|q1| <= {self.x_max:.4g} rad)"
-        if not self.arm.gravity_torque:
-            slopes = "the arm without gravity"
-        if not self.certify_uncertainty:
-            return slopes
-        bounds = " and ".join(f"{name} ± {bound:.4g}" for name, bound in self.uncertainty.items())
-        return f"{slopes}, {bounds}"
+        slopes = "the arm without gravity"
+        if self.arm.gravity_torque:
+            slopes = f"gravity slopes [{self.slope_range[0]:.4g}, 1] (|q1| <= {self.x_max:.4g} rad)"
+        bounds = [f"{name} ± {bound:.4g}" for name, bound in self.covered.bounds.items()]
+        return ", ".join(filter(None, (slopes, " and ".join(bounds))))
 
     @property
     def claim(self) -> str:
@@ -463,8 +456,7 @@ class TSRequest(Request):
                 "certify_uncertainty: with slope_vertices every direction must be one matrix for "
                 "all rules, got one that differs"
             )
-        count = len(self.vertex_matrices()[1])
-        if count > _MAX_MATRICES:
+        if (count := len(list(self.corners()))) > _MAX_MATRICES:
             raise ModelError(
                 f"vertices: expected at most {_MAX_MATRICES} matrices (rules or slope vertices, "
                 f"times 2 per certified direction), got {count}"
@@ -480,8 +472,6 @@ class TSRequest(Request):
 
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:
-        for place, terms in enumerate(self.disturbance):
-            require_terms(f"disturbance[{place}]", terms)
         joined = per_channel([sum_of(terms) for terms in self.disturbance])
         return joined if self.D_s is None else joined.through(self.D_s)
 
@@ -526,29 +516,23 @@ class TSRequest(Request):
 
     @property
     def domain(self) -> str:
-        return f"the hull of {', '.join(self.vertex_matrices()[1])}"
-
-    def vertex_matrices(
-        self, share: float = 1, number: Callable[[Any], Any] = np.asarray
-    ) -> tuple[Array, list[str]]:
-        """Return the plant matrices whose pairs are the vertices, (l, n, n), and their names."""
-        what, known = "slope vertex" if self.slope_vertices else "rule", self.covered
-        matrices, limits = number(self.slope_vertices or self.model.A), number(known.limits)
-        corners, names = [], list[str]()
-        for signs in product((-1, 1), repeat=known.count):
-            pairs = zip(known.names, signs * known.limits, strict=True)
-            at = ", ".join(f"{name} {theta:+.4g}" for name, theta in pairs)
-            names += [f"{what} {i + 1}{at and f' ({at})'}" for i in range(len(matrices))]
-            changes = number(known.linear[:, :1] if self.slope_vertices else known.linear)
-            corners.append(matrices + (np.tensordot(signs * limits, changes, 1) if at else 0))
-        return _closer(np.concatenate(corners), share), names
+        return f"the hull of {', '.join(str(corner.place['']) for corner in self.corners())}"
 
     def corners(
         self, share: float = 1, number: Callable[[Any], Any] = np.asarray
     ) -> Iterator[Corner]:
-        n, size = self.model.state_count, self.flow.state_count
+        known, n, size = self.covered, self.model.state_count, self.flow.state_count
+        vertices, limits = number(self.slope_vertices or self.model.A), number(known.limits)
+        changes = number(known.linear[:, :1] if self.slope_vertices else known.linear)
+        matrices, names = [], list[str]()
+        for signs in product((-1, 1), repeat=known.count):
+            pairs = zip(known.names, signs * known.limits, strict=True)
+            at = ", ".join(f"{name} {theta:+.4g}" for name, theta in pairs)
+            what = "slope vertex" if self.slope_vertices else "rule"
+            names += [f"{what} {i + 1}{at and f' ({at})'}" for i in range(len(vertices))]
+            matrices.append(vertices + (np.tensordot(signs * limits, changes, 1) if at else 0))
         mean = number(self.flow.drift[:n, :n])
-        for matrix, name in zip(*self.vertex_matrices(share, number), strict=True):
+        for matrix, name in zip(_closer(np.concatenate(matrices), share), names, strict=True):
             deviation = number(np.zeros((size, size)))
             deviation[:n, :n] = matrix - mean
             yield Corner({"": name}, deviation)
