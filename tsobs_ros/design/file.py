@@ -86,7 +86,7 @@ def request_entries(request: AnyRequest) -> dict[str, Any]:
     """Return the entries of a file that describe a request, as plain data."""
     if isinstance(request, ArmRequest):
         return {"design": arm_entries(request)}
-    given: dict[str, Any] = {"system": _system_of(request)}
+    given: dict[str, Any] = {"system": _system_entries(request)}
     given |= {name: getattr(request, name) for name in _BESIDE_SYSTEM}
     return {name: entry for name, entry in encode(given).items() if entry not in (None, {})}
 
@@ -416,26 +416,22 @@ def _system_request(data: dict[Any, Any]) -> TSRequest:
     return decode(data, TSRequest, model=model, slope_vertices=system.slope_vertices)
 
 
-def _system_of(request: TSRequest) -> _System:
+def _system_entries(request: TSRequest) -> dict[str, Any]:
     """Return the system of a request as files have it."""
     model, names = request.model, [f"z{j + 1}" for j in range(len(request.model.premise))]
     premises = zip(names, model.premise, model.schedule, strict=True)
-    outputs = model.rule_count * [None] if model.outputs is None else model.outputs
-    rules = zip(model.rule_base.rules, model.A, model.B, outputs, strict=True)
-    return _System(
-        premises={
-            name: _Premise(state, scheduled if scheduled.size else None)
+    rules: list[dict[str, Any]] = [
+        {"if": {name: one.mapping for name, one in zip(names, rule, strict=True)}, "A": A, "B": B}
+        for rule, A, B in zip(model.rule_base.rules, model.A, model.B, strict=True)
+    ]
+    for rule, C in zip(rules, () if model.outputs is None else model.outputs, strict=False):
+        rule["C"] = C
+    return {
+        "premises": {
+            name: {"state": state, **({"scheduled": scheduled} if scheduled.size else {})}
             for name, state, scheduled in premises
         },
-        rules=[
-            _Rule(
-                if_={name: dict(one.mapping) for name, one in zip(names, each, strict=True)},
-                A=A,
-                B=B,
-                C=C,
-            )
-            for each, A, B, C in rules
-        ],
-        C=model.C,
-        slope_vertices=[np.asarray(matrix) for matrix in request.slope_vertices],
-    )
+        "rules": rules,
+        "C": model.C,
+        "slope_vertices": request.slope_vertices,
+    }

@@ -28,56 +28,50 @@ class Shape(NamedTuple):
     Attributes:
         code: In the compiled core.
         parameters: Their names.
-        requirement: What `obeys` checks of them, in words.
-        encode: The core's parameters, at most four, from these.
+        requirement: What is required of them, in words.
+        encode: The core's parameters, at most four, from these; None if they do not obey.
     """
 
     code: int
     parameters: tuple[str, ...] = ()
     requirement: str = ""
-    obeys: Callable[..., bool] = lambda *_: True
-    encode: Callable[..., tuple[float, ...]] = lambda *each: each
+    encode: Callable[..., tuple[float, ...] | None] = lambda: ()
 
 
-def _sector(half_width: float) -> tuple[float, float]:
+def _line(zero: float, one: float) -> tuple[float, ...] | None:
+    ends = (zero, one, math.inf, math.inf) if zero < one else (-math.inf, -math.inf, one, zero)
+    return None if zero == one else ends
+
+
+def _sector(half_width: float) -> tuple[float, ...] | None:
+    # Below 1e-4, sin(half_width)/half_width is 1 to so many digits that the sectors are lost.
+    if not 1e-4 <= half_width < math.pi:
+        return None
     return half_width, evaluate("sine", half_width).item() / half_width
 
 
-# Below 1e-4, sin(half_width)/half_width is 1 to so many digits that the sectors are lost.
-_OF_SINE: Any = (
-    ("half_width",), "1e-4 ≤ half_width < π", lambda width: 1e-4 <= width < math.pi, _sector,
-)  # fmt: skip
-_OF_SQUARE: Any = (("half_width",), "half_width above 0", lambda width: width > 0.0)
+_OF_SINE: Any = (("half_width",), "1e-4 ≤ half_width < π", _sector)
+_OF_SQUARE: Any = (("half_width",), "half_width above 0", lambda w: (w,) if w > 0.0 else None)
 
 SHAPES: Mapping[str, Shape] = {
     # 1 everywhere: a rule that does not look at this premise.
     "always": Shape(_ALWAYS),
     # From 0 at z = zero to 1 at z = one, in a straight line, and level outside.
-    "linear": Shape(
-        _TRAPEZOID,
-        ("zero", "one"),
-        "zero and one apart",
-        lambda a, b: a != b,
-        lambda a, b: (a, b, math.inf, math.inf) if a < b else (-math.inf, -math.inf, b, a),
-    ),
+    "linear": Shape(_TRAPEZOID, ("zero", "one"), "zero and one apart", _line),
     # 1 at the peak, falling in straight lines to 0 at left and right.
     "triangle": Shape(
-        _TRAPEZOID,
-        ("left", "peak", "right"),
-        "left < peak < right",
-        lambda a, b, c: a < b < c,
-        lambda a, b, c: (a, b, b, c),
+        _TRAPEZOID, ("left", "peak", "right"), "left < peak < right",
+        lambda a, b, c: (a, b, b, c) if a < b < c else None,
     ),
     # 1 between top_left and top_right, falling in straight lines to 0 at left and right.
     "trapezoid": Shape(
-        _TRAPEZOID,
-        ("left", "top_left", "top_right", "right"),
+        _TRAPEZOID, ("left", "top_left", "top_right", "right"),
         "left < top_left < top_right < right",
-        lambda a, b, c, d: a < b < c < d,
+        lambda a, b, c, d: (a, b, c, d) if a < b < c < d else None,
     ),
     # exp(−((z − centre)/width)²/2).
     "gaussian": Shape(
-        _GAUSSIAN, ("centre", "width"), "width above 0", lambda _, width: width > 0.0
+        _GAUSSIAN, ("centre", "width"), "width above 0", lambda c, w: (c, w) if w > 0.0 else None
     ),
     # Share h of the upper sector of the sine: sin z = (h + (1 − h) b) z on |z| ≤ half_width, with
     # the lower sector b = sin(half_width)/half_width. Outside of the domain h is 0.
@@ -88,7 +82,7 @@ SHAPES: Mapping[str, Shape] = {
     "square": Shape(_SQUARE, *_OF_SQUARE),
     # 1 − square.
     "square_rest": Shape(_REST, *_OF_SQUARE),
-}
+}  # fmt: skip
 """Every kind of membership function by its name."""
 
 
@@ -126,11 +120,10 @@ def membership(shape: str, parameters: Mapping[str, float] | None = None) -> Mem
             f"got {', '.join(given) or 'none'}"
         )
     values = [finite(f"membership {shape}: {name}", given[name]) for name in kind.parameters]
-    if not kind.obeys(*values):
+    if (numbers := kind.encode(*values)) is None:
         raise ModelError(f"membership {shape}: expected {kind.requirement}, got {values}")
-    numbers = (*kind.encode(*values), 0.0, 0.0, 0.0, 0.0)[:4]
     mapping = {"shape": shape, **dict(zip(kind.parameters, values, strict=True))}
-    return Membership(kind.code, numbers, mapping)
+    return Membership(kind.code, (*numbers, 0.0, 0.0, 0.0, 0.0)[:4], mapping)
 
 
 @dataclass(frozen=True)
