@@ -184,8 +184,8 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
         estimator = design.observer(
             settings.settle_time,
             settings.gain_mode,
-            settings.torque_rate if is_arm else None,
-            adapt=bool(settings.learnt(design)),
+            settings.torque_rate,
+            adapt=settings.adapt,
             supervision=settings.supervision,
         )
     elif isinstance(request, TSRequest):

@@ -188,5 +188,3 @@ def test_what_does_not_go_together_is_refused(example: Design) -> None:
         replace(example.request, certify_uncertainty=True)
     with pytest.raises(ModelError, match="expected one for an arm, got one for a T-S system"):
         _ = example.arm_request
-    with pytest.raises(ModelError, match="expected 0 for any system but an arm, got 1"):
-        example.observer(torque_rate=1.0)

@@ -10,9 +10,6 @@ Its left side is matrix-convex in each slope and each uncertain parameter of the
 kicks, so the vertices cover every slope of the domain and, if that was asked for, every
 parameter within its bounds. Then an error covariance below X before a sample is below X before
 the next one, along every premise trajectory that is independent of the noise.
-
-An arbitrary disturbance has no model and adds no state, but explains every output: nothing is
-proved for it, whatever the matrices.
 """
 
 import math
@@ -54,10 +51,6 @@ class Inequality(NamedTuple):
         place = f" at {self.where}" if self.where else ""
         verdict = "holds" if self.holds else "DOES NOT HOLD"
         return f"{self.name}{place}: {verdict}, margin {self.margin:.3e} (> {self.required:.0e})"
-
-
-UNMODELLED = Inequality("disturbance has a model", "", -math.inf, 0.0)
-"""The inequality that fails for an arbitrary disturbance."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +111,6 @@ def check_certificate(problem: AnyRequest, P: Array, K: Array) -> CertificateRep
         correlation = P / scale / scale[:, np.newaxis]
         smallest = _smallest_eigenvalue(correlation) if (P == P.T).all() else math.nan
         inequalities = [
-            *([UNMODELLED] if problem.disturbance_model.arbitrary else []),
             Inequality("P symmetric and positive definite", "", smallest, rounding),
         ]
         if not all(inequality.holds for inequality in inequalities):

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
 
-from tsobs_ros.design.certificate import UNMODELLED, CertificateReport, Inequality
+from tsobs_ros.design.certificate import CertificateReport, Inequality
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
@@ -65,9 +65,6 @@ def verify_exactly(design: Design) -> CertificateReport:
 
 
 def _inequalities(design: Design) -> Iterator[Inequality]:
-    if design.request.disturbance_model.arbitrary:
-        yield UNMODELLED
-        return
     guesses = {(each.name, each.where): each.margin for each in design.certificate.inequalities}
     P, name = rational(design.P), "P symmetric and positive definite"
     margin = 0.0

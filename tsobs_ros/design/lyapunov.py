@@ -12,7 +12,6 @@ by a matrix that is re-checked by eigenvalues:
 
 from typing import NamedTuple
 
-import clarabel
 import cvxpy as cp
 import numpy as np
 
@@ -36,15 +35,6 @@ class CommonLyapunov(NamedTuple):
     margin: float
     P: Array | None
     Z: Array | None
-
-
-class LyapunovGains(NamedTuple):
-    """P of shape (n, n) and Q of (r, n, p), with the solver's status and iterations."""
-
-    P: Array
-    Q: Array
-    status: str
-    iterations: int
 
 
 def common_lyapunov(A: Array) -> CommonLyapunov:
@@ -87,13 +77,14 @@ def refutation_margin(A: Array, Z: Array) -> float:
     return float(np.linalg.eigvalsh(0.5 * (total + total.T))[0])
 
 
-def smallest_lyapunov(M: Array, C: Array, D: Array) -> LyapunovGains:
+def smallest_lyapunov(M: Array, C: Array, D: Array) -> tuple[Array, Array]:
     """Return P ⪰ I and Qᵢ with sym(P Mᵢ − Qᵢ C) + D ⪯ 0 and the least tr P + w Σ ‖Qᵢ‖².
 
-    Here sym(X) = X + Xᵀ. Qᵢ enters only through QᵢC and could grow without bound, which the
-    weight prevents.
+    Here sym(X) = X + Xᵀ, M has the shape (r, n, n), C (p, n), and D, the inequalities' margin,
+    (n, n). Qᵢ enters only through QᵢC and could grow without bound, which the weight prevents.
 
-    M has the shape (r, n, n), C (p, n), and D, the margin of the inequalities, (n, n).
+    Returns:
+        P of shape (n, n) and Q of shape (r, n, p).
 
     Raises:
         DesignError: The solver failed or found no solution.
@@ -106,12 +97,7 @@ def smallest_lyapunov(M: Array, C: Array, D: Array) -> LyapunovGains:
     effort = sum(cp.sum_squares(each) for each in Q)
     problem = cp.Problem(cp.Minimize(cp.trace(P) + _WEIGHT * effort), constraints)
     _solve(problem, "smallest Lyapunov matrix")
-    return LyapunovGains(
-        P=0.5 * (P.value + P.value.T),
-        Q=np.array([each.value for each in Q]),
-        status=str(problem.status),
-        iterations=int(problem.solver_stats.num_iters or 0),
-    )
+    return 0.5 * (P.value + P.value.T), np.array([each.value for each in Q])
 
 
 def _solve(problem: cp.Problem, what: str) -> None:
@@ -121,8 +107,3 @@ def _solve(problem: cp.Problem, what: str) -> None:
         raise DesignError(f"{what}: the solver failed: {error}") from error
     if problem.variables()[0].value is None:
         raise DesignError(f"{what}: the solver answered {problem.status!r}")
-
-
-def solver_version() -> str:
-    """Return the versions of the solver and of what calls it; of cvxpy any distribution will do."""
-    return f"{clarabel.__version__} (cvxpy {cp.__version__})"

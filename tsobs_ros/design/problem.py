@@ -62,7 +62,6 @@ class Request(ABC):
         headline: The problem in words, for reports.
         claim: What of it a certificate covers, in words.
         domain: The domain in words, after "for", e.g. "gravity slopes [0.7317, 1]".
-        default_torque_rate: 1σ of the rate at which a torque may move in a gap [N m/s].
         max_angle: Half width of the domain of an arm's link angle [rad], infinite if there is none.
         reach: Largest states of an arm that are likely (rad, rad/s), shape (4,); None of a system.
         torque_sides: The sides of an arm with a torque disturbance, "motor" before "link".

@@ -14,7 +14,12 @@ from tsobs_ros.design.certificate import CertificateReport, check_certificate
 from tsobs_ros.design.request import AnyRequest, ArmRequest
 from tsobs_ros.design.signals import labelled
 from tsobs_ros.errors import ModelError, printable
-from tsobs_ros.estimation.estimator import Estimator, SupervisionOptions, certified_estimator
+from tsobs_ros.estimation.estimator import (
+    TORQUE_RATE,
+    Estimator,
+    SupervisionOptions,
+    certified_estimator,
+)
 from tsobs_ros.model.matrices import inverse
 
 
@@ -46,7 +51,7 @@ class Design:
         solver: Who computed P and K.
 
     Raises:
-        ModelError: A matrix is not finite or of the wrong shape.
+        ModelError: A matrix is not finite or of the wrong shape, or a disturbance is arbitrary.
 
     >>> from tsobs_ros.design.file import load_design
     >>> from tsobs_ros.resources import config_path
@@ -62,6 +67,11 @@ class Design:
     solver: SolverReport
 
     def __post_init__(self) -> None:
+        if self.request.disturbance_model.arbitrary:
+            raise ModelError(
+                "disturbance: expected one with a model, as arbitrary ones explain every output "
+                "and nothing is proved for them"
+            )
         p, n = self.request.flow.output_matrix.shape
         object.__setattr__(self, "P", as_matrix("P", self.P, (n, n)))
         object.__setattr__(self, "K", as_matrix("K", self.K, (n, p)))
@@ -124,7 +134,7 @@ class Design:
         self,
         settle_time: float = 5.0,
         gain_mode: str = "certified",
-        torque_rate: float | None = None,
+        torque_rate: float = TORQUE_RATE,
         *,
         adapt: bool = False,
         supervision: SupervisionOptions | None = None,
@@ -134,8 +144,7 @@ class Design:
         Args:
             settle_time: Riccati gains are used for this long after a (re)start [s].
             gain_mode: Whether the certified gain takes over afterwards.
-            torque_rate: 1σ of the rate at which an arm's torque may move in a gap [N m/s]; by
-                default `TORQUE_RATE`, and 0 for a T–S system, which has no other.
+            torque_rate: 1σ of the rate at which an arm's torque may move in a gap [N m/s].
             adapt: Whether to learn the parameters that the request calls uncertain, if any.
             supervision: When samples are not used, output by output; None: all are.
         """
@@ -150,7 +159,7 @@ class Design:
             late_factor=self.late_factor,
             settle_time=settle_time,
             gain_mode=gain_mode,
-            torque_rate=request.default_torque_rate if torque_rate is None else torque_rate,
+            torque_rate=torque_rate,
             uncertainty=learnt,
             domain=request.reach,
         )

@@ -32,7 +32,7 @@ from tsobs_ros.design.signals import (
     positions,
 )
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.estimator import TORQUE_RATE, TorqueLimits
+from tsobs_ros.estimation.estimator import TorqueLimits
 from tsobs_ros.model.arm import (
     ANGLES,
     DIRECT,
@@ -188,7 +188,7 @@ class ArmRequest(Request):
     torque_limit: float | None = None
     torque_rate_limit: float | None = None
 
-    default_torque_rate, starts = TORQUE_RATE, (0.5, 0)
+    starts = (0.5, 0)
     sensors = tuple[Output, ...]()
     """What is measured, one entry per output."""
 
@@ -412,7 +412,7 @@ class TSRequest(Request):
     names: Labels = NO_LABELS
     units: Labels = NO_LABELS
 
-    default_torque_rate, max_angle, reach, starts = 0.0, math.inf, None, (0, 1)
+    max_angle, reach, starts = math.inf, None, (0, 1)
 
     def __post_init__(self) -> None:
         model, (n, p) = self.model, (self.model.state_count, len(self.model.C))

@@ -26,6 +26,7 @@ import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import clarabel
 import cvxpy as cp
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -33,7 +34,6 @@ from scipy.linalg import solve_discrete_are
 from tsobs_ros.checks import Array
 from tsobs_ros.design.certificate import check_certificate
 from tsobs_ros.design.feasibility import is_detectable, require_detectable
-from tsobs_ros.design.lyapunov import solver_version
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.remedies import helpful, remedies_of_gain
 from tsobs_ros.design.request import AnyRequest
@@ -114,7 +114,8 @@ def solve_gain(
         )
     seconds = round(time.perf_counter() - started, 3)
     how = solution.status, solution.iterations, seconds, margin
-    return P, K, SolverReport("Clarabel", solver_version(), *how)
+    version = f"{clarabel.__version__} (cvxpy {cp.__version__})"
+    return P, K, SolverReport("Clarabel", version, *how)
 
 
 def _walk_to_domain(problem: AnyRequest, margin: float, smallest_step: float) -> _Solution:

@@ -344,22 +344,20 @@ def certified_estimator(
             if none is known.
         settle_time: Least duration of the Riccati phase [s].
         gain_mode: Whether the certified gain ever takes over.
-        torque_rate: 1σ of the rate at which the torque may move in a gap, which is a step longer
-            than a regular one [N m/s]; 0: it is held.
+        torque_rate: 1σ of the rate at which an arm's torque may move in a gap, which is a step
+            longer than a regular one [N m/s]; 0: it is held.
         domain: 1σ of the plant's states where nothing is known of them, in physical units, shape
             (plant,); at least the initial one.
 
     Raises:
-        ModelError: As `riccati_estimator`; a number is negative, or there is a torque rate for a
-            system that is no arm.
+        ModelError: As `riccati_estimator`, or a number is negative.
     """
-    if non_negative("torque_rate", torque_rate) and not isinstance(flow, ArmFlow):
-        raise ModelError(f"torque_rate: expected 0 for any system but an arm, got {torque_rate!r}")
     covariances = (measurement_covariance, initial_covariance)
     estimator = riccati_estimator(flow, *covariances, uncertainty, auxiliary=True)
     one, (n, plant, p, *_) = estimator.model[0], estimator.shape
-    one["torque_rate"], one["late_factor"] = torque_rate, late_factor
+    one["late_factor"] = late_factor
     if isinstance(flow, ArmFlow):
+        one["torque_rate"] = non_negative("torque_rate", torque_rate)
         share = one["constants"][CONSTANTS["FORCE_SHARE"]]
         one["force"] = share * flow.arm.reference_torque
     one["initial"]["hypotheses"][0]["settling"] = non_negative("settle_time", settle_time)

@@ -80,15 +80,15 @@ def design_adaptive_observer(system: TSModel, alpha: Array, xi: Array) -> Adapti
     # Only the part of the error that the output shows can be made to decay at will.
     seen = np.linalg.pinv(aug.C_bar) @ aug.C_bar
     decrease = _MARGIN * identity + 2.0 * INNOVATION_RATE * seen
-    solution = smallest_lyapunov(aug.A1 + alpha_1[:, None, None] * identity, aug.C_bar, decrease)
+    smallest, Q = smallest_lyapunov(aug.A1 + alpha_1[:, None, None] * identity, aug.C_bar, decrease)
     # A little smaller, so that rounding does not decide.
-    P = solution.P * ((1.0 - 1e-9) / (epsilon * np.linalg.eigvalsh(solution.P)[0]))
-    H1 = np.asarray(np.linalg.solve(solution.P, solution.Q))
+    P = smallest * ((1.0 - 1e-9) / (epsilon * np.linalg.eigvalsh(smallest)[0]))
+    H1 = np.asarray(np.linalg.solve(smallest, Q))
     M = np.asarray(np.linalg.solve(P, aug.C_bar.T))
     conditions = check_conditions(aug, P, alpha_1, H1=H1, M=M, epsilon=epsilon)
     if lacking := failing(conditions):
         raise DesignError(
-            f"the solver answered {solution.status!r}, but on re-checking these do not hold: "
+            "on re-checking the solver's answer these do not hold: "
             + ", ".join(f"{name}: {conditions[name].number:.6g}" for name in lacking)
         )
     return AdaptiveDesign(aug, epsilon, P, H1, M, conditions, time.perf_counter() - started)
