@@ -185,7 +185,7 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
             settings.settle_time,
             settings.gain_mode,
             settings.torque_rate,
-            adapt=settings.adapt,
+            adapt=bool(settings.learnt(design)),
             supervision=settings.supervision,
         )
     elif isinstance(request, TSRequest):
