@@ -16,7 +16,7 @@ from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.records import REASONS, Basis, RejectReason
+from tsobs_ros.estimation.records import Basis, RejectReason
 from tsobs_ros.estimation.state import types_of
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import METHODS, ObserverSettings, make_tracker
@@ -277,7 +277,7 @@ def estimate(
     count = len(stamps)
     ticks = stamps, np.maximum.accumulate(stamps), np.arange(1, count + 1)
     made = tracker.run(stamps, y, u, ticks)
-    rejected = Counter(reason for code in made.outcomes.codes.tolist() if (reason := REASONS[code]))
+    rejected = Counter(RejectReason(code) for code in made.outcomes.codes.tolist() if code)
     several = np.ndim(angle) == 2
     return _estimates(
         tracker,
@@ -479,7 +479,7 @@ def _estimates(
         innovation=kept,
         innovation_time=innovation_time[used],
         used=int(used.sum()),
-        rejected={reason.value: number for reason, number in rejected.items()},
+        rejected={reason.text: number for reason, number in rejected.items()},
         **{item.name: columns[item.name] for item in fields(Estimates) if item.name in columns},
     )
 

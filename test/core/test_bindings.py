@@ -19,7 +19,7 @@ from tsobs_ros.core import native
 from tsobs_ros.core.functions import evaluate
 from tsobs_ros.core.records import record_type
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.records import REASONS
+from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
@@ -170,7 +170,7 @@ def test_a_model_of_other_sizes_is_refused(place: int) -> None:
 def test_outcomes_have_the_codes_of_the_reasons() -> None:
     text = Path(core.__file__).with_name("estimator.h").read_text(encoding="utf-8")
     names = re.findall(r"^    ([A-Z_]+)", text[text.index("    USED,") :].partition("}")[0], re.M)
-    assert names == ["USED", *(reason.name for reason in REASONS if reason), "OUTCOMES"]
+    assert names == ["USED", *(reason.name for reason in RejectReason), "OUTCOMES"]
 
 
 @pytest.mark.parametrize("outputs", [1, 2])

@@ -11,7 +11,7 @@ import pytest
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Rows
-from tsobs_ros.estimation.records import NON_FINITE, USED, Basis, RejectReason
+from tsobs_ros.estimation.records import USED, Basis, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_tracker
 from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, TorqueDisturbance, Trajectories
@@ -21,6 +21,7 @@ from tsobs_ros.simulation.signals import BiasStep
 
 DESIGN = load_design(Path(__file__).parent / "data" / "both_encoders.design.yaml")
 LINK, MOTOR = 0, 1
+NON_FINITE = RejectReason.NON_FINITE
 PERIOD, CONTACT, FAULT, END = 5_000_000, 8.0, 14.0, 20.0
 
 

@@ -41,7 +41,7 @@ def simulated(
 
 def test_adaptation_finds_the_true_parameter(pendulum: Design) -> None:
     theta, observer = -0.15, pendulum.observer(1.0, adapt=True)
-    observer.learn(pendulum.request.uncertainty_model, start=1.0)
+    observer.learn(pendulum.request.uncertainty_model, adaptation_start=1.0)
     runs = simulated(pendulum, 1, 2500, BiasStep(0.05, 0.0), theta=theta, initial_state=(0.5, 0.0))
     stamps = 10**9 + np.round(1e9 * runs.times).astype(np.int64)
     last = Tracker(observer).follow(stamps, runs.measurements[0], runs.torques[0])[-1]
@@ -69,11 +69,11 @@ def test_what_happens_to_one_sensor_is_seen_and_survived(
         state, _ = observer.correct(state, y[k])
         said = observer.readout(state)
         inside.append((np.abs(said.state - truth[k]) <= 3.0 * said.state_bound).all())
-        jumps = max(jumps, observer.events(state)["sensor jumps"])
+        jumps = max(jumps, int(state["jumps"][0]))
         state = observer.predict(state, u[k], 0.01)
     assert np.mean(inside[1200:]) > 0.95
     assert jumps == (fault == "jump") or (fault, output) == ("jump", 0)
-    assert observer.events(state)["hits"] == 0
+    assert state["hits"][0] == 0
     if (fault, output) == ("jump", 1):
         assert said.disturbance[1] == pytest.approx(0.55, abs=0.02)
     elif fault == "jump":

@@ -113,7 +113,7 @@ def test_after_each_flood_the_observer_goes_on_and_a_signal_ends_it_in_the_last(
     began = time.monotonic()
     goes_on(lambda: len(estimated) > 100, "the first estimates")
     for make, reason in FLOODS.values():
-        flood(make, ["received", *([f"rejected: {reason.value}"] if reason else [])])
+        flood(make, ["received", *([f"rejected: {reason.text}"] if reason else [])])
     lasted = time.monotonic() - began
 
     process.signal(signal.SIGINT)

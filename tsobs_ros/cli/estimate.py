@@ -159,7 +159,7 @@ def estimate(
     if source.damage is not None:
         complain(f"{source.damage}; estimated up to there")
     if not any(run.estimates for run in runs):
-        reasons = {reason.value for run in runs for reason in run.rejected}
+        reasons = {reason.text for run in runs for reason in run.rejected}
         complain(f"no estimate was made; rejected: {', '.join(sorted(reasons)) or 'none'}")
         return 1
     return 0 if source.damage is None else 1
@@ -195,7 +195,7 @@ def _mapping_of(run: "Run", begin: int) -> dict[str, Any]:
         "method": run.observer.settings.method,
         "estimates": run.estimates,
         "used": run.used,
-        "rejected": {reason.value: number for reason, number in run.rejected.items()},
+        "rejected": {reason.text: number for reason, number in run.rejected.items()},
         "outputs": run.outputs(),
         "rewinds": run.rewinds,
         "failures": sum(tracker.failures for tracker in run.trackers),
@@ -206,7 +206,7 @@ def _mapping_of(run: "Run", begin: int) -> dict[str, Any]:
 
 def _lines_of(run: "Run", width: int) -> list[str]:
     """Return a run's counts and health, with so much room for its name."""
-    rejected = ", ".join(f"{number:,} {reason.value}" for reason, number in run.rejected.items())
+    rejected = ", ".join(f"{number:,} {reason.text}" for reason, number in run.rejected.items())
     lines = [
         f"{run.observer.name:<{width}}  {run.estimates:,} estimates from {run.used:,} "
         f"measurements; rejected: {rejected or 'none'}"

@@ -31,6 +31,15 @@ For jitter, whose mean is the period. A sensor that is steadily 10 % slow makes 
 TORQUE_RATE = 1.0
 """Default 1σ of an arm's torque rate in a gap [N m/s]."""
 
+LEARNING = {
+    "random_walk": 1e-6,  # growth of each θ's variance, which keeps the gain alive [1/s]
+    "adaptation_start": 2.0,  # after a (re)start [s], when innovations are one-sided no more
+    "significance": 25.0,  # θ is used from 5σ on, squared, so that a nominal arm stays nominal
+    "pass_time": 4.0,  # what was learnt along wrong regressors is learnt again after so long [s]
+    "memory": 10.0,  # time constant of the measure of excitation [s]
+    "excitation": 400.0,  # its smallest eigenvalue from which θ counts as valid
+}
+"""How parameters are learnt, by fields of a model record."""
 
 GAIN_MODES = ("certified", "riccati")
 """Which gain corrects the estimate once it has settled."""
@@ -149,14 +158,9 @@ class Estimator:
         *,
         covered: bool = False,
         initial_std: ArrayLike | None = None,
-        random_walk: float = 1e-6,
-        start: float = 2.0,
-        significance: float = 25.0,
-        pass_time: float = 4.0,
-        memory: float = 10.0,
-        excitation: float = 400.0,
+        **options: float,
     ) -> None:
-        """Learn the parameters that the estimator was made for, by these options from now on.
+        """Learn the parameters that the estimator was made for.
 
         Args:
             uncertainty: The parameters, whose bounds limit what is learnt.
@@ -164,23 +168,14 @@ class Estimator:
                 that depends on θ is called certified.
             initial_std: 1σ of each θ before any measurement, that of an even draw from its range
                 if None; caps the gain ever after.
-            random_walk: Growth of each θ's variance, which keeps the gain alive [1/s].
-            start: Adaptation begins so long after a (re)start [s], when the innovations are not
-                one-sided any more.
-            significance: Parameters are used from when they differ from nominal ones by so much,
-                squared and relative to their covariance: 25 is 5σ. A nominal arm stays nominal.
-            pass_time: What was learnt far from the truth, along wrong regressors, is learnt again
-                after so long [s].
-            memory: Time constant of the measure of excitation [s].
-            excitation: Smallest eigenvalue of the excitation from which θ counts as valid.
+            **options: In place of some of `LEARNING`.
         """
         one = self.model[0]
         one["limits"], one["covered"] = uncertainty.limits, covered
         std = uncertainty.limits / math.sqrt(3.0) if initial_std is None else initial_std
         one["theta_deviation"] = std
-        one["significance"], one["pass_time"] = significance, pass_time
-        one["random_walk"], one["adaptation_start"] = random_walk, start
-        one["memory"], one["excitation"] = memory, excitation
+        for name, value in (LEARNING | options).items():
+            one[name] = value
         one["initial"]["hypotheses"][0]["gamma"] = np.diag(one["theta_deviation"] ** 2)
 
     def new_work(self) -> Record:
@@ -252,17 +247,6 @@ class Estimator:
             numbers_of(self.model), numbers_of(state), numbers, numbers_of(self._work)
         )
         return self.as_rows(numbers)[0]
-
-    def events(self, state: Record) -> dict[str, int]:
-        """Return how often what was found so far."""
-        if not self.supervised:
-            return {}
-        return {
-            "outliers left out": int(state["outliers"][0]),
-            "sensor jumps": int(state["jumps"][0]),
-            "hits": int(state["hits"][0]),
-            "losses of track": int(state["losses"][0]),
-        }
 
 
 def _vector(name: str, values: ArrayLike, length: int) -> Array:

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Input and output of an estimator as plain records, and what their codes mean."""
 
-import enum
 from collections.abc import Sequence
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,63 +26,50 @@ class Measurement(NamedTuple):
     u: Array
 
 
-class RejectReason(enum.Enum):
-    """Why a measurement was not used; the value is its name in reports.
+USED = 0
+"""Outcome of a measurement that was used, instead of a `RejectReason`."""
+
+
+class RejectReason(Code):
+    """Why a measurement was not used; the text is its name in reports.
 
     Of one with an implausible torque or an unknown input the outputs are used all the same.
-
-    Attributes:
-        remedy: What to do about it.
     """
 
-    remedy: str
-
-    def __new__(cls, value: str, remedy: str = "") -> Self:
-        reason = object.__new__(cls)
-        reason._value_, reason.remedy = value, remedy
-        return reason
-
-    NON_FINITE = "non-finite", "the driver has no reading; see what it logs"
+    NON_FINITE = 1, "non-finite", "the driver has no reading; see what it logs"
     WRONG_JOINT = (
+        2,
         "wrong joint or shape",
         "compare the names in the messages with the parameter `joints`",
     )
-    DUPLICATE = "duplicate stamp", "does a second publisher, or a bridge, send the same samples?"
-    TOO_OLD = "too old", "compare the clocks of sensor and node; `history` is the limit"
+    DUPLICATE = 3, "duplicate stamp", "does a second publisher, or a bridge, send the same samples?"
+    TOO_OLD = 4, "too old", "compare the clocks of sensor and node; `history` is the limit"
     FROM_FUTURE = (
+        5,
         "from the future",
         "compare the clocks of sensor and node; in simulations, `use_sim_time`",
     )
-    GATED = "gated", "is the design this arm's, the unit rad, the sign right?"
+    GATED = 6, "gated", "is the design this arm's, the unit rad, the sign right?"
     ZERO_STAMP = (
+        7,
         "zero stamp",
         "let the driver stamp with the time of sampling, or republish its messages with stamps",
     )
     IMPLAUSIBLE_TORQUE = (
+        8,
         "implausible torque",
         "is the unit N m? `torque_limit` has what is plausible",
     )
     MISSING_INPUT = (
+        9,
         "missing input",
         "publish it in the same messages; `assume_zero_torque` takes a missing effort as 0",
     )
     UNKNOWN_INPUT = (
+        10,
         "unknown input",
         "the outputs are used; publish numbers to have narrower bounds",
     )
-
-
-REASONS = (None, *RejectReason)
-"""Reasons of rejection by their codes; 0 is a measurement that was used."""
-
-USED = 0
-NON_FINITE, GATED, IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT = (
-    REASONS.index(RejectReason[name])
-    for name in ("NON_FINITE", "GATED", "IMPLAUSIBLE_TORQUE", "UNKNOWN_INPUT")
-)
-
-CORRECTING = (USED, IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT)
-"""Outcomes of measurements whose outputs were used."""
 
 
 class Basis(Code):

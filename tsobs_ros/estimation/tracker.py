@@ -23,7 +23,6 @@ from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator, Rows
 from tsobs_ros.estimation.records import (
-    REASONS,
     USED,
     Basis,
     Estimate,
@@ -45,6 +44,13 @@ _MEMORY = record_type("history")
 _SPARE = 2
 """States at the end of a ring: one in a gap, and one that is read."""
 
+_FOUND = {
+    "outliers left out": "outliers",
+    "sensor jumps": "jumps",
+    "hits": "hits",
+    "losses of track": "losses",
+}
+
 _LONGEST = 2**61
 """Longest time that is distinguished from a longer one, so that no sum of stamps overflows [ns]."""
 
@@ -53,7 +59,7 @@ class Outcomes(NamedTuple):
     """The outcomes of N measurements.
 
     Attributes:
-        codes: 0 of those used, else the place of the reason in `records.REASONS`, shape (N,).
+        codes: 0 of those used, else the code of a `RejectReason`, shape (N,).
         output_codes: The same of each output, shape (N, p).
         innovations: y − ŷ of those used, NaN if missing, shape (N, p).
         expected_std: 1σ expected of each, shape (N, p).
@@ -175,10 +181,8 @@ class Tracker:
     def rejected(self) -> Counter[RejectReason]:
         """Number of measurements not used, by reason."""
         # Some are refused by the estimator itself, in part at least.
-        counts = (self.memory["refused"][0] + self.state["judged"][0]).tolist()
-        return Counter(
-            {reason: n for reason, n in zip(REASONS, counts, strict=True) if reason and n}
-        )
+        counts = self.memory["refused"][0] + self.state["judged"][0]
+        return Counter({reason: int(counts[reason]) for reason in RejectReason if counts[reason]})
 
     @property
     def rewinds(self) -> int:
@@ -197,12 +201,13 @@ class Tracker:
 
     @property
     def events(self) -> dict[str, int]:
-        """The estimator's counts up to the newest measurement, by name."""
-        return self.estimator.events(self.state)
+        """Counts of what was found up to the newest measurement, by name; none unsupervised."""
+        state, found = self.state, _FOUND if self.estimator.supervised else {}
+        return {name: int(state[field][0]) for name, field in found.items()}
 
     def reject(self, reason: RejectReason, count: int = 1) -> None:
         """Count measurements that the caller could not even read."""
-        self.memory["refused"][0, REASONS.index(reason)] += count
+        self.memory["refused"][0, reason] += count
 
     def offer(self, measurement: Measurement, now: int) -> Innovation | RejectReason:
         """Use a measurement, or refuse it.
@@ -216,7 +221,9 @@ class Tracker:
         """
         stamp, y, u = measurement
         codes, _, innovations, expected_std = self.offer_many([stamp], [y], [u], now)
-        return REASONS[codes.item()] or Innovation(stamp, innovations[0], expected_std[0])
+        if codes[0]:
+            return RejectReason(int(codes[0]))
+        return Innovation(stamp, innovations[0], expected_std[0])
 
     def offer_many(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike, now: int) -> Outcomes:
         """Use measurements in the order of their stamps, or refuse them.

@@ -40,7 +40,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagWriteError, LogError, ModelError
 from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.health import judge_rate, rate_of
-from tsobs_ros.estimation.records import GATED, HEALTH, NON_FINITE, REASONS, USED, RejectReason
+from tsobs_ros.estimation.records import HEALTH, USED, RejectReason
 from tsobs_ros.estimation.tracker import TrackerRun
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.replay.designs import STRING
@@ -267,9 +267,9 @@ class Run:
             refused = samples.codes[samples.codes[:, joint] > USED, joint]
             codes = np.append(refused, one.outcomes.codes)
             for code, number in enumerate(np.bincount(codes).tolist()):
-                if number and (reason := REASONS[code]):
-                    self.rejected[reason] += number
-            for place, code in enumerate((GATED, NON_FINITE)):
+                if code and number:
+                    self.rejected[RejectReason(code)] += number
+            for place, code in enumerate((RejectReason.GATED, RejectReason.NON_FINITE)):
                 self._outputs[joint][:, place] += (one.outcomes.output_codes == code).sum(axis=0)
 
     def _run_joint(self, joint: int) -> TrackerRun:

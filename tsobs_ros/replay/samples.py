@@ -19,7 +19,7 @@ from tsobs_ros.bag.joint_states import JointStateDecoder
 from tsobs_ros.checks import Array
 from tsobs_ros.design.signals import Place, Signals
 from tsobs_ros.errors import MessageError
-from tsobs_ros.estimation.records import REASONS, USED, RejectReason
+from tsobs_ros.estimation.records import USED, RejectReason
 from tsobs_ros.series import Stamps
 
 if TYPE_CHECKING:
@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
 NOT_NAMED = -1
 """Code of a joint that a message does not name."""
-WRONG = REASONS.index(RejectReason.WRONG_JOINT)
-MISSING = REASONS.index(RejectReason.MISSING_INPUT)
+WRONG, MISSING = RejectReason.WRONG_JOINT, RejectReason.MISSING_INPUT
 
 # What follows a message's numbers, so that each number of a row has a place, and its places.
 _CONSTANTS = (math.nan, 0.0)

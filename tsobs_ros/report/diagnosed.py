@@ -68,7 +68,7 @@ class Diagnosed:
 def diagnose(statuses: Iterable[RecordedStatus], origin: int, until: float) -> Diagnosed:
     """Gather what statuses have up to the end of a run [s]; times count from a stamp [ns]."""
     found, running = Diagnosed(), dict[str, FaultSpan]()
-    reasons = {f"{_REJECTED}{reason.value}": reason.value for reason in RejectReason}
+    reasons = {f"{_REJECTED}{reason.text}": reason.text for reason in RejectReason}
     numbers: dict[str, list[tuple[float, float]]] = {key: [] for key in (*_TIMING, *reasons)}
     for status in statuses:
         time = (status.stamp - origin) / NANOSECONDS

@@ -49,7 +49,7 @@ from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.methods import warning
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.observer.joints import NAMES, ObservedJoint, observed_joints
+from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.messages import EstimatePublisher
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, statuses_of
@@ -193,10 +193,10 @@ class Observer(ManagedNode[ObserverParameters]):
         for joint, y, u, codes in zip(self.joints, batch.y, batch.u, batch.codes, strict=True):
             innovations.append(joint.offer(batch.stamps, y, u, codes, now))
             for place in np.flatnonzero(codes > 0).tolist() if codes.any() else ():
-                reason = RejectReason(NAMES[codes[place]])
+                reason = RejectReason(int(codes[place]))
                 if self.may_log(reason):
                     found = self._reader.describe(messages[batch.order[place]], joint.name)
-                    text = f"sample of {joint.name} rejected: {reason.value} ({found}, clock "
+                    text = f"sample of {joint.name} rejected: {reason.text} ({found}, clock "
                     self.log(Level.WARN, f"{text}{now * 1e-9:.3f}): {reason.remedy}")
         of_all = np.concatenate(innovations, axis=1)
         used = np.flatnonzero((of_all == of_all).any(axis=1))

@@ -11,12 +11,12 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.request import ArmRequest
-from tsobs_ros.estimation import health, records
+from tsobs_ros.estimation import health
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import Event, EventLog
 from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.health import Debounce, Level, Phase, Status
-from tsobs_ros.estimation.records import REASONS, USED, Estimate, RejectReason
+from tsobs_ros.estimation.records import USED, Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
@@ -25,12 +25,15 @@ from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import naming
 from tsobs_ros.series import NANOSECONDS, Stamps
 
-NAMES = tuple(reason.value if reason else "" for reason in REASONS)
-"""Names of the reasons of rejection by their codes."""
 FAILURES = "numerical failures"
 """Name of the count of them."""
 
-_ACCEPTED = (*records.CORRECTING, records.GATED)
+_ACCEPTED = (
+    USED,
+    RejectReason.GATED,
+    RejectReason.IMPLAUSIBLE_TORQUE,
+    RejectReason.UNKNOWN_INPUT,
+)
 # For how many seconds measurements must come at another rate before that is worth a word.
 _LASTING = 3.0
 # Bounds beyond which a torque is no chance.
@@ -161,7 +164,7 @@ class ObservedJoint:
             stamps: In ascending order [ns], shape (N,).
             y: Measured outputs, NaN of those that are missing, shape (N, p).
             u: Inputs, shape (N, m).
-            codes: Those of `Batch`, shape (N,); of samples the outcomes are written, by `NAMES`.
+            codes: Those of `Batch`, shape (N,); of samples the outcomes are written.
             now: Time on the node's clock [ns].
 
         Returns:
@@ -172,7 +175,7 @@ class ObservedJoint:
         counts = Counter(codes[~given].tolist())
         self.received += len(codes) - counts.pop(NOT_NAMED, 0)
         for code, count in counts.items():
-            self.tracker.reject(RejectReason(NAMES[code]), count)
+            self.tracker.reject(RejectReason(code), count)
         found = self.tracker.offer_many(stamps[given], y[given], u[given], now)
         # Of several outputs one may be missing from a sample that is used.
         found.innovations[found.output_codes != USED] = math.nan
@@ -200,7 +203,7 @@ class ObservedJoint:
     @property
     def rejected(self) -> Counter[str]:
         """Number of samples not used, by reason."""
-        return Counter({reason.value: n for reason, n in self.tracker.rejected.items()})
+        return Counter({reason.text: n for reason, n in self.tracker.rejected.items()})
 
     def estimate(self, now: int) -> Estimate | None:
         """Return the estimate to publish at a time [ns]; of a stale joint as the parameters say."""

@@ -11,7 +11,7 @@ from tsobs_ros.estimation.events import NOISY, EventKind
 from tsobs_ros.estimation.health import LastMinute, Level, Status, duration_text
 from tsobs_ros.estimation.records import Learning, RejectReason
 from tsobs_ros.methods import CERTIFIED
-from tsobs_ros.nodes.observer.joints import FAILURES, NAMES, ObservedJoint
+from tsobs_ros.nodes.observer.joints import FAILURES, ObservedJoint
 
 _MANY_REJECTED = 0.01
 _MANY_MISSED = 0.05
@@ -87,25 +87,25 @@ def _state_status(joint: ObservedJoint, now: int) -> Status:
 
 def _measurement_status(joint: ObservedJoint) -> Status:
     """Return the counts of samples: received = used + rejected, by reason."""
-    recent = joint.recent.growth
+    recent, names = joint.recent.growth, [reason.text for reason in RejectReason]
     values = {
         "received": str(joint.received),
         "used": str(joint.tracker.used),
         "rewinds": str(joint.tracker.rewinds),
-        **{f"rejected: {name}": str(joint.rejected[name]) for name in NAMES[1:]},
+        **{f"rejected: {name}": str(joint.rejected[name]) for name in names},
         "last minute: received": str(recent["received"]),
-        "last minute: rejected": str(sum(recent[name] for name in NAMES[1:])),
+        "last minute: rejected": str(sum(recent[name] for name in names)),
     }
-    names = joint.request.output_names
-    for output, sensor in zip(names, joint.tracker.state["sensors"][0], strict=True):
-        if len(names) > 1:
+    outputs = joint.request.output_names
+    for output, sensor in zip(outputs, joint.tracker.state["sensors"][0], strict=True):
+        if len(outputs) > 1:
             values |= {f"{output}: {what}": str(sensor[what]) for what in ("gated", "missing")}
-    most = max(NAMES[1:], key=recent.__getitem__)
-    if not recent[most]:
+    most = max(RejectReason, key=lambda reason: recent[reason.text])
+    if not recent[most.text]:
         return Status("measurements", Level.OK, "none rejected in the last minute", values)
     count = int(values["last minute: rejected"])
-    values["remedy"] = RejectReason(most).remedy
-    message = f"rejected in the last minute: {count} of {recent['received']}, most: {most}"
+    values["remedy"] = most.remedy
+    message = f"rejected in the last minute: {count} of {recent['received']}, most: {most.text}"
     level = Level.WARN if count > _MANY_REJECTED * recent["received"] else Level.OK
     return Status("measurements", level, message, values)
 
