@@ -18,7 +18,6 @@ from staging import diagnostics, to_nanoseconds, values
 from staging.stage import PERIOD, Arm
 
 from tsobs_ros.estimation.records import RejectReason
-from tsobs_ros.nodes.observer.joints import NAMES as REASONS
 from tsobs_ros.series import NANOSECONDS
 
 TIMEOUT = 120.0
@@ -122,7 +121,7 @@ def test_after_each_flood_the_observer_goes_on_and_a_signal_ends_it_in_the_last(
     assert finished.exit_code == 0, finished.stderr
     assert "Traceback" not in finished.stderr
     logged = Counter(re.findall(r"rejected: ([\w -]+) \(", finished.stderr + finished.stdout))
-    assert set(logged) <= set(REASONS)
+    assert set(logged) <= {reason.text for reason in RejectReason}
     assert max(logged.values()) <= 1 + lasted / 5.0
     stamps = np.array(estimated[1:])
     assert (np.diff(stamps) > 0).all()

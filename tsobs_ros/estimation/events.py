@@ -33,6 +33,8 @@ class EventKind(enum.Enum):
     NOISE = "noise"
     LEARNING = "learning"
     HYPOTHESIS = "hypothesis"
+    RATE = "rate"
+    CONTACT = "contact"
 
 
 class Event(NamedTuple):
@@ -69,7 +71,7 @@ class EventLog:
     def __init__(self, source: str, coast_after: float, stale_after: float) -> None:
         self.coast_after = coast_after
         self._source, self._stale_after = source, stale_after
-        usual = (None, Basis.STARTING, False, Learning.STARTING, Hypothesis.AS_DESIGNED)
+        usual = (None, Basis.STARTING, False, Learning.STARTING, Hypothesis.AS_DESIGNED, 0, False)
         self._changes = {
             kind: _Changes(kind, each) for kind, each in zip(EventKind, usual, strict=True)
         }
@@ -86,6 +88,12 @@ class EventLog:
     def since(self, kind: EventKind) -> int | None:
         """Return the stamp at which something became what it is [ns], None if it never changed."""
         return self._changes[kind].since
+
+    def report(
+        self, kind: EventKind, stamp: int, value: Any, judged: tuple[Level, str], lasting: float
+    ) -> list[Event]:
+        """Take in a value that is no health, which must last so long [s]; return what is due."""
+        return self._changes[kind].report(stamp, value, judged, lasting)
 
     def update(self, estimate: Estimate) -> list[Event]:
         """Return what an estimate gives occasion to report, in the order of its beginning.

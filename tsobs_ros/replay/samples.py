@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 NOT_NAMED = -1
 """Code of a joint that a message does not name."""
-WRONG, MISSING = RejectReason.WRONG_JOINT, RejectReason.MISSING_INPUT
+WRONG, MISSING = map(int, (RejectReason.WRONG_JOINT, RejectReason.MISSING_INPUT))
 
 # What follows a message's numbers, so that each number of a row has a place, and its places.
 _CONSTANTS = (math.nan, 0.0)

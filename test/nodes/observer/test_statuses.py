@@ -3,6 +3,7 @@
 """Joints and their statuses without a node, and the meter of ticks; no test looks at real time."""
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,8 @@ import pytest
 from staging.stage import BEGIN, MS, PERIOD, Arm
 
 from tsobs_ros.estimation.health import Level, Status
-from tsobs_ros.estimation.records import Basis, Hypothesis
-from tsobs_ros.nodes.observer.joints import ObservedJoint, TorqueWatch, observed_joints
+from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis
+from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, statuses_of
 from tsobs_ros.replay.samples import WRONG
@@ -164,29 +165,29 @@ def test_what_an_estimate_is_not_worth_is_a_warning_with_its_reason(
         assert found[concern].values["since"] == "for 3.9 s"
 
 
-def test_a_torque_at_the_link_warns_at_once_and_until_it_has_been_small_for_a_while() -> None:
-    (joint,) = joints_of()
-    feed([joint], 2)
-    assert joint.latest is not None
-    watch = TorqueWatch(["motor", "link"], level=2.0, hold=0.5)
-    assert watch.statuses()[0].message == "no estimate yet"
-    changes = []
+def test_a_torque_at_the_link_warns_at_once_and_until_it_has_been_small_for_a_while(
+    both_design: Path,
+) -> None:
+    joints = joints_of(design=str(both_design), torque_warn=(2.0,))
+    (joint,) = joints
+    assert statuses(joints, BEGIN)["torque disturbance"].message == "no estimate yet"
+    one, changes = np.ones(1), []
+    known = Estimate(BEGIN, state=np.zeros(4), parameters=one, parameter_bound=one)
     # The second is beyond the level, but not beyond three bounds.
     links = [(0.1, 0.5), (-2.1, 0.8), (-2.1, 0.5), (0.2, 0.5), (3.0, 0.5), *[(0.3, 0.5)] * 6]
     for tick, (link, bound) in enumerate(links):
-        stamp = BEGIN + tick * 100 * MS
-        torque, bounds = np.array([9.0, link]), np.array([bound, bound])
-        change = watch.update(
-            joint.latest._replace(
-                stamp=stamp, torque_disturbance=torque, torque_disturbance_bound=bounds
-            )
+        joint.latest = known._replace(
+            stamp=BEGIN + tick * 100 * MS,
+            torque_disturbance=link * one,
+            torque_disturbance_bound=bound * one,
         )
-        if change is not None:
-            changes.append((tick, change.level))
-            assert f"{link:g} N m (1 sigma 0.5) at the link" in change.message
+        for level, text in joint.news(joint.latest.stamp, joint.latest, due=False):
+            changes.append((tick, level))
+            assert f"{link:g} N m (1 sigma 0.5) at the link" in text
     assert changes == [(2, Level.WARN), (10, Level.OK)]
     # It is over, but since the last status it has been.
-    assert [watch.statuses()[0].level for _ in range(2)] == [Level.WARN, Level.OK]
+    levels = [statuses(joints, BEGIN)["torque disturbance"].level for _ in range(2)]
+    assert levels == [Level.WARN, Level.OK]
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -13,9 +13,9 @@ from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.estimation import health
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.events import Event, EventLog
+from tsobs_ros.estimation.events import Event, EventKind, EventLog
 from tsobs_ros.estimation.faults import FaultMonitor
-from tsobs_ros.estimation.health import Debounce, Level, Phase, Status
+from tsobs_ros.estimation.health import Level, Phase
 from tsobs_ros.estimation.records import USED, Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
@@ -40,52 +40,6 @@ _LASTING = 3.0
 _SIGNIFICANT = 3.0
 
 
-class TorqueWatch:
-    """Watches the torque disturbance of one joint for a contact.
-
-    The link's is compared with `level` [N m], 0 for never; the motor's if the design has no other.
-    It must be smaller for `hold` [s] before a contact is over. Both may be changed at any time. A
-    contact that is shorter than the time between two statuses is in the next one all the same.
-    """
-
-    def __init__(self, sides: Sequence[str], level: float, hold: float) -> None:
-        self.level, self.hold = level, hold
-        self._sides = tuple(sides)
-        # Values and 1σ bounds of the sides [N m].
-        self._latest: tuple[list[float], list[float]] = [], []
-        self._beyond = Debounce(False)
-        self._touched = False
-
-    def update(self, estimate: Estimate) -> Status | None:
-        """Take in an estimate; return what has changed, None if nothing has."""
-        torques = estimate.torque_disturbance.tolist()
-        if not torques:
-            return None
-        bounds = estimate.torque_disturbance_bound.tolist() or [math.inf] * len(torques)
-        size, bound, was = abs(torques[-1]), bounds[-1], self._beyond.value
-        beyond = 0.0 < self.level <= size and size >= _SIGNIFICANT * bound
-        is_beyond = self._beyond.update(estimate.stamp, beyond, 0.0 if beyond else self.hold)
-        self._latest = torques, bounds
-        self._touched |= is_beyond
-        return None if is_beyond == was else self._status(is_beyond)
-
-    def statuses(self) -> list[Status]:
-        """Return the torques, a warning if there was a contact since the last time."""
-        touched, self._touched = self._touched, self._beyond.value
-        return [self._status(touched)] if self._sides else []
-
-    def _status(self, beyond: bool) -> Status:
-        values = {"warn level [N m]": f"{self.level:g}"} if self.level else {}
-        text = "no estimate yet"
-        for side, torque, bound in zip(self._sides, *self._latest, strict=False):
-            values[f"{side} [N m]"] = f"{torque:.4g}"
-            values[f"{side} bound [N m]"] = f"{bound:.4g}"
-            text = f"{torque:.3g} N m (1 sigma {bound:.2g}) at the {side}"
-        if beyond:
-            text += f", beyond {self.level:g} N m: a contact, a payload?"
-        return Status("torque disturbance", Level.WARN if beyond else Level.OK, text, values)
-
-
 class ObservedJoint:
     """A joint with its tracker, monitors and counts.
 
@@ -99,6 +53,8 @@ class ObservedJoint:
         newly: The same since the counts before, a second or so.
         measured_rate: Samples a second in use, by the median of their stamps' distances [Hz]; NaN
             if there are few.
+        torque_sides: Where there is a torque disturbance, the motor before the link.
+        touched: Whether the last of these was a contact since the latest status.
     """
 
     def __init__(
@@ -116,6 +72,9 @@ class ObservedJoint:
         self.signals = self.request.signals(name, alone=len(parameters.joints) == 1)
         self.learnt = settings.learnt(loaded.design)
         self.tracker: Tracker = make_tracker(loaded.design, settings, estimator)
+        self.torque_sides: tuple[str, ...] = ()
+        if isinstance(self.request, ArmRequest) and estimator.shape.t:
+            self.torque_sides = self.request.torque_sides
         self._parameters = parameters
         self.events = EventLog(source, parameters.coast_after, parameters.stale_after)
         self.reset()
@@ -129,19 +88,16 @@ class ObservedJoint:
         self.newly = Counter[str]()
         self.measured_rate = math.nan
         self._stamps: list[int] = []
-        self._pace, self._seconds = Debounce(0), 0
+        self._seconds, self.touched = 0, False
         self.latest: Estimate | None = None
-        request, limits = self.request, self._parameters.fault
-        self.faults = FaultMonitor(self.tracker.estimator, limits)
-        sides = request.torque_sides if isinstance(request, ArmRequest) else ()
-        self.torques = TorqueWatch(sides, self._parameters.torque_warn_of[self.name], limits.hold)
+        self.faults = FaultMonitor(self.tracker.estimator, self._parameters.fault)
+        self.torque_warn = self._parameters.torque_warn_of[self.name]
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
         self._parameters = parameters
         self.events.coast_after = parameters.coast_after
-        self.torques.level = parameters.torque_warn_of[self.name]
-        self.torques.hold = parameters.fault.hold
+        self.torque_warn = parameters.torque_warn_of[self.name]
         self.faults.limits = parameters.fault
         if self.tracker.estimator.supervised:
             self.tracker.estimator.supervise(parameters.supervision)
@@ -194,11 +150,12 @@ class ObservedJoint:
         if math.isnan(rate):
             return
         self.measured_rate = rate
-        before = self._pace.value
         off, text = health.judge_rate(self.measured_rate, self.request.rate)
+        judged = Level.WARN if off else Level.OK, text
         self._seconds += 1
-        if self._pace.update(self._seconds * NANOSECONDS, off, _LASTING) != before:
-            yield Level.WARN if off else Level.OK, text
+        stamp = self._seconds * NANOSECONDS
+        for event in self.events.report(EventKind.RATE, stamp, off, judged, _LASTING):
+            yield event.level, event.text
 
     @property
     def rejected(self) -> Counter[str]:
@@ -219,16 +176,29 @@ class ObservedJoint:
 
     def news(self, now: int, estimate: Estimate | None, due: bool) -> Iterator[tuple[Level, str]]:
         """Yield what is to be logged of the estimate for a time [ns]; `due`: as is its health."""
-        events: Sequence[Event] = ()
         if estimate is None:
             events = self.events.silence(now)
         else:
-            if (contact := self.torques.update(estimate)) is not None:
-                yield contact.level, contact.message
-            if due:
-                events = self.events.update(estimate)
+            events = self._contacts(estimate) + (self.events.update(estimate) if due else [])
         for event in events:
             yield event.level, event.text
+
+    def _contacts(self, estimate: Estimate) -> list[Event]:
+        """Compare the link's torque, the motor's if there is no other, with its level."""
+        torques, bounds = estimate.torque_disturbance, estimate.torque_disturbance_bound
+        if not (self.torque_warn and torques.size):
+            return []
+        beyond = bool(abs(torques[-1]) >= max(self.torque_warn, _SIGNIFICANT * bounds[-1]))
+        self.touched |= beyond
+        judged = Level.WARN if beyond else Level.OK, self.torque_text(estimate, beyond)
+        lasting = 0.0 if beyond else self._parameters.fault.hold
+        return self.events.report(EventKind.CONTACT, estimate.stamp, beyond, judged, lasting)
+
+    def torque_text(self, estimate: Estimate, beyond: bool) -> str:
+        """Return an estimate's torque in words, and whether it is beyond its level."""
+        torque, bound = estimate.torque_disturbance[-1], estimate.torque_disturbance_bound[-1]
+        text = f"{torque:.3g} N m (1 sigma {bound:.2g}) at the {self.torque_sides[-1]}"
+        return text + beyond * f", beyond {self.torque_warn:g} N m: a contact, a payload?"
 
     def _held(self) -> Estimate | None:
         nothing = np.zeros(0)

@@ -46,7 +46,7 @@ def _joint_statuses(joint: ObservedJoint, now: int) -> list[Status]:
         _domain_status(joint),
         _innovation_status(joint),
         *_fault_statuses(joint, now),
-        *joint.torques.statuses(),
+        *_torque_statuses(joint),
         _certificate_status(joint, now),
     ]
     estimate = joint.latest
@@ -137,6 +137,23 @@ def _fault_statuses(joint: ObservedJoint, now: int) -> list[Status]:
         return found
     names = joint.request.output_names
     return [one._replace(name=f"{one.name} of {n}") for one, n in zip(found, names, strict=True)]
+
+
+def _torque_statuses(joint: ObservedJoint) -> list[Status]:
+    """Return the torques, a warning if there was a contact since the last time."""
+    sides, estimate, values = joint.torque_sides, joint.latest, dict[str, str]()
+    if not sides:
+        return []
+    touched, joint.touched, text = joint.touched, False, "no estimate yet"
+    if joint.torque_warn:
+        values["warn level [N m]"] = f"{joint.torque_warn:g}"
+    if estimate is not None:
+        numbers = estimate.torque_disturbance, estimate.torque_disturbance_bound
+        for side, torque, bound in zip(sides, *numbers, strict=True):
+            values[f"{side} [N m]"], values[f"{side} bound [N m]"] = f"{torque:.4g}", f"{bound:.4g}"
+        text = joint.torque_text(estimate, touched)
+    level = Level.WARN if touched else Level.OK
+    return [Status("torque disturbance", level, text, values)]
 
 
 def _domain_status(joint: ObservedJoint) -> Status:
