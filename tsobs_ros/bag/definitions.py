@@ -77,91 +77,68 @@ def find_definition(msgtype: str, folders: Sequence[Path] | None = None) -> Mess
     Raises:
         BagWriteError: The name is not a message type's, or it or a dependency is not installed.
     """
-    source = _Source(share_folders() if folders is None else tuple(folders))
-    name = _parse(msgtype)
+    folders = share_folders() if folders is None else folders
+    package, kind, name = _parts(msgtype)
+    full = f"{package}/{kind}/{name}"
     try:
-        text, encoding = source.with_dependencies(name, "msg"), "ros2msg"
+        text, encoding = _with_dependencies(full, "msg", folders, set()), "ros2msg"
     except BagWriteError as error:
         try:
-            root = _delimiter("idl", name.full)
-            text, encoding = root + source.with_dependencies(name, "idl"), "ros2idl"
+            text = _with_dependencies(full, "idl", folders, set())
         except BagWriteError:
             raise error from None
-    return MessageDefinition(name.full, text, source.type_hash(name), encoding)
+        text, encoding = f"{_SEPARATOR}\nIDL: {full}\n{text}", "ros2idl"
+    return MessageDefinition(full, text, _type_hash(full, folders), encoding)
 
 
-class _Name(NamedTuple):
-    """A type's name, and that of its file."""
-
-    package: str
-    kind: str
-    name: str
-    file: str
-
-    @property
-    def full(self) -> str:
-        return f"{self.package}/{self.kind}/{self.name}"
-
-
-def _parse(msgtype: str) -> _Name:
+def _parts(msgtype: str) -> tuple[str, str, str]:
+    """Return package, kind and name of a type."""
     match = _TYPE_NAME.fullmatch(msgtype)
     if match is None:
         raise BagWriteError(f"'{msgtype}' is not a message type: expected package/msg/Type")
-    package, kind, name = match[1], match[2] or "msg", match[3]
-    return _Name(package, kind, name, name if kind == "msg" else _OF_SERVICE.sub("", name))
+    return match[1], match[2] or "msg", match[3]
 
 
-class _Source:
-    """The installed definitions in some share folders."""
-
-    def __init__(self, folders: Sequence[Path]) -> None:
-        self._folders = folders
-        self._seen: dict[str, set[str]] = {"msg": set(), "idl": set()}
-
-    def with_dependencies(self, name: _Name, language: str) -> str:
-        """Return a type's text followed by those of all it needs and that have not come yet."""
-        text = _read(self._find(name, name.kind if language == "msg" else language))
-        parts = [text]
-        for dependency in sorted(_dependencies(text, name.package, language), key=str.encode):
-            if dependency not in self._seen[language]:
-                self._seen[language].add(dependency)
-                parts.append(f"\n{_delimiter(language, dependency)}")
-                parts.append(self.with_dependencies(_parse(dependency), language))
-        return "".join(parts)
-
-    def type_hash(self, name: _Name) -> str:
-        try:
-            entries = json.loads(self._find(name, "json").read_bytes())["type_hashes"]
-            return next(str(e["hash_string"]) for e in entries if e["type_name"] == name.full)
-        except (BagWriteError, OSError, ValueError, KeyError, TypeError, StopIteration):
-            # Packages built before Iron have no hash, and a bag is complete without one.
-            return ""
-
-    def _find(self, name: _Name, extension: str) -> Path:
-        relative = f"{name.package}/{name.kind}/{name.file}.{extension}"
-        for folder in self._folders:
-            if (path := folder / relative).is_file():
-                return path
-        searched = ", ".join(map(str, self._folders)) or "no folder at all"
-        raise BagWriteError(
-            f"message type {name.full} is not installed: no {relative} in {searched}"
-        )
-
-
-def _read(path: Path) -> str:
-    # Bytes, not text mode: a definition with Windows line ends must stay as it is.
+def _with_dependencies(msgtype: str, language: str, folders: Sequence[Path], seen: set[str]) -> str:
+    """Return a type's text followed by those of all it needs and that have not come yet."""
+    package, kind, _ = _parts(msgtype)
     try:
-        return path.read_bytes().decode()
-    except (OSError, UnicodeDecodeError) as error:
-        raise BagWriteError(f"{path}: cannot read it: {error}") from error
-
-
-def _delimiter(language: str, name: str) -> str:
-    return f"{_SEPARATOR}\n{language.upper()}: {name}\n"
-
-
-def _dependencies(text: str, package: str, language: str) -> set[str]:
+        # Bytes, not text mode: a definition with Windows line ends must stay as it is.
+        text = _find(msgtype, kind if language == "msg" else language, folders).decode()
+    except UnicodeDecodeError as error:
+        raise BagWriteError(f"{msgtype}: its definition is not UTF-8: {error}") from error
     if language == "idl":
-        return set(_IDL_INCLUDE.findall(text))
-    types = set(_FIELD_TYPE.findall(text)) - _PRIMITIVES
-    return {name if "/" in name else f"{package}/{name}" for name in types}
+        needed = set(_IDL_INCLUDE.findall(text))
+    else:
+        types = set(_FIELD_TYPE.findall(text)) - _PRIMITIVES
+        needed = {name if "/" in name else f"{package}/{name}" for name in types}
+    for name in sorted(needed, key=str.encode):
+        if name not in seen:
+            seen.add(name)
+            text += f"\n{_SEPARATOR}\n{language.upper()}: {name}\n"
+            text += _with_dependencies(name, language, folders, seen)
+    return text
+
+
+def _type_hash(msgtype: str, folders: Sequence[Path]) -> str:
+    try:
+        entries = json.loads(_find(msgtype, "json", folders))["type_hashes"]
+        return next(str(e["hash_string"]) for e in entries if e["type_name"] == msgtype)
+    except (BagWriteError, ValueError, KeyError, TypeError, StopIteration):
+        # Packages built before Iron have no hash, and a bag is complete without one.
+        return ""
+
+
+def _find(msgtype: str, extension: str, folders: Sequence[Path]) -> bytes:
+    """Return the content of a type's file."""
+    package, kind, name = _parts(msgtype)
+    file = name if kind == "msg" else _OF_SERVICE.sub("", name)
+    relative = f"{package}/{kind}/{file}.{extension}"
+    for folder in folders:
+        if (path := folder / relative).is_file():
+            try:
+                return path.read_bytes()
+            except OSError as error:
+                raise BagWriteError(f"{path}: cannot read it: {error}") from error
+    searched, full = ", ".join(map(str, folders)), f"{package}/{kind}/{name}"
+    raise BagWriteError(f"message type {full} is not installed: no {relative} in {searched}")
