@@ -29,13 +29,7 @@ last one of each pass; pass after pass, without end."""
 
 
 class Event(NamedTuple):
-    """A message, or without one a stamp of the clock, to publish.
-
-    Attributes:
-        due: The steady time it was due at [ns].
-        time: The bag time then [ns].
-        message: The message; None for the clock.
-    """
+    """A message, or None for a stamp of the clock; steady and bag time at which it was due [ns]."""
 
     due: int
     time: int
@@ -46,20 +40,16 @@ class Playback:
     """Returns the messages of a bag, and the clock's stamps, when they are due.
 
     It is paused at first, as reading the first message may take a while. The clock and what is
-    latched at the start are due at once.
+    latched at the start are due at once. `take` and `position` may block, and raise what reading a
+    bag raises.
 
     Args:
-        messages: May block, and may raise what reading a bag raises, as `take` and `position` then
-            do.
         start: Bag time at which each pass starts [ns].
         end: Bag time at which a pass ends [ns].
-        now: The steady time [ns].
-        rate: Seconds of bag time per second.
         clock_rate: Clock stamps per second of steady time, also in a pause; 0: none.
-        loop: Whether to start again at the end.
 
     Attributes:
-        loop: The same; may be changed at any time.
+        loop: Whether to start again at the end; may be changed at any time.
         ended: Whether the end was reached without a loop.
         held_back: Total delay of the end, as the caller came later than `MAX_LAG` [ns].
     """
@@ -153,16 +143,13 @@ class Playback:
         if self.ended:
             return NEVER
         message = self._peek()
-        if message is None:
-            due = self._timeline.due(self._end)
-            return max(due, self._began + MIN_PASS) if self.loop and due != NEVER else due
-        if message.log_time < self._start:
+        if message is not None and message.log_time < self._start:
             return self._began
-        return self._timeline.due(message.log_time)
+        due = self._timeline.due(self._end if message is None else message.log_time)
+        return max(due, self._began + MIN_PASS) if message is None and self.loop else due
 
     def _start_pass(self, now: int) -> None:
-        self.ended = False
-        self._began = now
+        self.ended, self._began = False, now
         self._timeline.anchor(self._start, now)
         self._ticks.start(now)
 
@@ -185,8 +172,6 @@ def read_passes(
     """Read passes through a part of a bag; a thread reads ahead, a batch at a time.
 
     Args:
-        reader: The bag.
-        topics: The topics to read.
         latched: How many messages of each latched topic from before the start come first.
         start: Log time at which a pass starts [ns].
         end: Log time at which a pass ends; messages of that time are still read [ns].

@@ -15,6 +15,7 @@ services, std_srvs/srv/Trigger:
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -68,10 +69,8 @@ class Player(ManagedNode[PlayerParameters]):
         self._reader = reader = BagReader(Path(parameters.bag).expanduser())
         self._start = reader.start_time or 0
         end = reader.end_time or self._start
-        start, length = (
-            self._start + round(parameters.start_offset * 1e9),
-            (end - self._start) * 1e-9,
-        )
+        start = self._start + round(parameters.start_offset * 1e9)
+        length = (end - self._start) * 1e-9
         if start > end:
             raise ParameterError(
                 f"parameter 'start_offset' must be at most {length:.9g} s, the bag's length, got "
@@ -101,11 +100,11 @@ class Player(ManagedNode[PlayerParameters]):
             clock_rate=parameters.clock,
             loop=parameters.loop,
         )
-        self._paused, self._finished = parameters.start_paused, False
+        self._paused, self._is_awaited, self._finished = parameters.start_paused, True, False
         self.offer_diagnostics(str(reader.path), self._statuses)
-        self.offer_triggers({"pause": self._pause, "resume": self._resume})
-        self._ticker = Ticker(self, _MAX_WAIT, self._play, executor_clock=self.steady)
-        self.ticker = self._ticker
+        acts = {"pause": partial(self._pause, True), "resume": partial(self._pause, False)}
+        self.offer_triggers(acts)
+        self.ticker = self._ticker = Ticker(self, _MAX_WAIT, self._play, executor_clock=self.steady)
         self.log(
             Level.OK,
             f"opened {reader.path}: {sum(t.count for t in selected)} messages of "
@@ -161,13 +160,13 @@ class Player(ManagedNode[PlayerParameters]):
     @property
     def doing(self) -> str:
         """The state, in words."""
-        if not self.active:
-            return "inactive"
-        if self._paused:
-            return "paused"
-        if self._is_awaited:
-            return "waiting for subscribers"
-        return "ended" if self._playback.ended else "playing"
+        states = {
+            "inactive": not self.active,
+            "paused": self._paused,
+            "waiting for subscribers": self._is_awaited,
+            "ended": self._playback.ended,
+        }
+        return next((text for text, holds in states.items() if holds), "playing")
 
     def _play(self) -> int:
         """Publish what is due; return the time until more is [ns]."""
@@ -221,16 +220,10 @@ class Player(ManagedNode[PlayerParameters]):
         for each in self._played.values():
             each.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
 
-    def _pause(self) -> tuple[bool, str]:
-        self._paused = True
-        self._playback.pause(time.monotonic_ns())
-        return self._state()
-
-    def _resume(self) -> tuple[bool, str]:
-        self._paused = False
-        return self._state()
-
-    def _state(self) -> tuple[bool, str]:
+    def _pause(self, paused: bool) -> tuple[bool, str]:
+        self._paused = paused
+        if paused:
+            self._playback.pause(time.monotonic_ns())
         return True, f"{self.doing} at {self.position:.3f} s"
 
     def _statuses(self) -> list[Status]:
