@@ -191,13 +191,13 @@ def overwritten(opcode: Opcode, place: int, new: bytes) -> Callable[[bytes], byt
         (rewritten(Opcode.CHUNK_INDEX, chunk_length=1), "index of the file does not state"),
         (
             rewritten(Opcode.CHUNK_INDEX, message_index_offsets={1: 5, 2: 6}),
-            "chunks .* is stated",
+            "channel 1 at byte 5 is not that of its chunk",
         ),
         (
             rewritten(Opcode.CHUNK_INDEX, chunk_start_offset=1),
             "chunks .* is stated as None",
         ),
-        (rewritten(Opcode.MESSAGE_INDEX, channel_id=3), "has no message index of channel 1"),
+        (rewritten(Opcode.MESSAGE_INDEX, channel_id=3), "channel 1 at .* is not that of"),
         (
             overwritten(Opcode.MESSAGE_INDEX, 15, b"\x07"),
             "channel 1 at .* is not that of its chunk",

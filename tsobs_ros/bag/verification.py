@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -23,8 +23,10 @@ from numpy.typing import NDArray
 from tsobs_ros.bag.container import (
     INDEX_HEAD,
     MESSAGE,
+    RECORD,
     RECOVER_HINT,
-    Records,
+    Rows,
+    Span,
     Summary,
     by_channel,
     read_summary,
@@ -183,11 +185,8 @@ class _Check(DamagedFile):
         super().__init__(path, of_bag)
         self.is_complete = False
         self._errors = errors
-        # What the summary should state of each chunk: size, times and index offsets.
-        self._chunks: dict[int, tuple[int, int, int, dict[int, int]]] = {}
-        self._last = 0
-        # The entries that the message indexes behind the last chunk should have, by channel.
-        self._entries: dict[int, NDArray[np.int64]] = {}
+        # What the summary should state of each chunk by its place: size and log times.
+        self._chunks: dict[int, tuple[int, int, int]] = {}
 
     def as_metadata(self) -> FileMetadata:
         """Return what metadata.yaml should state of it."""
@@ -198,31 +197,25 @@ class _Check(DamagedFile):
         try:
             summary = read_summary(self.path)
             parts = self.parts(progress, is_trusted=is_trusted, described_by_summary=False)
+            spans = {span.offset: span for span in summary.spans}
             with open_regular(self.path) as stream:
                 for part, _ in parts:
                     if isinstance(part.record, DataEnd):
                         break
                     if part.content is not None and isinstance(part.record, Chunk):
-                        self._check_chunk(part, part.content)
-                    elif part.content is None and part.record is None:
-                        stream.seek(part.at)
-                        if (data := stream.read(part.size))[0] == Opcode.MESSAGE_INDEX:
-                            self._check_index(part.at, data)
+                        self._check_chunk(stream, part, part.content.rows, spans.get(part.at))
         except OSError as error:
             self._error(str(error).removeprefix(f"{self.path}: "))
             return
-        self._check_indexed()
-        self.described.add_all(
-            summary.schemas, summary.channels
-        )  # topics without messages are only there
+        # Topics without messages are only there.
+        self.described.add_all(summary.schemas, summary.channels)
         for schema in self.described.schemas.values():
             if not _TYPE_NAME.fullmatch(schema.name):
                 self._error(f"the schema '{schema.name}' is not named as package/msg/Type")
             if schema.encoding not in ("ros2msg", "ros2idl"):
                 self._error(f"{schema.name} is defined in '{schema.encoding}', not in ros2msg")
-        for name, count in Counter(
-            channel.topic for channel in self.described.channels.values()
-        ).items():
+        names = Counter(channel.topic for channel in self.described.channels.values())
+        for name, count in names.items():
             if count > 1:
                 self._error(f"{name}: has more than one channel")
         for text in (*self.described.problems.values(), *self.dropped):
@@ -233,67 +226,54 @@ class _Check(DamagedFile):
         if self.is_complete:
             self._check_summary(summary)
 
-    def _check_chunk(self, part: Part, content: Records) -> None:
-        self._check_indexed()
-        times = content.rows["log_time"].view("u8")
+    def _check_chunk(self, stream: IO[bytes], part: Part, rows: Rows, span: Span | None) -> None:
+        times = rows["log_time"].view("u8")
         start, end = (int(times.min()), int(times.max())) if len(times) else (0, 0)
-        self._chunks[part.at], self._last = (part.size, start, end, {}), part.at
-        entries = np.stack((times.view("i8"), content.rows["begin"] - MESSAGE.size), axis=1)
-        self._entries = {id_: entries[places] for id_, places in by_channel(content.rows)}
-
-    def _check_indexed(self) -> None:
-        for id_ in self._entries:
-            self._error(f"the chunk at byte {self._last} has no message index of channel {id_}")
-
-    def _check_index(self, at: int, data: bytes) -> None:
-        channel, entries = INDEX_HEAD.unpack_from(data)[2], data[INDEX_HEAD.size :]
-        actual = self._entries.pop(channel, None)
-        if actual is not None:
-            self._chunks[self._last][3][channel] = at
-        elif not entries or self.damage:
-            return  # a writer may index channels without messages; the chunk may be damaged
-        if (
-            actual is None
-            or len(entries) != 16 * len(actual)
-            or not np.array_equal(
-                _in_order(np.frombuffer(entries, "<i8").reshape(-1, 2)), _in_order(actual)
+        self._chunks[part.at] = part.size, start, end
+        entries = np.stack((times.view("i8"), rows["begin"] - MESSAGE.size), axis=1)
+        offsets = span.index_offsets if span else {}
+        for id_, places in by_channel(rows):
+            if (at := offsets.get(id_)) is None:
+                self._error(f"the chunk at byte {part.at} has no message index of channel {id_}")
+                continue
+            size = entries[places].nbytes
+            head = INDEX_HEAD.pack(
+                Opcode.MESSAGE_INDEX, INDEX_HEAD.size - RECORD.size + size, id_, size
             )
-        ):
-            self._error(f"the index of channel {channel} at byte {at} is not that of its chunk")
+            stream.seek(min(at, self.bytes_read))
+            data = stream.read(len(head) + size)
+            if (
+                len(data) < len(head) + size
+                or not data.startswith(head)
+                or not np.array_equal(
+                    _in_order(np.frombuffer(data, "<i8", offset=len(head)).reshape(-1, 2)),
+                    _in_order(entries[places]),
+                )
+            ):
+                self._error(f"the index of channel {id_} at byte {at} is not that of its chunk")
 
     def _check_summary(self, summary: Summary) -> None:
-        found, chunks = summary.statistics, {}
-        for span in summary.spans:
-            # Some writers also list channels of which a chunk has no messages.
-            indexed = self._chunks.get(span.offset, (0, 0, 0, {}))[3]
-            offsets = {id_: at for id_, at in span.index_offsets.items() if id_ in indexed}
-            chunks[span.offset] = span.size, span.start, span.end, offsets
-        stated = {
-            "profile": summary.profile,
-            "schemas": summary.schemas,
-            "channels": summary.channels,
-            "chunks (size, log times, places of indexes)": chunks,
-            "number of chunks": len(chunks),
-            "number of schemas": found.schema_count,
-            "number of channels": found.channel_count,
-            "number of messages": found.message_count,
-            "messages by channel": {k: n for k, n in found.channel_message_counts.items() if n},
-            "log times": (found.message_start_time, found.message_end_time),
-        }
-        actual = (
-            "ros2",
-            self.described.schemas,
-            self.described.channels,
-            self._chunks,
-            len(self._chunks),
-            len(self.described.schemas),
-            len(self.described.channels),
-            self.counts.total(),
-            dict(self.counts),
-            self.span or (0, 0),
-        )
-        for text in _compared(stated, dict(zip(stated, actual, strict=True))):
-            self._error(f"in the summary, {text}")
+        found, own = summary.statistics, self.described
+        chunks = {span.offset: (span.size, span.start, span.end) for span in summary.spans}
+        counts = {id_: count for id_, count in found.channel_message_counts.items() if count}
+        for what, stated, actual in (
+            ("profile", summary.profile, "ros2"),
+            ("schemas", summary.schemas, own.schemas),
+            ("channels", summary.channels, own.channels),
+            ("chunks (size, log times)", chunks, self._chunks),
+            ("number of chunks", len(chunks), len(self._chunks)),
+            ("number of schemas", found.schema_count, len(own.schemas)),
+            ("number of channels", found.channel_count, len(own.channels)),
+            ("number of messages", found.message_count, self.counts.total()),
+            ("messages by channel", counts, dict(self.counts)),
+            (
+                "log times",
+                (found.message_start_time, found.message_end_time),
+                self.span or (0, 0),
+            ),
+        ):
+            for text in _compared(stated, actual, what):
+                self._error(f"in the summary, {text}")
 
     def _error(self, text: str) -> None:
         self._errors.add(self.name, text)
