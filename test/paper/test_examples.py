@@ -15,7 +15,7 @@ from tsobs_ros.errors import DetectabilityError, ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.paper import examples as printed
 from tsobs_ros.paper.augmentation import Augmentation, blend, check_conditions, failing
-from tsobs_ros.paper.claims import ROUNDING, check_printed_p
+from tsobs_ros.paper.claims import check_printed_gains, check_printed_p
 from tsobs_ros.paper.examples import PaperExample, arm_system, example_1, example_2, example_3
 from tsobs_ros.resources import config_path
 
@@ -60,17 +60,6 @@ def test_our_design_of_an_example_exists_with_a_model_of_the_disturbance_only(nu
         synthesise(arbitrary)
 
 
-def test_printed_matching_matrix_fits_to_rounding() -> None:
-    residual = printed.EXAMPLE_1_P @ printed.EXAMPLE_1_M - FIRST.C_bar.T
-    assert np.abs(residual).max() < 2e-4
-    assert np.abs(residual).sum() == pytest.approx(6.4e-4, abs=1e-5)
-    for row, column in ((0, 2), (1, 5), (3, 4)):
-        other = printed.EXAMPLE_1_P.copy()
-        other[row, column] *= -1.0
-        other[column, row] *= -1.0
-        assert np.abs(other @ printed.EXAMPLE_1_M - FIRST.C_bar.T).max() > 10 * ROUNDING
-
-
 def test_printed_p_fails_rule_2_for_every_reading_of_its_signs() -> None:
     A2 = example_1().system.A[1]
     places = np.argwhere(A2 != 0.0)
@@ -94,23 +83,14 @@ def test_printed_p_meets_the_other_conditions() -> None:
 
 
 def test_printed_solution_of_example_3_fails_for_every_sign() -> None:
+    readings = check_printed_gains()
+    assert len(readings) == 512
+    assert all(map(failing, readings))
     aug = Augmentation(example_3().system)
-    signs = printed.sign_changes(4)
-    assert len({tuple(row) for row in signs}) == 16
-    for change in signs:
-        P = change[:, None] * printed.EXAMPLE_3_P * change
-        alone = check_conditions(aug, P, np.zeros(2))
+    for change in printed.sign_changes(4):
         # On {C̄x̄ = 0} no gain helps, so H and its signs do not matter.
-        for rule in (1, 2):
-            assert alone[f"(37) rule {rule}"].number > 1.0
-        H1 = aug.E_L_inverse @ (change[:, None] * printed.EXAMPLE_3_H)
-        assert failing(check_conditions(aug, P, np.zeros(2), H1=H1))
-    on_blind = aug.blind_basis.T @ printed.EXAMPLE_3_P @ aug.blind_basis
-    largest = []
-    for change in printed.sign_changes(3):
-        P = change[:, None] * on_blind * change
-        largest.append([np.linalg.eigvalsh(A.T @ P + P @ A)[-1] for A in aug.system.A])
-    assert [1.47, 1.71] in np.round(largest, 2).tolist()
+        alone = check_conditions(aug, change[:, None] * printed.EXAMPLE_3_P * change, np.zeros(2))
+        assert min(alone[f"(37) rule {rule}"].number for rule in (1, 2)) > 1.0
 
 
 @pytest.mark.parametrize(("name", "example"), NAMED)

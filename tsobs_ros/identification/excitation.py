@@ -188,10 +188,13 @@ class _Motions:
                 f"resonance of {joint:.4g} rad/s, got {request.rate:g}"
             )
         self.frequencies = np.geomspace(slowest, min(_BEYOND * joint, fastest), _TONES)
-        # Beside the imaginary axis, so that no tone is lost at a resonance.
-        poles = (0.1 + 1j) * self.frequencies[:, np.newaxis, np.newaxis] * np.eye(4)
-        of_torque = np.linalg.solve(poles - arm.slope_matrix(1.0), arm.input_matrix)
-        self._gains = np.abs(arm.output_matrix @ of_torque).ravel()
+        # Some damping, so that no tone is lost at a resonance.
+        s, k = 1j * self.frequencies, arm.stiffness
+        rub_link = arm.link_damping + 0.1 * math.sqrt(arm.link_inertia * (k + arm.gravity_torque))
+        rub_motor = arm.motor_damping + 0.1 * math.sqrt(arm.motor_inertia * k)
+        spring = arm.link_inertia * s * s + rub_link * s + arm.gravity_torque
+        torque = (arm.motor_inertia * s * s + rub_motor * s) * (1.0 + spring / k) + spring
+        self._gains = 1.0 / np.abs(torque)
         at = self.times / max(self.times[-1], 1e-9)
         rise = np.clip(np.minimum(at, 1.0 - at) / _EDGE, 0.0, 1.0)
         # Four derivatives are smooth.
