@@ -106,23 +106,6 @@ def test_all_is_played_once_in_order_and_on_time_whenever_the_caller_comes(
     assert playback.position(NOW) == START + max(offsets)
 
 
-def test_what_is_latched_comes_at_once_after_the_clock_even_in_a_pause() -> None:
-    latched = [message(k * MS, "/latched") for k in (1, 2, 8)]
-    bag = Bag([*latched, message(0), message(5 * MS)], START + 4 * MS)
-    playback = bag.playback(clock_rate=1.0)
-    assert (playback.paused, playback.position(NOW)) == (True, START + 4 * MS)
-
-    clock, first = playback.take(NOW), playback.take(NOW)
-    assert clock == (NOW, START + 4 * MS, None)
-    assert first == (NOW, START + 4 * MS, latched[1])
-    assert playback.take(NOW) is None
-    playback.resume(NOW + S)
-    assert playback.take(NOW + S - 1) is None
-    assert playback.wait(NOW + S) == 0  # the clock's second tick
-    assert playback.take(NOW + S) == (NOW + S, START + 4 * MS, None)
-    assert playback.wait(NOW + S) == MS
-
-
 @pytest.mark.parametrize(
     ("clock_rate", "rate", "last", "end", "expected"),
     [

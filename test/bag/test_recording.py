@@ -1,8 +1,7 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A recording is complete by file; latched messages are in each."""
+"""A recording keeps what is latched, and ends if the disk fails."""
 
-from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tsobs_ros.bag import BagReader, QosProfile
-from tsobs_ros.bag.metadata import read_metadata
 from tsobs_ros.bag.recording import LatchedMessages, Received, Recording
-from tsobs_ros.bag.verification import verify
 from tsobs_ros.errors import BagWriteError
 
-EMPTY, MAP = cdr(""), cdr("map")
+EMPTY = cdr("")
 
 
 def begin(path: Path, **options: Any) -> Recording:
@@ -34,32 +31,6 @@ def message(topic: str, time: int, data: bytes = EMPTY, *latch: int | None) -> R
 
 def stored(path: Path) -> list[tuple[str, int, int]]:
     return [(m.topic, m.log_time, m.publish_time) for m in BagReader(path).messages()]
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Iterator[Path]:
-    """Give a path for a bag, and check that it is strictly one."""
-    path = tmp_path / "bag"
-    yield path
-    found = verify(path)
-    assert found.errors == ()
-
-
-def test_every_file_begins_with_what_is_latched(folder: Path) -> None:
-    recording = begin(folder, max_duration_ns=9)
-    recording.record(message("/map", 1, MAP, 1, 1))
-    for time in range(2, 25):
-        recording.record(message("/a", time))
-    recording.split()
-    recording.split()
-    recording.record(message("/map", 30, MAP, 1, 1))
-    recording.close()
-
-    files = [BagReader(folder / f.path) for f in read_metadata(folder).files]
-    begins = [next((m.topic, m.log_time, m.publish_time) for m in f.messages()) for f in files]
-    assert begins == [("/map", 1, 1), ("/map", 11, 1), ("/map", 21, 1), ("/map", 30, 30)]
-    assert recording.file_count == 4
-    assert recording.counts == {"/map": 2, "/a": 23}
 
 
 def test_a_disk_that_fails_to_sync_ends_the_recording(tmp_path: Path, monkeypatch) -> None:

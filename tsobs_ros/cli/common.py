@@ -89,7 +89,8 @@ def show(mapping: dict[str, Any], text: str, as_json: bool) -> None:
 
 def json_text(mapping: dict[str, Any]) -> str:
     """Return plain data as JSON, null for numbers that JSON does not have."""
-    return json.dumps(_plain(mapping), indent=2, allow_nan=False).replace("\x7f", r"\u007f")
+    plain = json.loads(json.dumps(mapping), parse_constant=lambda _: None)
+    return json.dumps(plain, indent=2).replace("\x7f", r"\u007f")
 
 
 def complain(problem: object) -> None:
@@ -119,14 +120,3 @@ def progress(
 
     with tqdm(total=total, unit=unit, unit_scale=scale, leave=False) as bar:
         yield bar.update
-
-
-def _plain(value: Any) -> Any:
-    """Return the value with null for every number that JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
