@@ -65,8 +65,8 @@ def test_a_sum_generates_the_sum_of_its_signals(
     np.testing.assert_allclose(generated(total, start, t), parts, atol=1e-10)
     state, step = expm(total.S * t) @ np.array(start), 1e-6
     change = generated(total, state, step) - generated(total, state, -step)
-    np.testing.assert_allclose(total.rate_map @ state, change / 2e-6, rtol=1e-6, atol=1e-7)
-    driven = total.noise_density
+    np.testing.assert_allclose(total.H @ total.S @ state, change / 2e-6, rtol=1e-6, atol=1e-7)
+    driven = total.G @ total.G.T
     assert (driven[:split, :split] == first.G @ first.G.T).all()
     assert (driven[split:, split:] == second.G @ second.G.T).all()
     assert not driven[:split, split:].any()

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Detectability: the modes that outputs do not show, and what would help.
+"""Detectability: the modes that outputs do not show.
 
 A mode of eigenvalue λ is hidden if a vector v other than zero has (A − λI) v = 0 and C̄ v = 0
 (Popov–Belevitch–Hautus). Of an arm, A depends on the gravity slope c. Only λ of an exosystem, or 0,
@@ -9,14 +9,13 @@ first, and that row then gives the slope.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.remedies import helpful, remedies_of_hidden_modes
 from tsobs_ros.design.request import AnyRequest, ArmRequest
 from tsobs_ros.errors import DetectabilityError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_ANGLE
@@ -101,35 +100,22 @@ def find_obstacles(request: AnyRequest) -> list[Obstacle]:
     ]
 
 
-def is_detectable(request: AnyRequest) -> bool:
-    """Return whether no mode that persists is hidden, and no disturbance is arbitrary."""
-    return not (request.disturbance_model.arbitrary or find_obstacles(request))
-
-
-def require_detectable(
-    request: AnyRequest, has_design: Callable[[AnyRequest], bool] = is_detectable
-) -> None:
-    """Refuse a request that no observer can answer; changes are suggested if they have a design.
+def require_detectable(request: AnyRequest) -> None:
+    """Refuse a request that no observer can answer.
 
     Raises:
         DetectabilityError: A mode that does not decay is hidden, or a disturbance is arbitrary;
-            the text names the place, the mode's eigenvalue and shape, and what would help.
+            the text names the place, the mode's eigenvalue and shape.
     """
-    if is_detectable(request):
-        return
-    unknown = [each.name for each in request.channels if each.model.arbitrary]
-    hidden = [] if unknown else find_obstacles(request)
-    lines = [f"no observer exists: {request.headline.partition(';')[0]}"]
-    lines += [f"  - {obstacle.text}" for obstacle in hidden]
-    if unknown:
-        lines.append(
-            f"  - arbitrary disturbance of {', '.join(unknown)}: explains every value; nothing can "
-            "be proved for a gain that uses it"
-        )
-    found = helpful(remedies_of_hidden_modes(request, [each.slope for each in hidden]), has_design)
-    advice = [remedy.text for remedy in found] or ["none of the changes that were tried"]
-    lines += ["what would help:", *(f"  - {text}" for text in advice)]
-    raise DetectabilityError("\n".join(lines), found)
+    lines = [
+        f"arbitrary disturbance of {each.name}: explains every value; nothing can be proved for a "
+        "gain that uses it"
+        for each in request.channels
+        if each.model.arbitrary
+    ] or [obstacle.text for obstacle in find_obstacles(request)]
+    if lines:
+        what = f"no observer exists: {request.headline.partition(';')[0]}"
+        raise DetectabilityError("\n  - ".join([what, *lines]))
 
 
 def _of_arm(request: ArmRequest) -> Iterator[Obstacle]:

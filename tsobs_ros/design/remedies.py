@@ -6,11 +6,12 @@ A family is changes of one kind, the smallest first, of which the first with a d
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
+from tsobs_ros.design.feasibility import find_obstacles
 from tsobs_ros.design.request import AnyRequest, ArmRequest, Output
 from tsobs_ros.model.arm import ANGLES
 from tsobs_ros.model.disturbance import CLEAN, DisturbanceTerm
@@ -38,30 +39,41 @@ def helpful(
     return tuple(found for family in tried for found in islice(family, 1))
 
 
-def remedies_of_hidden_modes(
-    request: AnyRequest, slopes: Sequence[float | None] = ()
-) -> Iterator[Family]:
-    """Yield changes of a request whose disturbances hide modes, of an arm at some gravity slopes or
-    at any, which is None.
-    """
+def remedies_of(request: AnyRequest) -> Iterator[Family]:
+    """Yield changes of a request whose disturbances hide modes, or that no gain was found for."""
     if request.disturbance_model.arbitrary:
         yield [_modelled(request, kind) for kind in ("bias", "gauss_markov")]
         return
-    if isinstance(request, ArmRequest) and slopes and None not in slopes:
-        yield _domain_above(request, max(slope for slope in slopes if slope is not None))
-    yield from _other_disturbances(request)
+    if obstacles := find_obstacles(request):
+        slopes = [each.slope for each in obstacles if each.slope is not None]
+        if isinstance(request, ArmRequest) and len(slopes) == len(obstacles):
+            yield _domain_above(request, max(slopes))
+    else:
+        yield from _easier(request)
+    for terms, kept, text in (
+        (_DECAYING, ("clean", "gauss_markov"), "whose decaying state need not be seen"),
+        (CLEAN, ("clean",), "if it is not disturbed"),
+    ):
+        for place, channel in enumerate(request.channels):
+            if any(term.kind not in kept for term in channel.terms):
+                words = f"kind {terms[0].kind} for {channel.name}, {text}"
+                yield [Remedy(words, request.with_terms(place, terms))]
+    if isinstance(request, ArmRequest):
+        std = request.measurement_std
+        for name in (name for name in ANGLES if name not in request.output_names):
+            text = f"a further output without disturbance: {name} with 1σ of {std:.3g} rad"
+            outputs = [*request.sensors, Output(name, std)]
+            yield [Remedy(text, replace(request, outputs=outputs))]
 
 
-def remedies_of_gain(request: AnyRequest) -> Iterator[Family]:
-    """Yield changes of a request that no gain with one common matrix was found for."""
+def _easier(request: AnyRequest) -> Iterator[Family]:
     yield _faster(request)
     smaller = [request.on_share(share) for share in _SHARES]
     yield [Remedy(*each) for each in smaller if each is not None]
-    for_rates = [share * request.decay_rate for share in (0.25, 1.0 / 16.0, 1.0 / 64.0, 0.0)]
+    slower = [share * request.decay_rate for share in (0.25, 0.0) if request.decay_rate]
     yield [
         Remedy(f"a smaller decay_rate: {rate:.3g} 1/s", replace(request, decay_rate=rate))
-        for rate in for_rates
-        if request.decay_rate
+        for rate in slower
     ]
     if request.certify_uncertainty:
         text = "no certify_uncertainty: the observer learns the parameters without a proof"
@@ -72,7 +84,6 @@ def remedies_of_gain(request: AnyRequest) -> Iterator[Family]:
             noise = ProcessNoise(noise.link or default.link, noise.motor or default.motor)
             text = f"process_noise above 0: link {noise.link:g}, motor {noise.motor:g} rad²/s³"
             yield [Remedy(text, replace(request, process_noise=noise))]
-    yield from _other_disturbances(request)
 
 
 def _modelled(request: AnyRequest, kind: str) -> Remedy:
@@ -94,24 +105,6 @@ def _domain_above(request: ArmRequest, slope: float) -> Iterator[Remedy]:
             f"{x_max:g} rad has a design"
         )
         yield Remedy(text, replace(request, x_max=x_max))
-
-
-def _other_disturbances(request: AnyRequest) -> Iterator[Family]:
-    """Yield less of each disturbance in turn, and outputs without any."""
-    for terms, kept, text in (
-        (_DECAYING, ("clean", "gauss_markov"), "whose decaying state need not be seen"),
-        (CLEAN, ("clean",), "if it is not disturbed"),
-    ):
-        for place, channel in enumerate(request.channels):
-            if any(term.kind not in kept for term in channel.terms):
-                words = f"kind {terms[0].kind} for {channel.name}, {text}"
-                yield [Remedy(words, request.with_terms(place, terms))]
-    if isinstance(request, ArmRequest):
-        std = request.measurement_std
-        for name in (name for name in ANGLES if name not in request.output_names):
-            text = f"a further output without disturbance: {name} with 1σ of {std:.3g} rad"
-            outputs = [*request.sensors, Output(name, std)]
-            yield [Remedy(text, replace(request, outputs=outputs))]
 
 
 def _faster(request: AnyRequest) -> Iterator[Remedy]:

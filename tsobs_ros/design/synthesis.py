@@ -33,9 +33,9 @@ from scipy.linalg import solve_discrete_are
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.certificate import check_certificate
-from tsobs_ros.design.feasibility import is_detectable, require_detectable
+from tsobs_ros.design.feasibility import require_detectable
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.remedies import helpful, remedies_of_gain
+from tsobs_ros.design.remedies import helpful, remedies_of
 from tsobs_ros.design.request import AnyRequest
 from tsobs_ros.errors import DesignError
 from tsobs_ros.model.prediction import VertexSystem
@@ -66,24 +66,24 @@ def synthesise(request: AnyRequest) -> Design:
         DetectabilityError: No observer can exist; the text says which mode is hidden and why.
         DesignError: The solver found no common matrix P, or its answer failed the re-check.
     """
-    require_detectable(request, _has_design)
     try:
+        require_detectable(request)
         return Design(request, *solve_gain(request))
     except DesignError as error:
-        found = helpful(remedies_of_gain(request), _has_design)
-        advice = "; ".join(remedy.text for remedy in found) or "none of the changes that were tried"
-        raise DesignError(f"{error}. What would help: {advice}", found) from error
+        found = helpful(remedies_of(request), _has_design)
+        advice = [remedy.text for remedy in found] or ["none of the changes that were tried"]
+        text = "\n  - ".join([f"{error}\nwhat would help:", *advice])
+        raise type(error)(text, found) from error
 
 
 def _has_design(problem: AnyRequest) -> bool:
     """Return whether a request has a design that is found with little effort."""
     try:
-        if is_detectable(problem):
-            solve_gain(problem, passes=1, smallest_step=1.0 / 4.0)
-            return True
+        require_detectable(problem)
+        solve_gain(problem, passes=1, smallest_step=1.0 / 4.0)
     except DesignError:
-        pass
-    return False
+        return False
+    return True
 
 
 def solve_gain(

@@ -46,16 +46,6 @@ class DisturbanceModel:
         """Number of exosystem states q."""
         return int(self.S.shape[0])
 
-    @cached_property
-    def rate_map(self) -> Array:
-        """Exosystem states to the disturbance's modelled rate dω/dt, shape (p, q)."""
-        return product(self.H, self.S)
-
-    @cached_property
-    def noise_density(self) -> Array:
-        """G Gᵀ, density of the noise on the exosystem's derivative, shape (q, q)."""
-        return product(self.G, self.G.T)
-
     def through(self, D_s: ArrayLike) -> "DisturbanceModel":
         """Return the model acting on the outputs through D_s, shape (p, channels)."""
         rows, channels = np.shape(D_s)[0] if np.ndim(D_s) == 2 else 0, len(self.H)

@@ -223,7 +223,7 @@ class Flow(ABC):
         if torque_effect is not None:
             self.drift[:n, n + disturbance.state_count :] = torque_effect
         self.density = block_diagonal(
-            np.diag(densities), *(model.noise_density for model in models)
+            np.diag(densities), *(product(model.G, model.G.T) for model in models)
         )
         inputs = np.zeros((self.state_count, m))
         inputs[:n] = B
@@ -263,7 +263,7 @@ class Flow(ABC):
     @cached_property
     def rate_map(self) -> Array:
         """Augmented state to the modelled rate of each output's disturbance, shape (p, n)."""
-        return self._placed(self.disturbance.rate_map, self.plant_count)
+        return self._placed(product(self.disturbance.H, self.disturbance.S), self.plant_count)
 
     @cached_property
     def torque_map(self) -> Array:
