@@ -411,10 +411,13 @@ def compare(
     >>> [row.observer for row in rows]
     ['certified', 'high_gain']
     """
-    from tsobs_ros.report.comparison import compare_observers
+    from tsobs_ros.replay.estimate import make_runs
+    from tsobs_ros.report.comparison import run_and_measure
 
     source, observers = _observers(path, design, None, methods, joints, held_out)
-    return Comparison(compare_observers(source, observers, held_out_std))
+    runs = make_runs(source, observers, rate=None, as_live=True)
+    measured = run_and_measure(source, runs, held_out_std=held_out_std)
+    return Comparison(errors for errors, _ in measured)
 
 
 def _observers(

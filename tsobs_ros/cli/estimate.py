@@ -115,8 +115,7 @@ def estimate(
         run_all,
         without_misfits,
     )
-    from tsobs_ros.report.comparison import RunScores
-    from tsobs_ros.report.held_out import read_held_out
+    from tsobs_ros.report.comparison import run_and_measure
     from tsobs_ros.settings import changed
 
     begin = time.monotonic()
@@ -141,18 +140,14 @@ def estimate(
         remarks += misfits
     as_live = options.rate is None and options.at != "measurements"
     runs = make_runs(source, observers, rate=options.rate, as_live=as_live)
-    sensors = read_held_out(source, getattr(options, "held_out_std", None))
-    scores = RunScores(source, runs, sensors) if sensors or len(runs) > 1 else None
+    errors = list["ObserverErrors"]()
     with progress(source.count * len(runs), " samples", quiet=options.json) as advance:
-        run_all(
-            source,
-            runs,
-            output,
-            estimates_only=estimates_only,
-            progress=advance,
-            after_window=scores.add if scores is not None else lambda: None,
-        )
-    errors = [] if scores is None else [one for one, _ in scores.results()]
+        how: dict[str, Any] = {"estimates_only": estimates_only, "progress": advance}
+        if source.held_out or len(runs) > 1:
+            how |= keywords(options, run_and_measure)
+            errors = [one for one, _ in run_and_measure(source, runs, output, **how)]
+        else:
+            run_all(source, runs, output, **how)
     remarks += dict.fromkeys(text for run in runs for text in run.warnings())
     mapping, text = _result(source, runs, errors, output, time.monotonic() - begin, remarks)
     show(mapping, text, options.json)

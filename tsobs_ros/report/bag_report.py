@@ -21,7 +21,7 @@ from tsobs_ros.replay.health import (
     map_events,
 )
 from tsobs_ros.replay.source import BagSource
-from tsobs_ros.report.comparison import about_ekfs, aligned, best_ekf, metrics_cells
+from tsobs_ros.report.comparison import about_ekfs, aligned, best_ekf, metrics_cells, ratio
 from tsobs_ros.report.diagnosed import Diagnosed, diagnose
 from tsobs_ros.report.metrics import RunMetrics, innovation_std, measure
 from tsobs_ros.report.panels import Table, picture
@@ -88,13 +88,13 @@ def make_bag_report(
     rival = None
     if ekf and run.true_state is not None:
         rival = best_ekf(source, file, source.ran.settings())
-    shown = picture(run, metrics, expected, diagnosed=diagnosed, rival=rival and rival.run)
+    shown = picture(run, metrics, expected, diagnosed=diagnosed, rival=rival and rival[2])
     until = int(run.measurements.stamps.max())
     summary = summarise(metrics, health, diagnosed, shown.timing, events, until)
     remarks = [*source.ran.doubt(given), *source.ran.remarks, *_limits(run, metrics, diagnosed)]
-    cells = metrics_cells(metrics, rival and rival.metrics)
+    cells = metrics_cells(metrics, rival and rival[1])
     note = f"Errors over the {metrics.settled_time:.1f} s that count as settled."
-    note += f" {about_ekfs([rival.method])}." if rival else ""
+    note += f" {about_ekfs([rival[0]])}." if rival else ""
     mapping = {
         "bag": str(bag),
         "joint": run.joint,
@@ -105,7 +105,7 @@ def make_bag_report(
         "health": health and {**health.as_mapping(), **map_events(events, run.origin)},
         "timing": shown.timing._asdict(),
         "diagnostics": diagnosed.as_mapping(),
-        "ekf": rival and rival.as_mapping(metrics),
+        "ekf": rival and _compared(metrics, *rival[:2]),
         "files": [str(path) for path in files],
         "remarks": remarks,
     }
@@ -135,6 +135,18 @@ def make_bag_report(
         [f"wrote {path}" for path in files],
     ]
     return mapping, "\n\n".join("\n".join(map(printable, part)) for part in parts if part)
+
+
+def _compared(ours: RunMetrics, method: str, theirs: RunMetrics) -> dict[str, Any]:
+    """Return the errors of an EKF, and what ours are of them, as plain data."""
+    pairs = list(zip(ours.quantities, theirs.quantities, strict=True))
+    return {
+        "method": method,
+        "rmse": {other.quantity.key: other.rmse for _, other in pairs},
+        "normalised_rmse": theirs.normalised_rmse,
+        "ratio": {one.quantity.key: ratio(one.rmse, other.rmse) for one, other in pairs},
+        "normalised_ratio": ratio(ours.normalised_rmse, theirs.normalised_rmse),
+    }
 
 
 def _tables(run: RecordedRun, diagnosed: Diagnosed, events: Sequence[JointEvent]) -> list[Table]:

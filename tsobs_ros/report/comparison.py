@@ -8,9 +8,10 @@ one is the better rival: one keeps the nominal parameters, the other has them as
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from operator import attrgetter
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import EKFS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
 from tsobs_ros.replay.source import BagSource
-from tsobs_ros.report.held_out import HeldOutErrors, HeldOutSensor, read_held_out
+from tsobs_ros.report.held_out import HeldOutErrors, read_held_out
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics, innovation_std, measure, root_mean
 from tsobs_ros.report.quantities import outputs_of
 from tsobs_ros.report.run import ESTIMATED, RecordedRun, recorded_parts, run_of
@@ -75,27 +76,10 @@ class ObserverErrors(NamedTuple):
         }
 
 
-class Rival(NamedTuple):
-    """An EKF over the measurements of a recorded run: its name, its errors and its run."""
-
-    method: str
-    metrics: RunMetrics
-    run: RecordedRun
-
-    def as_mapping(self, ours: RunMetrics) -> dict[str, Any]:
-        """Return its errors, and what ours are of them, as plain data."""
-        pairs = list(zip(ours.quantities, self.metrics.quantities, strict=True))
-        return {
-            "method": self.method,
-            "rmse": {theirs.quantity.key: theirs.rmse for _, theirs in pairs},
-            "normalised_rmse": self.metrics.normalised_rmse,
-            "ratio": {one.quantity.key: _ratio(one.rmse, theirs.rmse) for one, theirs in pairs},
-            "normalised_ratio": _ratio(ours.normalised_rmse, self.metrics.normalised_rmse),
-        }
-
-
-def best_ekf(source: BagSource, file: DesignFile, settings: ObserverSettings) -> Rival:
-    """Return the EKF with the smallest errors over the only joint of a bag.
+def best_ekf(
+    source: BagSource, file: DesignFile, settings: ObserverSettings
+) -> tuple[str, RunMetrics, RecordedRun]:
+    """Return the EKF with the smallest errors over the only joint of a bag: name, errors and run.
 
     If ours, of a design and settings, learns parameters, there are two: one with the nominal
     parameters, and one that has those as states.
@@ -103,85 +87,70 @@ def best_ekf(source: BagSource, file: DesignFile, settings: ObserverSettings) ->
     methods = EKFS if settings.learnt(file.design) else EKFS[:1]
     observers = [Observer(name, replace(settings, method=name), (file,)) for name in methods]
     runs = make_runs(source, without_misfits(observers)[0], rate=None, as_live=True)
-    scores = RunScores(source, runs)
-    run_all(source, runs, None, after_window=scores.add)
-    best, run = min(scores.results(), key=lambda one: one[0].normalised_rmse)
+    best, run = min(run_and_measure(source, runs), key=lambda one: one[0].normalised_rmse)
     if best.metrics is None or run is None:
         raise BagReadError(f"{source.path}: no EKF could be run over the measurements")
-    return Rival(best.observer, best.metrics, run)
+    return best.observer, best.metrics, run
 
 
-def compare_observers(
-    source: BagSource, observers: Sequence[Observer], held_out_std: float | None = None
-) -> list[ObserverErrors]:
-    """Run observers when the recorded one estimated, if there is one, and measure them.
+def run_and_measure(
+    source: BagSource,
+    runs: Sequence[Run],
+    output: Path | None = None,
+    *,
+    held_out_std: float | None = None,
+    **options: Any,
+) -> list[tuple[ObserverErrors, RecordedRun | None]]:
+    """Run observers as `run_all` does, and measure each of them at each joint.
 
-    What the source holds out is a sensor to measure them against, with this 1σ of its noise.
+    What the source holds out is a sensor to measure them against, with this 1σ of its noise. If
+    time restarted, the longest pass counts. Estimates are kept in temporary files. Returns, joint
+    by joint, each observer's errors with its run, None without estimates.
+
+    Raises:
+        BagWriteError: The bag exists, or cannot be written.
+        BagReadError: The bag does not have the held-out sensor.
+        LogError: Too few readings of it are between estimates.
     """
-    runs = make_runs(source, observers, rate=None, as_live=True)
-    scores = RunScores(source, runs, read_held_out(source, held_out_std))
-    run_all(source, runs, None, after_window=scores.add)
-    return [errors for errors, _ in scores.results()]
+    sensors = read_held_out(source, held_out_std)
+    each = [(joint, run) for joint in range(len(source.joints)) for run in runs]
+    widths = [_widths(run, joint) for joint, run in each]
+    estimates = [SeriesSpool(sum(own.values())) for own in widths]
+    innovations = [SeriesSpool(len(run.signals[joint].outputs)) for joint, run in each]
 
-
-class RunScores:
-    """Measures runs over the same measurements; if time restarted, the longest pass.
-
-    Their estimates are kept in temporary files. Of each joint there may be a sensor that no run
-    gets, to measure them against.
-    """
-
-    def __init__(
-        self,
-        source: BagSource,
-        runs: Sequence[Run],
-        sensors: Sequence[HeldOutSensor] = (),
-    ) -> None:
-        self._source, self._sensors = source, sensors
-        self._kept = [
-            (joint, run, SeriesSpool(sum(_widths(run, joint).values())), SeriesSpool(len(names)))
-            for joint in range(len(source.joints))
-            for run in runs
-            for names in [run.signals[joint].outputs]
-        ]
-
-    def add(self) -> None:
-        """Add what the runs have made of a window."""
-        for joint, run, estimates, innovations in self._kept:
-            errors, (samples, ticks, _) = run.innovations[joint], run.window
-            used = np.isfinite(errors).any(axis=1)
-            innovations.add(samples.stamps[used], samples.log_times[used], errors[used])
+    def keep() -> None:
+        for (joint, run), made, errors in zip(each, estimates, innovations, strict=True):
+            (samples, ticks, _), y = run.window, run.innovations[joint]
+            used = np.isfinite(y).any(axis=1)
+            errors.add(samples.stamps[used], samples.log_times[used], y[used])
             values = run.values(joint, *ESTIMATED, *HEALTH)
             there = np.isfinite(values[:, 0])
-            estimates.add(ticks.stamps[there], ticks.log_times[there], values[there])
+            made.add(ticks.stamps[there], ticks.log_times[there], values[there])
 
-    def results(self) -> Iterator[tuple[ObserverErrors, RecordedRun | None]]:
-        """Yield, joint by joint, each observer's errors with its run, None without estimates.
-
-        Raises:
-            LogError: Too few readings of a held-out sensor are between estimates.
-        """
-        source = self._source
-        common = [recorded_parts(source, joint) for joint in range(len(source.joints))]
-        for joint, one, estimates, innovations in self._kept:
-            name, method = source.joints[joint], one.observer.name
-            design, widths = one.observer.designs[joint], _widths(one, joint)
-            made, errors = estimates.read(), innovations.read()
-            rms = tuple(map(root_mean, errors.values.T))
-            run = metrics = held_out = None
-            if len(made.stamps):
-                columns = np.split(made.values, np.cumsum([*widths.values()])[:-1], axis=1)
-                each = zip(widths, columns, strict=True)
-                found = {key: made._replace(values=values) for key, values in each if widths[key]}
-                found |= common[joint] | {"innovation": errors}
-                if self._sensors:
-                    found["held_out"] = self._sensors[joint].readings
-                run = run_of(found, method, name, design.request)
-                metrics = measure(run, innovation_std(design))
-                if self._sensors:
-                    held_out = self._sensors[joint].errors(run, metrics.windows)
-            outputs = tuple(outputs_of(design.request))
-            yield ObserverErrors(method, name, rms, metrics, outputs, held_out), run
+    run_all(source, runs, output, after_window=keep, **options)
+    common = [recorded_parts(source, joint) for joint in range(len(source.joints))]
+    found = []
+    for (joint, one), own, *spools in zip(each, widths, estimates, innovations, strict=True):
+        name, method = source.joints[joint], one.observer.name
+        design, (made, errors) = one.observer.designs[joint], (spool.read() for spool in spools)
+        run = metrics = held_out = None
+        if len(made.stamps):
+            columns = np.split(made.values, np.cumsum([*own.values()])[:-1], axis=1)
+            parts = {
+                key: made._replace(values=values)
+                for key, values in zip(own, columns, strict=True)
+                if own[key]
+            }
+            parts |= common[joint] | {"innovation": errors}
+            if sensors:
+                parts["held_out"] = sensors[joint].readings
+            run = run_of(parts, method, name, design.request)
+            metrics = measure(run, innovation_std(design))
+            held_out = sensors[joint].errors(run, metrics.windows) if sensors else None
+        rms, outputs = map(root_mean, errors.values.T), outputs_of(design.request)
+        row = ObserverErrors(method, name, tuple(rms), metrics, tuple(outputs), held_out)
+        found.append((row, run))
+    return found
 
 
 def _widths(run: Run, joint: int) -> dict[str, int]:
@@ -259,7 +228,7 @@ def metrics_cells(metrics: RunMetrics, ekf: RunMetrics | None = None) -> list[li
             for each in (metrics, ekf)
         )
         for row, own, error in zip(rows[1:], ours, theirs, strict=True):
-            row += [number_text(error), _quotient(_ratio(own, error))]
+            row += [number_text(error), _quotient(ratio(own, error))]
     return rows
 
 
@@ -303,5 +272,6 @@ _HELD_OUT = (
 """Rows of errors against a held-out sensor."""
 
 
-def _ratio(ours: float | None, theirs: float | None) -> float | None:
+def ratio(ours: float | None, theirs: float | None) -> float | None:
+    """Return how large our error is relative to another one."""
     return None if ours is None or not theirs else ours / theirs
