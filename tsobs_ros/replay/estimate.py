@@ -45,11 +45,10 @@ from tsobs_ros.estimation.tracker import TrackerRun
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.health import Health, JointEvent, find_events, health_of
-from tsobs_ros.replay.live import COMPARED, Agreement, digests
 from tsobs_ros.replay.log import LogSource
-from tsobs_ros.replay.loop import WINDOW, Window, Windows
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
 from tsobs_ros.replay.source import ARM_QUANTITIES, BagSource
+from tsobs_ros.replay.windows import COMPARED, WINDOW, Agreement, Window, Windows, digests
 from tsobs_ros.series import Series, Spool, Stamps
 from tsobs_ros.settings import values_of
 

@@ -23,7 +23,6 @@ from tsobs_ros.design.signals import Signals
 from tsobs_ros.errors import BagReadError, MessageError, ModelError
 from tsobs_ros.estimation.records import USED
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
-from tsobs_ros.replay.live import COMPARED, LiveRun
 from tsobs_ros.replay.samples import MISSING, Batch, MeasurementReader
 from tsobs_ros.series import NANOSECONDS, Spool, Stamps
 
@@ -94,6 +93,7 @@ class BagSource:
         topic: Name of the measurements' topic.
         namespace: Begin of the topics' names: empty, or with a slash at its front only.
         was_observed: Whether there is output of an observer that ran during the recording.
+        tick_log: Full name of the topic with its ticks, empty if there are none.
         truth: Full names of the simulator's topics that there are, by those of `TRUTH`.
         damage: The error that ended reading early.
         remarks: Notes for the user.
@@ -113,6 +113,7 @@ class BagSource:
     ran = RecordedObserver()
     namespace = ""
     was_observed = False
+    tick_log = ""
     truth: Mapping[str, str] = MappingProxyType({})
     damage: BagReadError | None = None
     remarks: tuple[str, ...] = ()
@@ -121,7 +122,6 @@ class BagSource:
     held_out: str | None = None
     held_out_columns: tuple[str, ...] = ()
     _alone = True
-    _live: Mapping[str, str] = MappingProxyType({})
 
     def __init__(
         self,
@@ -159,14 +159,12 @@ class BagSource:
         if assume_zero_torque is None:
             assume_zero_torque = self.ran.settings().assume_zero_torque
         self._assume_zero_torque = assume_zero_torque
-        live = self._there(f"{_OBSERVER}/", (topics.RESTARTS, *COMPARED))
-        states = live.get(topics.STATES)
-        self.was_observed = states is not None and self.reader.topics[states].count > 0
-        ticks = f"{self.namespace}/{_OBSERVER}/{topics.TICKS}"
-        info = self.reader.topics.get(ticks)
-        has_ticks = info is not None and info.type == TICK_LOG and info.count > 0
-        self._live = {topics.TICKS: ticks, **live} if has_ticks else {}
-        self.truth = self._there("", topics.TRUTH)
+        states = self.there(f"{_OBSERVER}/", [topics.STATES]).values()
+        self.was_observed = any(self.reader.topics[topic].count for topic in states)
+        ticks = self.reader.topics.get(f"{self.namespace}/{_OBSERVER}/{topics.TICKS}")
+        if ticks is not None and ticks.type == TICK_LOG and ticks.count:
+            self.tick_log = ticks.name
+        self.truth = self.there("", topics.TRUTH)
 
     def observe(self, requests: Sequence[AnyRequest]) -> None:
         """Read what the designs of the joints need.
@@ -247,12 +245,6 @@ class BagSource:
         names = (self.topic, *self.truth.values())
         return tuple(self.reader.topics[name] for name in names)
 
-    def live(self) -> LiveRun | None:
-        """Return what the recorded observer sent, None without its tick log."""
-        if not self._live:
-            return None
-        return LiveRun(self.reader, self._live, self.samples.checksums, self.damaged)
-
     def add_topics(self, writer: BagWriter) -> None:
         """Register `topics` in a new bag."""
         writer.add_topics(one for one in self.reader.topics.values() if one in self.topics)
@@ -273,8 +265,8 @@ class BagSource:
         """Note damage that has ended reading."""
         self.damage = error
 
-    def _there(self, prefix: str, names: Iterable[str]) -> dict[str, str]:
-        """Return the full names of those topics in the namespace that the bag has."""
+    def there(self, prefix: str, names: Iterable[str]) -> dict[str, str]:
+        """Return the full names of those JointStates in the namespace that the bag has."""
         full = {name: f"{self.namespace}/{prefix}{name}" for name in names}
         there = {name for name, topic in self.reader.topics.items() if topic.type == JOINT_STATE}
         return {key: name for key, name in full.items() if name in there}
@@ -387,7 +379,7 @@ class BagSource:
                 "note: the bag's stamps and log times are of different clocks, so each measurement "
                 "is taken to have arrived when it was sampled"
             )
-        if self.was_observed and not self._live:
+        if self.was_observed and not self.tick_log:
             yield (
                 f"note: the bag has no tick log (topic {topics.TICKS} of the observer): estimates "
                 "are made at the measurements' stamps, and not compared with the live ones"
