@@ -12,7 +12,7 @@ import numpy as np
 from tsobs_ros.campaign.batches import CLAIMS, Columns
 from tsobs_ros.campaign.definition import Campaign
 from tsobs_ros.checks import Array, Flags
-from tsobs_ros.report.comparison import aligned
+from tsobs_ros.report.comparison import aligned, number_text
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.report.quantities import quantities_of
 
@@ -21,7 +21,7 @@ _WORST = 5
 
 
 def summarise(campaign: Campaign, columns: Columns) -> dict[str, Any]:
-    """Return the summary of runs, all or some, as plain data, None for what is not known.
+    """Return the summary of a campaign's runs as plain data, None for what is not known.
 
     Runs that `failed` have an error that is not known. Quantiles are those of the table's head. Of
     `bounds` by what they are said to be there are the share of samples and, of each quantity, the
@@ -48,7 +48,6 @@ def summarise(campaign: Campaign, columns: Columns) -> dict[str, Any]:
     held = columns["premises_hold"]
     return {
         "runs": len(columns["run"]),
-        "asked": entries.runs,
         "duration": entries.duration,
         "design": file.identity,
         "scenarios": scenarios,
@@ -68,39 +67,33 @@ def summarise(campaign: Campaign, columns: Columns) -> dict[str, Any]:
 
 def render(summary: Mapping[str, Any]) -> str:
     """Return the tables of a summary for people."""
-    runs, asked, failed = (summary[name] for name in ("runs", "asked", "failed"))
     head = (
-        f"{runs:,} of {asked:,} runs of {summary['duration']:g} s, design {summary['design']}; "
-        f"{failed:,} with an error that is not known"
+        f"{summary['runs']:,} runs of {summary['duration']:g} s, design {summary['design']}; "
+        f"{summary['failed']:,} with an error that is not known"
     )
-    scenarios = [
-        [name, f"{one['runs']:,}", _share(one["premises_hold"]),
-         *map(_number, one["normalised_rmse"]), _share(one["inside"])]
-        for name, one in summary["scenarios"].items()
-    ]  # fmt: skip
-    errors = [
-        [name, one["unit"], *map(_number, one["rmse"])]
-        for name, one in summary["quantities"].items()
-    ]
-    bounds = []
+    scenarios = [["normalised RMSE", "runs", "premises hold", *_QUANTILES, "inside"]]
+    for name, one in summary["scenarios"].items():
+        errors = map(number_text, one["normalised_rmse"])
+        shares = _share(one["premises_hold"]), *errors, _share(one["inside"])
+        scenarios.append([name, f"{one['runs']:,}", *shares])
+    quantities = [["RMSE", "unit", *_QUANTILES]]
+    for name, one in summary["quantities"].items():
+        quantities.append([name, one["unit"], *map(number_text, one["rmse"])])
+    bounds = [["bounds said to be", "samples", "inside", "rms", "worst", "of run"]]
     for group, claims in summary["bounds"].items():
         for claim, one in claims.items():
             if each := list(one["quantities"].values()):
                 worst = max(each, key=lambda own: float(own["worst"]))
                 inside, rms = min(own["inside"] for own in each), max(own["rms"] for own in each)
-                numbers = _share(inside), _number(rms), _number(worst["worst"]), str(worst["run"])
-                bounds.append([f"{claim}; {group}", _share(one["samples"]), *numbers])
-    tables = [
-        [["normalised RMSE", "runs", "premises hold", *_QUANTILES, "inside"], *scenarios],
-        [["RMSE", "unit", *_QUANTILES], *errors],
-        [["bounds said to be", "samples", "inside", "rms", "worst", "of run"], *bounds],
-    ]
+                sizes = number_text(rms), number_text(worst["worst"]), str(worst["run"])
+                shares = _share(one["samples"]), _share(inside)
+                bounds.append([f"{claim}; {group}", *shares, *sizes])
+    tables = [scenarios, quantities, bounds]
     for measure, worst in summary["worst"].items():
-        rows = [
-            [str(one["run"]), one["scenario"], _number(one["value"]), one["violated"] or "none"]
-            for one in worst
-        ]
-        tables.append([["run", "scenario", measure, "premises that do not hold"], *rows])
+        tables.append([["run", "scenario", measure, "premises that do not hold"]])
+        for one in worst:
+            value, reasons = number_text(one["value"]), one["violated"] or "none"
+            tables[-1].append([str(one["run"]), one["scenario"], value, reasons])
     counts = ", ".join(f"{name} {count:,}" for name, count in summary["violated"].items())
     note = (
         f"inside: share of errors within {SIGMAS:g} bounds; rms, worst: of error / bound; of the "
@@ -137,15 +130,14 @@ def _worst(columns: Columns, keys: Sequence[str], repeats: int) -> dict[str, lis
     claimed = np.array([columns[f"{key}_{claim}_worst"] for key in keys for claim in claims])
     ratio, held = np.fmax.reduce(claimed), columns["premises_hold"]
     found = {}
-    for measure, values, chosen in (
+    for measure, values in (
         # Runs without a number are the worst by their error.
-        ("normalised RMSE", np.nan_to_num(columns["normalised_rmse"], nan=np.inf), held | True),
-        ("error / claimed bound, premises hold", ratio, held),
-        ("error / claimed bound, others", ratio, ~held),
+        ("normalised RMSE", np.nan_to_num(columns["normalised_rmse"], nan=np.inf)),
+        ("error / claimed bound, premises hold", np.where(held, ratio, np.nan)),
+        ("error / claimed bound, others", np.where(held, np.nan, ratio)),
     ):
         by_draw: dict[int, int] = {}
-        places = np.flatnonzero(chosen & ~np.isnan(values))
-        for place in places[np.argsort(-values[places], kind="stable")].tolist():
+        for place in np.argsort(-values, kind="stable")[: np.count_nonzero(values == values)]:
             by_draw.setdefault(int(columns["run"][place]) // repeats, place)
         found[measure] = [
             {
@@ -167,8 +159,4 @@ def _quantiles(values: Array) -> list[float | None]:
 
 
 def _share(value: float | None) -> str:
-    return "-" if value is None else f"{100.0 * value:.2f} %"
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
+    return "–" if value is None else f"{100.0 * value:.2f} %"
