@@ -26,7 +26,7 @@ from tsobs_ros.replay.health import PROVED
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.settings import changed
 from tsobs_ros.simulation.motion import Friction, Payload
-from tsobs_ros.simulation.plant import Plant, TorqueDisturbance
+from tsobs_ros.simulation.plant import Plant
 from tsobs_ros.simulation.signals import KINDS, Signal, parse_kinds
 
 if TYPE_CHECKING:
@@ -193,29 +193,24 @@ def simulate(
         check_names("torque_disturbance", torque_disturbance or {}, SIDES)
         others["friction"] = changed(Friction(), friction or {})
         others["payload"] = changed(Payload(), payload or {})
-        others["torque_disturbance"] = TorqueDisturbance(
-            **{side: _components(each) for side, each in (torque_disturbance or {}).items()}
-        )
     elif friction or payload or torque_disturbance:
         raise ModelError(
             "friction, payload, torque_disturbance: expected none for a T-S system, which has no "
             "torques"
         )
-    disturbances: Mapping[str, Any] = {names[0]: disturbance}
+    disturbed: Mapping[str, Any] = {names[0]: disturbance}
     if isinstance(disturbance, Mapping) and any(name in names for name in disturbance):
-        disturbances = disturbance
-        check_names("disturbance", disturbances, names)
-    stds = []
+        disturbed = disturbance
+        check_names("disturbance", disturbed, names)
+    signals: dict[str, list[Any]] = {name: _components(each) for name, each in disturbed.items()}
+    for side, terms in (torque_disturbance or {}).items():
+        signals[f"{side}_torque"] = _components(terms)
     if noise_std is not None:
-        each = [noise_std] * len(names) if np.ndim(noise_std) == 0 else noise_std
-        stds = as_matrix("noise_std", each, (len(names),)).tolist()
+        stds = [noise_std] * len(names) if np.ndim(noise_std) == 0 else noise_std
+        for name, std in zip(names, as_matrix("noise_std", stds, (len(names),)), strict=True):
+            signals.setdefault(name, []).append({"noise_std": float(std)})
     scenario = scenario_of(
-        request,
-        mismatch,
-        initial_state=initial_state,
-        disturbances={name: _components(each) for name, each in disturbances.items()},
-        sensors={name: {"noise_std": std} for name, std in zip(names, stds, strict=False)},
-        **others,
+        request, mismatch, initial_state=initial_state, signals=signals, **others
     )
     if torque is not None:
         values: Any = torque
@@ -444,13 +439,13 @@ def _observers(
     return source, without_misfits(observers)[0] if len(methods) > 1 else observers
 
 
-def _components(disturbance: Disturbance) -> tuple[Signal, ...]:
+def _components(disturbance: Disturbance) -> list[Any]:
     if isinstance(disturbance, str):
-        return tuple(KINDS[kind]() for kind in parse_kinds(disturbance))
+        return [KINDS[kind]() for kind in parse_kinds(disturbance)]
     if not isinstance(disturbance, Mapping):
-        return tuple(disturbance)
+        return list(disturbance)
     kinds = parse_kinds("+".join(disturbance) or "none")
-    return tuple(changed(KINDS[k](), disturbance[k]) for k in kinds)
+    return [changed(KINDS[k](), disturbance[k]) for k in kinds]
 
 
 def _estimates(

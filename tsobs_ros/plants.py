@@ -12,10 +12,16 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import as_matrix, check_names, finite
 from tsobs_ros.design.file import FilePath, load_request, parse_design
 from tsobs_ros.design.request import ArmRequest, TSRequest
-from tsobs_ros.simulation.plant import Mismatch, Scenario, SystemScenario
+from tsobs_ros.simulation.plant import Mismatch, Scenario, SystemScenario, TorqueDisturbance
 from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import NoTorque, Signal, Sine
 from tsobs_ros.yaml_files import read_yaml
+
+TORQUES = tuple(f"{side}_torque" for side in TorqueDisturbance._fields)
+"""Names of the torques that disturb an arm."""
+
+EFFORT_ERROR = "effort_error"
+"""Name of what the reported torque of an arm has beyond the applied one."""
 
 
 def request_in(path: FilePath) -> ArmRequest | TSRequest:
@@ -37,9 +43,7 @@ def scenario_of(
     *,
     initial_state: ArrayLike | None = None,
     excitation: Signal | None = None,
-    inputs: Mapping[str, Signal] | None = None,
-    disturbances: Mapping[str, Sequence[Signal]] | None = None,
-    sensors: Mapping[str, Mapping[str, Any]] | None = None,
+    signals: Mapping[str, Sequence[Any]] | None = None,
     noise_factor: float = 1.0,
     process_noise_factor: float = 1.0,
     **others: Any,
@@ -52,9 +56,9 @@ def scenario_of(
             system.
         initial_state: Physical state at the start.
         excitation: Of every input, sin t if None; scheduled signals are 0.
-        inputs: Signals of single inputs and scheduled signals, by name.
-        disturbances: Components of outputs, by name.
-        sensors: Numbers of their sensors.
+        signals: By name, of an output the components of its disturbance, and mappings with numbers
+            of its sensor; of an input or scheduled signal what it is, the last one; of an arm the
+            components of `TORQUES` and of `EFFORT_ERROR`.
         noise_factor: Of the sensors' designed noise.
         process_noise_factor: Of the densities of the process noise.
         **others: Other fields of the scenario.
@@ -65,7 +69,8 @@ def scenario_of(
     >>> scenario_of(ArmRequest(), {"stiffness": 0.2}).true_arm.stiffness
     12.0
     """
-    changes, names, own = mismatch or {}, request.output_names, dict[str, Any]()
+    changes, given = mismatch or {}, signals or {}
+    names, own = request.output_names, dict[str, Any]()
     make: type[Scenario | SystemScenario]
     if isinstance(request, ArmRequest):
         check_names("mismatch", changes, [item.name for item in fields(Mismatch)])
@@ -77,6 +82,9 @@ def scenario_of(
             motor=density.motor * process_noise_factor,
         )
         own["torque"] = request.torque
+        torques = (tuple(given.get(name, ())) for name in TORQUES)
+        own["torque_disturbance"] = TorqueDisturbance(*torques)
+        own["torque_error"] = tuple(given.get(EFFORT_ERROR, ()))
         if initial_state is not None:
             start = request.arm.from_physical(as_matrix("initial_state", initial_state, (4,)))
             own["initial_state"], own["initial_spread"] = tuple(start.tolist()), (0.0,) * 4
@@ -99,15 +107,14 @@ def scenario_of(
         sensed = [(std, 0.0) for std in np.asarray(request.measurement_std).tolist()]
     scheduled = len(own.get("fed_back", ()))
     free = [excitation or Sine()] * (len(request.input_names) - scheduled)
-    chosen = {name: each for name, each in (inputs or {}).items() if name not in names}
+    # What an output that is an input, too, is given disturbs its measured value.
+    chosen = {name: each[-1] for name, each in given.items() if each and name not in names}
     own["inputs"] = tuple(map(chosen.get, request.input_names, [*free, *[NoTorque()] * scheduled]))
-    own["outputs"] = tuple(
-        SimulatedOutput(
-            name,
-            Sensor(**{"noise_std": std * noise_factor, **(sensors or {}).get(name, {})}),
-            tuple((disturbances or {}).get(name, ())),
-            delay,
-        )
-        for name, (std, delay) in zip(names, sensed, strict=True)
-    )
+    own["outputs"] = ()
+    for name, (std, delay) in zip(names, sensed, strict=True):
+        numbers: dict[str, Any] = {"noise_std": std * noise_factor}
+        for each in given.get(name, ()):
+            numbers |= {} if isinstance(each, Signal) else each
+        faults = tuple(each for each in given.get(name, ()) if isinstance(each, Signal))
+        own["outputs"] += (SimulatedOutput(name, Sensor(**numbers), faults, delay),)
     return make(**{"rate": request.rate, **own, **others})

@@ -9,7 +9,7 @@ from functools import cached_property
 from hashlib import sha256
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile, load_design_file
@@ -32,16 +32,12 @@ class CampaignError(TsobsError, RuntimeError):
     """A campaign cannot run, go on or be shown."""
 
 
-SignalEntry: TypeAlias = dict[str, Any]
-"""A component of a disturbance: its kind and its numbers."""
-
-
 @dataclass(kw_only=True)
 class OutputEntries:
     """One output: numbers of its sensor in addition to the design's noise, and its disturbance."""
 
     sensor: dict[str, float | bool] = field(default_factory=dict)
-    disturbance: list[SignalEntry] = field(default_factory=list)
+    disturbance: list[dict[str, Any]] = field(default_factory=list)
 
 
 @dataclass(kw_only=True)
@@ -59,9 +55,9 @@ class ScenarioEntries(OutputEntries):
     noise: float = 1.0
     process_noise: float = 1.0
     outputs: dict[str, OutputEntries] = field(default_factory=dict)
-    motor_torque: list[SignalEntry] = field(default_factory=list)
-    link_torque: list[SignalEntry] = field(default_factory=list)
-    torque_error: list[SignalEntry] = field(default_factory=list)
+    motor_torque: list[dict[str, Any]] = field(default_factory=list)
+    link_torque: list[dict[str, Any]] = field(default_factory=list)
+    torque_error: list[dict[str, Any]] = field(default_factory=list)
     friction: Friction = field(default_factory=Friction)
     payload: Payload = field(default_factory=Payload)
     mismatch: Mismatch = field(default_factory=Mismatch)

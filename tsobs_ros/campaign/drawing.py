@@ -9,15 +9,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tsobs_ros.campaign.definition import Campaign, ScenarioEntries, SignalEntry
+from tsobs_ros.campaign.definition import Campaign, ScenarioEntries
 from tsobs_ros.checks import check_names, non_negative
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
-from tsobs_ros.plants import scenario_of
+from tsobs_ros.plants import EFFORT_ERROR, TORQUES, scenario_of
 from tsobs_ros.schema import decode, within
 from tsobs_ros.simulation.motion import Friction
-from tsobs_ros.simulation.plant import Mismatch, Scenario, TorqueDisturbance
+from tsobs_ros.simulation.plant import Mismatch, Scenario
 from tsobs_ros.simulation.sensor import sensor_numbers
 from tsobs_ros.simulation.signals import (
     EXCITATIONS,
@@ -25,7 +25,6 @@ from tsobs_ros.simulation.signals import (
     BiasStep,
     GaussMarkov,
     Ramp,
-    Signal,
     Sinusoid,
     signal_of,
 )
@@ -141,23 +140,18 @@ def _scenario(
     duration: float,
 ) -> Scenario:
     mismatch, damping = (asdict(one) for one in _true_arm(request.arm, theta))
-    torques = {
-        side: (
-            *_designed(getattr(request.torque_disturbance, side), given, random),
-            *_signals(f"{side}_torque", getattr(given, f"{side}_torque")),
-        )
-        for side in SIDES
-    }
+    signals: dict[str, list[Any]] = {EFFORT_ERROR: _signals("torque_error", given.torque_error)}
+    for side, torque in zip(SIDES, TORQUES, strict=True):
+        signals[torque] = _designed(getattr(request.torque_disturbance, side), given, random)
+        signals[torque] += _signals(torque, getattr(given, torque))
     check_names("outputs", given.outputs, request.output_names)
-    sensors, disturbances = dict[str, dict[str, Any]](), dict[str, tuple[Signal, ...]]()
     for place, asked in enumerate(request.sensors):
-        name = asked.measures
-        sensors[name], disturbances[name] = {}, _designed(asked.disturbance, given, random)
-        for entries in (given if place == 0 else None, given.outputs.get(name)):
+        own = signals[asked.measures] = _designed(asked.disturbance, given, random)
+        for entries in (given if place == 0 else None, given.outputs.get(asked.measures)):
             if entries is not None:
-                disturbances[name] += _signals("disturbance", entries.disturbance)
+                own += _signals("disturbance", entries.disturbance)
                 with within("sensor"):
-                    sensors[name] |= sensor_numbers(entries.sensor)
+                    own.append(sensor_numbers(entries.sensor))
     found = scenario_of(
         request,
         # One change after the other.
@@ -167,8 +161,7 @@ def _scenario(
         },
         initial_state=given.initial_state,
         excitation=signal_of(EXCITATIONS, given.excitation),
-        disturbances=disturbances,
-        sensors=sensors,
+        signals=signals,
         noise_factor=given.noise,
         process_noise_factor=given.process_noise * given.process_noise,
         duration=duration,
@@ -176,27 +169,25 @@ def _scenario(
             **{name: own + damping[name] for name, own in asdict(given.friction).items()}
         ),
         payload=given.payload,
-        torque_disturbance=TorqueDisturbance(**torques),
-        torque_error=_signals("torque_error", given.torque_error),
     )
     assert isinstance(found, Scenario)
     return found
 
 
-def _signals(name: str, entries: Sequence[SignalEntry]) -> tuple[Signal, ...]:
+def _signals(name: str, entries: Sequence[dict[str, Any]]) -> list[Any]:
     """Return the signals of entries of a name."""
-    found: list[Signal] = []
+    found = []
     for place, entry in enumerate(entries):
         with within(f"{name}[{place}]"):
             found.append(signal_of(KINDS, entry))
-    return tuple(found)
+    return found
 
 
 def _designed(
     terms: Iterable[DisturbanceTerm], given: ScenarioEntries, random: np.random.Generator
-) -> tuple[Signal, ...]:
+) -> list[Any]:
     """Return a disturbance as terms of a design describe it, with its start, if it is asked for."""
-    found: list[Signal] = []
+    found: list[Any] = []
     for term in terms if given.as_designed else ():
         if term.kind in ("bias", "ramp"):
             found.append(BiasStep(term["initial_std"] * random.standard_normal(), 0.0))
@@ -210,7 +201,7 @@ def _designed(
             found.append(
                 Sinusoid(math.hypot(sine, cosine), term["frequency"], 0.0, math.atan2(sine, cosine))
             )
-    return tuple(found)
+    return found
 
 
 def _true_arm(arm: ElasticJointArm, theta: Mapping[str, float]) -> tuple[Mismatch, Friction]:

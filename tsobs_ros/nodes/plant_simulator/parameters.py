@@ -17,14 +17,13 @@ import numpy as np
 from tsobs_ros.checks import Array, finite, shown
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError, ParameterError, TsobsError
-from tsobs_ros.model.arm import SIDES
 from tsobs_ros.nodes.parameters import JointParameters
-from tsobs_ros.plants import request_in, scenario_of
+from tsobs_ros.plants import EFFORT_ERROR, TORQUES, request_in, scenario_of
 from tsobs_ros.replay.csv_file import TorqueSeries, read_torques
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.settings import live_setting, setting, values_of
 from tsobs_ros.simulation.motion import Friction, Payload
-from tsobs_ros.simulation.plant import Mismatch, Scenario, SystemScenario, TorqueDisturbance
+from tsobs_ros.simulation.plant import Mismatch, Scenario, SystemScenario
 from tsobs_ros.simulation.sensor import Sensor, sensor_numbers
 from tsobs_ros.simulation.signals import (
     EXCITATIONS,
@@ -41,9 +40,6 @@ T = TypeVar("T")
 Readers = Mapping[str, Callable[[Any], Any]]
 """What an entry may name of one joint, each with the function that reads the entry's value."""
 
-_TORQUES = {side: f"{side}_torque" for side in SIDES}
-"""What entries of `signals` call the torque disturbance of each side."""
-_EFFORT_ERROR = "effort_error"
 _SHIPPED_STATE = (0.3, 0.0, 0.2, 0.0)
 # A sample at a line's time gets this line's torque, whatever their last bits are [s].
 _LATE = 1e-6
@@ -204,10 +200,8 @@ class PlantSimulatorParameters(JointParameters):
             ModelError: They do not describe a plant.
             ParameterError: An entry of a list names no signal of the joints.
         """
-        signals, changes = (
-            self._by_joint("signals", _signals),
-            self._by_joint("joint_mismatch", _changes),
-        )
+        signals = self._by_joint("signals", _signals)
+        changes = self._by_joint("joint_mismatch", _changes)
         states = self._initial_states()
         return {
             joint: self._scenario(request, changes[joint], signals[joint], states[joint])
@@ -227,20 +221,9 @@ class PlantSimulatorParameters(JointParameters):
         if isinstance(request, ArmRequest):
             mismatch = asdict(self.mismatch) | mismatch
             others |= {"friction": self.friction, "payload": self.payload}
-            others["torque_disturbance"] = TorqueDisturbance(
-                **{side: tuple(signals.get(name, ())) for side, name in _TORQUES.items()}
-            )
-            others["torque_error"] = tuple(signals.get(_EFFORT_ERROR, ()))
-        sensors, disturbances = dict[str, dict[str, Any]](), dict[str, list[Signal]]()
-        for name in request.output_names:
-            sensors[name] = values_of(self.sensor)
-            kinds = parse_kinds(self.disturbance.kind)
-            disturbances[name] = [getattr(self.disturbance, kind) for kind in kinds]
-            for each in signals.get(name, ()):
-                if isinstance(each, Signal):
-                    disturbances[name].append(each)
-                else:
-                    sensors[name] |= each
+        kinds = parse_kinds(self.disturbance.kind)
+        faults = [values_of(self.sensor), *(getattr(self.disturbance, kind) for kind in kinds)]
+        of_outputs = {name: [*faults, *signals.get(name, ())] for name in request.output_names}
         excitation = getattr(self.excitation, self.excitation.kind, NoTorque())
         if isinstance(excitation, str):
             excitation = TorqueFile(excitation)
@@ -249,9 +232,7 @@ class PlantSimulatorParameters(JointParameters):
             mismatch,
             initial_state=state,
             excitation=excitation,
-            inputs={name: signals[name][-1] for name in request.input_names if name in signals},
-            disturbances=disturbances,
-            sensors=sensors,
+            signals={**signals, **of_outputs},
             noise_factor=self.noise_factor,
             process_noise_factor=self.process_noise_factor,
             **others,
@@ -310,7 +291,7 @@ def _signals(request: ArmRequest | TSRequest) -> Readers:
     known: dict[str, Callable[[Any], Any]] = {}
     known |= dict.fromkeys(request.input_names, partial(signal_of, PLAYED))
     if isinstance(request, ArmRequest):
-        known |= dict.fromkeys([*_TORQUES.values(), _EFFORT_ERROR], partial(signal_of, KINDS))
+        known |= dict.fromkeys([*TORQUES, EFFORT_ERROR], partial(signal_of, KINDS))
     # The measured value of an output that is an input, too, is disturbed.
     return known | dict.fromkeys(request.output_names, _fault)
 
