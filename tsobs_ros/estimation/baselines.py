@@ -43,6 +43,7 @@ from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.matrices import product
 from tsobs_ros.model.prediction import Flow, Uncertainty, fill_matrix
+from tsobs_ros.model.ts_model import TSFlow, TSModel
 
 _POLE_RATIOS = (1.0, 1.1, 1.2, 1.3, 1.4)
 """Poles as multiples of −θ; distinct, so that a small change of a gain moves them little."""
@@ -137,38 +138,13 @@ def extended_kalman(
     return estimator
 
 
-class ArmOfSamples(Flow):
-    """The flow x̂' = Σ hᵢ(y)(Fᵢ x̂ + Uᵢ u + Yᵢ y) − g sin x̂₁ in the row of x̂₂, with one rule.
+class _WithGravity(TSFlow):
+    """A system of one rule with −g sin x₁ in the row of x₂, for the steps of an arm."""
 
-    The sample y, held until the next one, is an input, and a scheduled signal, of which the
-    premises are the first; see `open_estimator`.
-    """
-
-    kind = native.KIND_ARM
-
-    def __init__(
-        self, F: Array, Y: Array, U: Array, C: Array, period: float, rules: RuleBase, g: float
-    ) -> None:
-        _, n, p = Y.shape
-        self._rules, self.gravity_gain, self.scheduled_count = rules, g, p
-        self.rule_counts = rules.coded[0].shape
-        rates = np.concatenate([F, U, Y], axis=2)
-        mean = sum(rates[1:], start=rates[0]) / len(rates)
-        self._deviations = rates - mean
-        undisturbed = per_channel(p * [CLEAN[0].model])
-        super().__init__((mean[:, :n], mean[:, n:], C), np.zeros(n), undisturbed, period)
+    kind, linear_share = native.KIND_ARM, 1.0
 
     def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
-        shapes, parameters = self._rules.coded
-        schedule = np.eye(shapes.shape[1], self.scheduled_count)
-        own = {"deviations": self._deviations, "gravity_gain": self.gravity_gain}
-        return own | {"schedule": schedule, "shapes": shapes, "parameters": parameters}
-
-
-class SystemOfSamples(ArmOfSamples):
-    """The same without gravity, with any number of rules."""
-
-    kind, linear_share = native.KIND_SYSTEM, 0.5
+        return {**super().numbers(uncertainty), "gravity_gain": self.gravity_gain}
 
 
 _ALWAYS = RuleBase(((membership("always"),),))
@@ -207,9 +183,16 @@ def open_estimator(
     """
     _, n, p = Y.shape
     shape = Shape(n, len(scale), p, U.shape[2])
-    kind = ArmOfSamples if rule_base is None else SystemOfSamples
-    flow = kind(F, Y, U, C, period, rule_base or _ALWAYS, gravity_gain).record()
-    model = new_model(shape, period, flow, torque=torque)
+    rules = rule_base or _ALWAYS
+    q = rules.coded[0].shape[1]
+    # The sample is an input, and a scheduled signal, of which the premises are the first.
+    inputs, premise = np.concatenate([U, Y], axis=2), (np.zeros((q, n)), np.eye(q, p))
+    system = TSModel(F, inputs, C, rules, *premise)
+    undisturbed = per_channel(p * [CLEAN[0].model])
+    make = _WithGravity if rule_base is None else TSFlow
+    flow = make(system, undisturbed, np.zeros(n), period)
+    flow.gravity_gain = gravity_gain
+    model = new_model(shape, period, flow.record(), torque=torque)
     model["gain_mode"] = native.GAIN_OPEN
     matrices = {"C": C, "R": measurement_covariance, "scale": scale}
     lacking = ["state_bound", "disturbance_bound", "disturbance_rate"]

@@ -291,10 +291,10 @@ class Flow(ABC):
         native.flow_over(*series, self.linear_share * duration, phi, gamma, noise, scratch, n, m)
         return Transition(duration, phi, gamma, noise, 0.5 * duration * self.gravity_gain)
 
+    @abstractmethod
     def error_map(self, first: Array, second: Array) -> tuple[Array, Array]:
         """Return the transition of the error over a nominal step, and the covariance of its noise,
         by the matrices of two corners, shapes (..., n, n), that hold in its halves."""
-        raise NotImplementedError(f"no certificate is about a {type(self).__name__}")
 
     def vertices(self, corners: Iterable[Corner]) -> list[VertexSystem]:
         """Return the vertex error systems of a nominal step: those of every pair of corners."""
