@@ -4,7 +4,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 from identified_joint import ARM, Recorded, recorded, request_of
 
 import tsobs_ros as ts
-from tsobs_ros.cli.main import main
 from tsobs_ros.design.request import Output, TorqueDisturbance
 from tsobs_ros.estimation.baselines import extended_kalman
 from tsobs_ros.identification.joint import Joint, with_values
@@ -104,35 +102,6 @@ def test_zeros_of_encoders_that_were_never_set_are_subtracted(log: Recorded) -> 
 
     np.testing.assert_allclose(made.y, y, atol=0.05)
     assert "the zeros of the angles differ" in note
-
-
-def test_the_command_writes_a_request_and_says_what_it_found(
-    log: Recorded, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    time, y, u = log
-    header = "time [s],motor_angle [deg],link_angle [deg],torque [mNm]"
-    recording, fitted = tmp_path / "recording.csv", tmp_path / "fitted.request.yaml"
-    columns = np.column_stack([time, np.degrees(y), 1000.0 * u])
-    np.savetxt(recording, columns, "%.9g", ",", header=header, comments="")
-    sheet = tmp_path / "sheet.request.yaml"
-    sheet.write_text(
-        "design:\n"
-        "  arm: {link_inertia: 0.0059, motor_inertia: 0.0021, stiffness: 2.0, "
-        "gravity_torque: 0.2372, motor_damping: 0.1109}\n"
-        "  outputs: [{measures: motor_angle, measurement_std: 0.001}, "
-        "{measures: link_angle, measurement_std: 0.001}]\n"
-        "  process_noise: {link: 0.01, motor: 0.01}\n"
-        "  rate: 500.0\n  x_max: 3.1\n  initial_std: [0.3, 2.0, 0.3, 2.0]\n",
-        encoding="utf-8",
-    )
-    command = ["fit", str(sheet), str(recording), "--output", str(fitted), "--free", "stiffness"]
-
-    assert main(command) == 0
-    text = capsys.readouterr().out
-    assert "arm.stiffness" in text
-    assert ts.load_request(fitted).arm.stiffness == pytest.approx(ARM.stiffness, rel=0.05)
-    assert main(command) == 1
-    assert "exists" in capsys.readouterr().err
 
 
 DRIFT = DisturbanceTerm("gauss_markov", {"std": 0.02, "time_constant": 0.5})

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A page of a fit has its numbers, what they predict and what is left."""
+"""The command that fits writes a request, and a page of its numbers and what they predict."""
 
 import html
 import json
@@ -34,21 +34,22 @@ def texts(tag: str, text: str) -> list[str]:
     return [html.unescape(each) for each in re.findall(rf"<{tag}\b[^>]*>(.*?)</{tag}>", text)]
 
 
-def test_a_page_of_a_fit_has_its_sections(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_fit_has_a_request_and_a_page(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """To a run of an arm of another stiffness with friction."""
     sheet, log = tmp_path / "sheet.request.yaml", tmp_path / HOSTILE
     sheet.write_text(REQUEST.replace("13.0", "10.0"))
     friction = {"motor_coulomb": 0.4}
     run = ts.simulate(ts.load_request(sheet), duration=8.0, torque=torque, friction=friction)
     sheet.write_text(REQUEST)
-    table = np.column_stack([run.time, run.angle, run.torque])
-    titles = "time [s],motor_angle [rad],link_angle [rad],torque [Nm]"
+    table = np.column_stack([run.time, np.degrees(run.angle), 1000.0 * run.torque])
+    titles = "time [s],motor_angle [deg],link_angle [deg],torque [mNm]"
     np.savetxt(log, table, delimiter=",", header=titles, comments="")
     output, page = tmp_path / "fitted.request.yaml", tmp_path / "pages" / "fit.html"
     words = ["fit", str(sheet), str(log), "--output", str(output), "--report", str(page)]
 
     assert main([*words, *(word for name in FREE for word in ("--free", name))]) == 0
     assert capsys.readouterr().out.endswith(f"\npage: {page}\n")
+    assert ts.load_request(output).arm.stiffness == pytest.approx(10.0, rel=0.03)
     text = page.read_text()
     assert texts("h1", text) == [f"Fit to {HOSTILE}"]
     assert texts("h2", text)[:2] == ["Numbers", "What was found"]
