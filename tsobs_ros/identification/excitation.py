@@ -48,7 +48,7 @@ _ANGLE_SHARE = 0.9
 """Largest angle by the request's domain."""
 
 _DRAWS, _TRIED = 64, 4
-"""Random arms within the uncertainty, and the arms that candidates are simulated with."""
+"""Random arms within the uncertainty, and those that candidates are simulated with."""
 
 _BOUND, _RUBBING = 0.3, 0.04
 """Relative error of a number about which the request says nothing, and largest Coulomb friction of
@@ -293,10 +293,11 @@ class _Motions:
             else:
                 other = genes + steps * size * rng.standard_normal(len(steps))
             if place in (0, _STARTS):
-                # The arms that come closest to their limits, or beyond.
-                shares = self.reached(self.torque(scale * self.angle(other)), arms) / self.limits
-                order = np.argsort(-shares[:, 1:].max(axis=1), kind="stable")
-                near = [arms[at] for at in order[:_TRIED].tolist()]
+                # The nominal arm and those that come closest to their limits, or beyond.
+                torque = self.torque(scale * self.angle(other))
+                shares = (self.reached(torque, arms) / self.limits)[1:, 1:].max(axis=1)
+                order = 1 + np.argsort(-shares, kind="stable")[:_TRIED]
+                near = [arms[0], *(arms[at] for at in order.tolist())]
             torque, other_scale, _ = self.scaled(other, near, scale, 3 if starting else 1)
             new = float(np.log(self.std(torque)[self._wanted]).mean())
             if not starting:
@@ -438,21 +439,21 @@ def trial_arms(request: ArmRequest, draws: int, seed: int) -> list[Scenario]:
         for name, entry in UNCERTAINTY.items()
         if getattr(arm, name)
     }
-    corners = [(*signs, -1.0, -1.0) for signs in product((-1.0, 1.0), repeat=len(bounds))]
-    errors = np.vstack([corners, rng.uniform(-1.0, 1.0, (draws, len(bounds) + 2))])
-    rubs = np.vstack([np.zeros((len(corners), 2)), rng.uniform(size=(draws, 2))])
+    corners = [(*signs, -1.0, -1.0, 0.0, 0.0) for signs in product((-1.0, 1.0), repeat=len(bounds))]
+    drawn = rng.uniform(size=(draws, len(bounds) + 4))
+    drawn[:, :-2] = 2.0 * drawn[:, :-2] - 1.0
     found = [_scenario(request)]
-    for row, rub in zip(errors.tolist(), rubs * _RUBBING * arm.reference_torque, strict=True):
+    for *errors, link, motor, motor_rub, link_rub in [*corners, *drawn.tolist()]:
         changes = {}
-        for (name, bound), error in zip(bounds.items(), row, strict=False):
+        for (name, bound), error in zip(bounds.items(), errors, strict=True):
             # Those of inertias are errors of their inverses.
             power = -1.0 if UNCERTAINTY[name].endswith("inverse_inertia") else 1.0
             changes[name] = getattr(arm, name) * (1.0 + error * bound) ** power
-        for name, error in zip(("link_damping", "motor_damping"), row[-2:], strict=True):
+        for name, error in (("link_damping", link), ("motor_damping", motor)):
             own = getattr(arm, name)
-            spread = request.uncertainty.get(name, _BOUND * own)
-            changes[name] = max(0.0, own + error * spread)
-        found.append(_scenario(replace(request, arm=replace(arm, **changes)), rub.tolist()))
+            changes[name] = max(0.0, own + error * request.uncertainty.get(name, _BOUND * own))
+        friction = [_RUBBING * arm.reference_torque * each for each in (motor_rub, link_rub)]
+        found.append(_scenario(replace(request, arm=replace(arm, **changes)), friction))
     return found
 
 
