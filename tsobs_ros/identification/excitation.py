@@ -125,10 +125,10 @@ class Excitation:
         }
 
     def __str__(self) -> str:
-        rows = [(f"{n.before:.4g}", f"{n.prior_std:.2g}", f"{n.std:.2g}") for n in self.numbers]
+        columns = {"value": "before", "before": "prior_std", "after": "std"}
         return "\n".join(
             [
-                *table(self.numbers, ("value", "before", "after"), rows),
+                *table(self.numbers, columns),
                 "before, after: expected 1 sigma before and after a recording of this motion",
                 f"limits: {self.limits}; arms within the uncertainty reach {self.worst}",
                 f"{len(self.time):,} samples, {self.time[-1]:g} s",

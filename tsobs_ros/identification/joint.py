@@ -123,18 +123,15 @@ def found_named(numbers: Sequence[Found], name: str) -> Found:
     return by_name.get(name) or by_name[f"arm.{name}"]
 
 
-def table(
-    numbers: Sequence[Found], head: Sequence[str], rows: Sequence[Sequence[str]]
-) -> list[str]:
-    """Return lines of a table of numbers, with three columns between their names and units."""
+def table(numbers: Sequence[Found], columns: Mapping[str, str]) -> list[str]:
+    """Return lines of a table of numbers; its three columns are fields of `Found` by title."""
     width = max(len(each.name) for each in numbers)
-
-    def line(name: str, cells: Sequence[str], unit: str) -> str:
-        return f"{name:{width}}  {cells[0]:>10}  {cells[1]:>10}  {cells[2]:>9}  {unit}"
-
-    lines = [line("number", head, "unit")]
-    for each, cells in zip(numbers, rows, strict=True):
-        lines.append(line(each.name, cells, each.unit) + "   not shown" * (not each.seen))
+    line = f"{{:{width}}}  {{:>10}}  {{:>10}}  {{:>9}}  {{}}".format
+    lines = [line("number", *columns, "unit")]
+    for each in numbers:
+        values = [(getattr(each, field), field.endswith("std")) for field in columns.values()]
+        cells = [f"{value:{'.2g' if is_std else '.4g'}}" for value, is_std in values]
+        lines.append(line(each.name, *cells, each.unit) + "   not shown" * (not each.seen))
     return lines
 
 

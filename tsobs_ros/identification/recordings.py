@@ -140,7 +140,7 @@ def _complete(name: str, times: Array, y: Array, u: Array) -> _Raw:
             f"{name}: too short: {len(times)} samples with angle and torque in {length:.3g} s; "
             f"expected at least {LEAST_SAMPLES} in {LEAST_TIME:g} s"
         )
-    return name, times - times[0], y[keep][first], u[keep][first]
+    return name, times - times[0], np.ascontiguousarray(y[keep][first]), u[keep][first]
 
 
 def _even(time: Array, period: float) -> Array:

@@ -64,8 +64,7 @@ class Fit:
         }
 
     def __str__(self) -> str:
-        rows = [(f"{n.before:.4g}", f"{n.value:.4g}", f"{n.std:.2g}") for n in self.numbers]
-        lines = table(self.numbers, ("before", "fitted", "1 sigma"), rows)
+        lines = table(self.numbers, {"before": "before", "fitted": "value", "1 sigma": "std"})
         fitted, held_out = self.samples
         lines.append(f"{fitted:,} samples fitted, {held_out:,} held out")
         for one in self.outputs:
