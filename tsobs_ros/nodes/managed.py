@@ -2,25 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lifecycle nodes that work with `ros2 run` alone, and under a lifecycle manager as well.
 
-A node states what it acquires, and nothing of how that is released::
-
-    class Echo(ManagedNode[EchoParameters]):
-        def __init__(self, **node_kwargs):
-            super().__init__("echo", EchoParameters, **node_kwargs)
-            self.start()
-
-        def configure(self):
-            self._publisher = self.create_publisher(String, "~/echo", self.parameters.depth)
-            self.create_subscription(String, "shout", self._echo, 10)
-            self._log = open("echo.log", "a")
-            self.at_cleanup(self._log.close)
-
-        def _echo(self, message):
-            if self.active:
-                self._publisher.publish(message)
-
-The clean-up destroys all entities made since `configure` began, also of one that failed half-way.
-rclpy's lifecycle stops only lifecycle publishers, so callbacks check `active`.
+A node states in `configure` what it acquires, and nothing of how that is released: the clean-up
+destroys all entities made since `configure` began, also of one that failed half-way. rclpy's
+lifecycle stops only lifecycle publishers, so callbacks check `active`.
 
 A transition that fails with an expected error logs one line and leaves the node in its state; only
 a clean-up ends unconfigured all the same. Any other exception is a bug: it is logged with its
@@ -94,10 +78,9 @@ class ManagedNode(LifecycleNode, Generic[P]):
     """
 
     ticker: Ticker | None = None
-    _overrides: dict[str, Any] | None = None
 
     def __init__(self, name: str, schema: type[P], **node_kwargs: Any) -> None:
-        super().__init__(name, automatically_declare_parameters_from_overrides=True, **node_kwargs)
+        super().__init__(name, **node_kwargs)
         self.steady = SteadyClock(clock_type=ClockType.STEADY_TIME)
         self._acquired: ExitStack | None = None
         self.active = False
@@ -108,7 +91,9 @@ class ManagedNode(LifecycleNode, Generic[P]):
         for service in self.services:
             service.callback = partial(self._answer, service.callback)
         try:
-            self.parameters = declare(self, schema, self._overrides or {})
+            # rclpy would declare them without descriptors, and has no other access to them.
+            given = {name: each.value for name, each in self._parameter_overrides.items()}
+            self.parameters = declare(self, schema, given)
             self.add_pre_set_parameters_callback(partial(converted, schema))
             self.add_on_set_parameters_callback(self._check_set)
             self.add_post_set_parameters_callback(self._take_set)
@@ -213,14 +198,12 @@ class ManagedNode(LifecycleNode, Generic[P]):
         try:
             for trigger in (self.trigger_configure, self.trigger_activate):
                 if trigger() is not _SUCCESS:
-                    assert self._failure is not None
-                    raise self._failure
+                    raise self._failure or AssertionError(trigger)
         except BaseException:
             self.destroy_node()
             raise
         finally:
             self._starting = False
-            self._failure = None
 
     def close(self) -> None:
         """Deactivate and clean up, in whatever state the node is; safe to call twice.
@@ -245,16 +228,6 @@ class ManagedNode(LifecycleNode, Generic[P]):
                 release = getattr(held, "destroy_when_not_in_use", None)
                 if release is not None:
                     release()
-
-    def declare_parameters(
-        self, namespace: str, parameters: list[Any], ignore_override: bool = False
-    ) -> list[Any]:
-        """Declare parameters; keep the overrides, which rclpy's constructor would declare first."""
-        if self._overrides is None:
-            self._overrides = {name: value for name, value, _ in parameters}
-            return []
-        declared: list[Any] = super().declare_parameters(namespace, parameters, ignore_override)
-        return declared
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Any, *args: Any, **kwargs: Any
