@@ -243,7 +243,7 @@ def _worst(design: Design, turns: int) -> dict[str, float]:
     model = estimator.model.view(np.float64)
     memory, scratch = states.view(np.float64), work.view(np.float64)
     corrections = estimator.new_correction().view(np.float64)
-    rows = estimator.new_rows(1)
+    rows = estimator.new_rows(1).view(np.float64)
     samples, inputs, period = [y[-1], y[-1] + 1.0], u[-1].copy(), estimator.period
     numbers, before = states.view(np.float64), start.view(np.float64)
     times = []

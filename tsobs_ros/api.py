@@ -277,7 +277,7 @@ def estimate(
     return _estimates(
         tracker,
         times,
-        tracker.estimator.as_rows(made.rows),
+        made.rows,
         times,
         made.outcomes.innovations,
         rejected,

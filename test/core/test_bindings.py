@@ -189,7 +189,7 @@ def test_what_is_left_in_scratch_memory_decides_nothing(outputs: int) -> None:
     y[[100, 101, 300, 1000], 0] = 5.0, 1e150, np.nan, 1e200
     stamps, found = 10**9 + 5_000_000 * np.arange(1, count + 1), []
     for fill in (0.0, np.nan, 1e300):
-        own, rows = Tracker(one), one.new_rows(count)
+        own, rows = Tracker(one), numbers(one.new_rows(count))
         memories = [numbers(each) for each in (one.model, own.memory, own.ring)]
         scratch = np.full(native.history_scratch_size(memories[0], len(own.ring)), fill)
         codes = zeros(count, kind=int), zeros(*y.shape, kind=int), zeros(*y.shape), zeros(*y.shape)

@@ -117,7 +117,7 @@ def of_python(
     design: Design, settings: ts.ObserverSettings, time: Array, angle: Array, torque: Array
 ) -> Array:
     tracker = ts.make_tracker(design, settings)
-    rows = tracker.estimator.new_rows(len(time))
+    rows = np.full((len(time), tracker.estimator.row_type.itemsize // 8), np.nan)
     now = 0
     for at, y, u, row in zip(time.tolist(), angle, torque.tolist(), rows, strict=True):
         stamp = round(at * 1e9)

@@ -46,7 +46,7 @@ def simulated(design: Design) -> RecordedRun:
     ticks, known = stamps[:-1] + TICK_LAG, 1 + np.arange(len(stamps) - 1)
     tracker = Tracker(design.observer(), x_max=design.request.x_max)
     found = tracker.run(stamps, y[0], u[0], (ticks, ticks, known))
-    rows = tracker.estimator.as_rows(found.rows)
+    rows = found.rows
     names = ("state", "state_bound", "disturbance", "disturbance_bound")
     return RecordedRun(
         name="run",

@@ -333,94 +333,77 @@ BIND(simulate_systems, "dDddDDD")
     Py_RETURN_NONE;
 }
 
-/* --- estimators: steps of some states one after the other --- */
+/* --- estimators: steps of a state --- */
 
-/* Bind the model, the first argument; return the number of states, the second one, or -1 with an
- * exception. */
-static int64_t begin_batch(const signature *of, const argument *t, model *m)
+/* Bind the model and the state, the first two arguments; return whether they belong together. */
+static int take_state(const signature *of, const argument *t, model *m, state *at)
 {
     const char *wrong = model_view(t[0].numbers, (size_t)t[0].length, m);
-    if (wrong == NULL && (size_t)t[1].length % state_size(&m->s) != 0) {
-        wrong = "expected states of the model";
+    if (wrong == NULL && (size_t)t[1].length != state_size(&m->s)) {
+        wrong = "expected a state of the model";
     }
-    return wrong == NULL ? t[1].length / (int64_t)state_size(&m->s)
-                         : -1 + (refuse(of, wrong) != NULL);
-}
-
-/* Return the state at a place. */
-static state state_at(const model *m, const argument *t, int64_t place)
-{
-    state at;
-    state_bind(&at, &m->s, t[1].numbers + place * (int64_t)state_size(&m->s));
-    return at;
+    if (wrong == NULL) {
+        state_bind(at, &m->s, t[1].numbers);
+    }
+    return wrong == NULL || refuse(of, wrong) != NULL;
 }
 
 BIND(estimator_correct, "dDdD")
 {
     model m;
-    const int64_t count = begin_batch(of, t, &m);
-    if (count < 0) {
+    state at;
+    correction effect;
+    if (!take_state(of, t, &m, &at) || !HAVE(2, m.s.p, (int64_t)correction_size(&m.s))) {
         return NULL;
     }
-    const int64_t size = (int64_t)correction_size(&m.s);
-    if (!HAVE(2, count * m.s.p, count * size)) {
-        return NULL;
-    }
-    for (int64_t i = 0; i < count; i++) {
-        state at = state_at(&m, t, i);
-        correction effect;
-        correction_bind(&effect, &m.s, t[3].numbers + i * size);
-        correct(&m, &at, t[2].numbers + i * m.s.p, &effect);
-    }
+    correction_bind(&effect, &m.s, t[3].numbers);
+    correct(&m, &at, t[2].numbers, &effect);
     Py_RETURN_NONE;
 }
 
 BIND(estimator_predict, "dDdfiD")
 {
     model m;
+    state at;
     work scratch;
-    const int64_t count = begin_batch(of, t, &m);
-    if (count < 0 || !HAVE(2, count * m.s.m) || !HAVE(5, (int64_t)work_size(&m.s)) ||
+    if (!take_state(of, t, &m, &at) || !HAVE(2, m.s.m) || !HAVE(5, (int64_t)work_size(&m.s)) ||
         !is_duration(of, &t[3])) {
         return NULL;
     }
     work_bind(&scratch, &m.s, t[5].numbers);
-    for (int64_t i = 0; i < count; i++) {
-        state at = state_at(&m, t, i);
-        hold_inputs(&m, &at, t[2].numbers + i * m.s.m);
-        predict(&m, &at, t[3].number, t[4].integer != 0, &scratch);
-    }
+    hold_inputs(&m, &at, t[2].numbers);
+    predict(&m, &at, t[3].number, t[4].integer != 0, &scratch);
     Py_RETURN_NONE;
 }
 
 BIND(estimator_read, "ddDD")
 {
     model m;
+    state at;
     work scratch;
-    const int64_t count = begin_batch(of, t, &m);
-    if (count < 0 ||
-        !HAVE(2, count * (int64_t)estimate_size(&m.s), (int64_t)work_size(&m.s))) {
+    estimate said;
+    if (!take_state(of, t, &m, &at) ||
+        !HAVE(2, (int64_t)estimate_size(&m.s), (int64_t)work_size(&m.s))) {
         return NULL;
     }
-    double *row = t[2].numbers;
     work_bind(&scratch, &m.s, t[3].numbers);
-    for (int64_t i = 0; i < count; i++) {
-        const state at = state_at(&m, t, i);
-        estimate said;
-        row = estimate_bind(&said, &m.s, row);
-        read_out(&m, &at, &said, &scratch);
-    }
+    estimate_bind(&said, &m.s, t[2].numbers);
+    read_out(&m, &at, &said, &scratch);
     Py_RETURN_NONE;
 }
 
 BIND(estimator_innovations, "dDdddfffiDDDDD")
 {
     model m;
+    state at;
     correction effect;
     work scratch;
     const int64_t count = t[2].length;
-    if (begin_batch(of, t, &m) != 1 || m.s.k != 0) {
-        return PyErr_Occurred() ? NULL : refuse(of, "expected a state of a model without parameters");
+    if (!take_state(of, t, &m, &at)) {
+        return NULL;
+    }
+    if (m.s.k != 0) {
+        return refuse(of, "expected a model without parameters");
     }
     const sample_log log = {count, t[2].numbers, t[3].numbers, t[4].numbers};
     const filter_options options = {t[5].number, t[6].number, t[7].number};
@@ -434,7 +417,6 @@ BIND(estimator_innovations, "dDdddfffiDDDDD")
               (int64_t)work_size(&m.s))) {
         return NULL;
     }
-    state at = state_at(&m, t, 0);
     correction_bind(&effect, &m.s, t[12].numbers);
     work_bind(&scratch, &m.s, t[13].numbers);
     Py_BEGIN_ALLOW_THREADS

@@ -63,15 +63,15 @@ def bank_constants() -> list[tuple[str, float, str]]:
     """Return name, value and meaning of each constant of the bank."""
 
 def estimator_correct(model: Any, states: Any, y: Any, corrections: Any, /) -> None:
-    """Use one measurement (p) for each state, in place, and write its effect."""
+    """Use one measurement (p), in place, and write its effect."""
 
 def estimator_predict(
     model: Any, states: Any, u: Any, duration: float, between_samples: bool, work: Any, /
 ) -> None:
-    """Predict each state over a time [s] with its inputs (m), in place."""
+    """Predict a state over a time [s] with inputs (m), in place."""
 
 def estimator_read(model: Any, states: Any, rows: Any, work: Any, /) -> None:
-    """Write the estimate of each state."""
+    """Write the estimate of a state."""
 
 def estimator_innovations(*arguments: Any) -> None:
     """Write the innovations of a log; see estimator.h."""

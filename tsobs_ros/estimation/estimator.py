@@ -186,13 +186,10 @@ class Estimator:
         """Return a record for the effect of a sample."""
         return np.zeros(1, self._types["correction"])
 
-    def new_rows(self, *shape: int) -> Array:
-        """Return NaN for estimates, whose numbers are the last axis; see `as_rows`."""
-        return np.full((*shape, self.row_type.itemsize // 8), np.nan)
-
-    def as_rows(self, numbers: Array) -> Rows:
-        """Return numbers of `new_rows` as rows of `row_type`, the same memory."""
-        return numbers.view(self.row_type)[..., 0].view(np.recarray)
+    def new_rows(self, count: int) -> Rows:
+        """Return rows of `row_type`, all NaN."""
+        numbers = np.full(count * self.row_type.itemsize // 8, np.nan)
+        return numbers.view(self.row_type).view(np.recarray)
 
     def initial(self) -> Record:
         """Return the state before any measurement, shape (1,): zero estimate, wide covariance."""
@@ -212,10 +209,8 @@ class Estimator:
             ModelError: The measurement has another shape.
         """
         after, effect = copy_records(state), self.new_correction()
-        sample = _vector("y", y, self.shape.p)
-        native.estimator_correct(
-            numbers_of(self.model), numbers_of(after), sample, numbers_of(effect)
-        )
+        given = numbers_of(self.model), numbers_of(after), _vector("y", y, self.shape.p)
+        native.estimator_correct(*given, numbers_of(effect))
         return after, Correction(*(effect[name][0] for name in Correction._fields))
 
     def predict(
@@ -234,19 +229,15 @@ class Estimator:
             ModelError: The duration is negative or not finite, or the inputs have another shape.
         """
         given = _vector("u", u, self.shape.m), non_negative("duration", duration), between_samples
-        after = copy_records(state)
-        native.estimator_predict(
-            numbers_of(self.model), numbers_of(after), *given, numbers_of(self._work)
-        )
+        model, after, work = self.model, copy_records(state), self._work
+        native.estimator_predict(numbers_of(model), numbers_of(after), *given, numbers_of(work))
         return after
 
     def readout(self, state: Record) -> Any:
         """Return the estimate and its bounds in physical units, a row of `row_type`."""
-        numbers = self.new_rows(1)
-        native.estimator_read(
-            numbers_of(self.model), numbers_of(state), numbers, numbers_of(self._work)
-        )
-        return self.as_rows(numbers)[0]
+        rows = self.new_rows(1)
+        native.estimator_read(*map(numbers_of, (self.model, state, rows, self._work)))
+        return rows[0]
 
 
 def _vector(name: str, values: ArrayLike, length: int) -> Array:

@@ -150,7 +150,7 @@ class Innovation(NamedTuple):
 
     Attributes:
         stamp: The measurement's stamp [ns].
-        value: y − ŷ of each output, NaN if it is missing, shape (p,).
+        value: y − ŷ of each output, NaN if it was not used, shape (p,).
         expected_std: 1σ expected of it, shape (p,).
     """
 
@@ -176,31 +176,14 @@ _EMPTY = np.zeros(0)
 class Estimate(NamedTuple):
     """The estimate at one instant, in physical units; what there is none of has length 0.
 
-    Arrays of estimates are rows with the same fields as numbers, `Estimator.row_type`.
+    Its fields are those of `tsobs_ros.Estimates` at that instant, and
 
     Attributes:
-        stamp: The instant it is for [ns].
-        state: Of an arm [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (plant,).
-        state_bound: 1σ bound of each, shape (plant,).
-        disturbance: Disturbance or fault of each output, in its unit, shape (p,).
-        disturbance_rate: Its modelled rate [1/s], shape (p,).
-        disturbance_bound: 1σ bound of the disturbance, shape (p,).
-        parameters: Estimated changes θ of the model's parameters, shape (k,).
-        parameter_bound: 1σ of each, shape (k,).
-        torque_disturbance: Unknown torques that the design has a model of, the motor's before the
-            link's [N m], shape (t,).
-        torque_disturbance_bound: 1σ bound of each [N m], shape (t,).
-        basis: What the bounds rest on.
-        claimed: Whether the bounds are claimed to hold.
-        parameters_valid: Whether the motion was rich enough for the parameters to count.
-        noise_scale: Size of the sensor's noise relative to the design's, at least 1; of several
-            outputs the largest.
-        coloured_power: Mean product of neighbouring innovations relative to their expected power,
-            0 if the model is right.
-        learning: What the learning does.
-        hypothesis: What the arm and its sensor are taken for.
-        in_domain: Whether the estimated link angle lies in the certificate's domain.
+        stamp: The instant [ns].
+        disturbance_rate: Modelled rate of each disturbance [1/s], shape (p,).
         age: Time since the newest measurement behind it [s].
+
+    Arrays of estimates are rows with the same fields as numbers, `Estimator.row_type`.
     """
 
     stamp: int

@@ -23,16 +23,7 @@ from tsobs_ros.model.prediction import FlowSizes, Record
 
 
 class Shape(NamedTuple):
-    """Sizes of an estimator.
-
-    Attributes:
-        n: Number of augmented states; in records there is room for auxiliary ones behind them.
-        plant: Number of the plant's states, the first of them.
-        p: Number of outputs.
-        m: Number of inputs and scheduled signals.
-        k: Number of learnt parameters.
-        t: Number of torques that are estimated.
-    """
+    """Sizes of an estimator, as `estimator_sizes` in core/estimator.h has them."""
 
     n: int
     plant: int

@@ -61,7 +61,7 @@ class Outcomes(NamedTuple):
     Attributes:
         codes: 0 of those used, else the code of a `RejectReason`, shape (N,).
         output_codes: The same of each output, shape (N, p).
-        innovations: y − ŷ of those used, NaN if missing, shape (N, p).
+        innovations: y − ŷ of each output, NaN if it was not used, shape (N, p).
         expected_std: 1σ expected of each, shape (N, p).
     """
 
@@ -80,13 +80,13 @@ class TrackerRun(NamedTuple):
     """The results of N measurements and M ticks.
 
     Attributes:
-        rows: Estimates as of `Estimator.new_rows`, NaN where there is none, shape (M, width).
+        rows: Estimates, NaN where there is none, shape (M,).
         there: Whether there is an estimate, shape (M,).
         newest: Stamp of the newest measurement in use [ns], shape (M,).
-        outcomes: Of the measurements; innovations are NaN of outputs that were not used.
+        outcomes: Of the measurements.
     """
 
-    rows: Array
+    rows: Rows
     there: Flags
     newest: Stamps
     outcomes: Outcomes
@@ -246,6 +246,7 @@ class Tracker:
             order = np.argsort(times, kind="stable")
             times, samples, inputs = times[order], samples[order], inputs[order]
         native.history_offer(*self._records, times, samples, inputs, now, *outcomes)
+        outcomes.innovations[outcomes.output_codes != USED] = np.nan
         if order is not None:
             for each in outcomes:
                 each[order] = each.copy()
@@ -272,7 +273,7 @@ class Tracker:
         if not (np.diff(times, prepend=after) > 0).all():
             raise ModelError(f"stamps: expected them to ascend from {after} ns on")
         ticks = times, times, np.arange(1, len(times) + 1)
-        return self.estimator.as_rows(self.run(times, samples, inputs, ticks).rows)
+        return self.run(times, samples, inputs, ticks).rows
 
     def run(
         self,
@@ -300,7 +301,7 @@ class Tracker:
             *map(np.ascontiguousarray, (stamps, y, u)),
             *outcomes,
             *map(np.ascontiguousarray, ticks),
-            *(newest, there, rows, limit),
+            *(newest, there, numbers_of(rows), limit),
         )
         outcomes.innovations[outcomes.output_codes != USED] = np.nan
         rows[there == 0] = np.nan

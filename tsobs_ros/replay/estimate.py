@@ -258,7 +258,7 @@ class Run:
         self.rows, self.innovations = [], []
         for joint, one in enumerate(results):
             one.rows[~(self.done & one.there)] = np.nan
-            self.rows.append(self.trackers[joint].estimator.as_rows(one.rows))
+            self.rows.append(one.rows)
             innovations = np.full((len(samples), one.outcomes.innovations.shape[1]), np.nan)
             innovations[samples.codes[:, joint] == USED] = one.outcomes.innovations
             self.innovations.append(innovations)

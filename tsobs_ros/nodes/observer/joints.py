@@ -133,8 +133,6 @@ class ObservedJoint:
         for code, count in counts.items():
             self.tracker.reject(RejectReason(code), count)
         found = self.tracker.offer_many(stamps[given], y[given], u[given], now)
-        # Of several outputs one may be missing from a sample that is used.
-        found.innovations[found.output_codes != USED] = math.nan
         codes[given], innovations[given] = found.codes, found.innovations
         outcomes = zip(stamps.tolist(), codes.tolist(), strict=True)
         self._stamps += [stamp for stamp, code in outcomes if code in _ACCEPTED]
