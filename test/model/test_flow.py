@@ -35,10 +35,10 @@ DISTURBANCES = st.one_of(
 NOISE = ProcessNoise(3e-4, 2e-5)
 RATES = st.floats(25.0, 1000.0)
 OUTPUTS = st.dictionaries(st.sampled_from(QUANTITIES), DISTURBANCES, min_size=1, max_size=2)
-TORQUES = st.lists(DISTURBANCES, min_size=2, max_size=2).map(per_channel)
+TORQUES = st.lists(DISTURBANCES, min_size=2, max_size=2)
 FLOWS = st.builds(
     lambda arm, outputs, rate, torques: ArmFlow(
-        arm, per_channel([*outputs.values()]), NOISE, 1.0 / rate, [*outputs], torques
+        arm, per_channel([*outputs.values(), *torques]), NOISE, 1.0 / rate, [*outputs]
     ),
     ARMS, OUTPUTS, RATES, TORQUES,
 )  # fmt: skip
@@ -54,13 +54,11 @@ def draw_state(data: st.DataObject, flow: ArmFlow, *batch: int, bound: float = 2
 
 def drift(flow: ArmFlow) -> Array:
     """Return the linear part of the augmented system, written out from the physics."""
-    arm, torques = flow.arm, flow.torque_disturbance
-    matrix = block_diag(arm.spring_matrix, flow.disturbance.S)
-    first = len(matrix)
-    matrix = block_diag(matrix, torques.S)
+    arm, model = flow.arm, flow.disturbance
+    matrix = block_diag(arm.spring_matrix, model.S)
     motor = arm.stiffness / (arm.link_inertia * arm.motor_inertia)
-    matrix[3, first:] = motor * torques.H[0]
-    matrix[1, first:] = torques.H[1] / arm.link_inertia
+    matrix[3, 4:] = motor * model.H[-2]
+    matrix[1, 4:] = model.H[-1] / arm.link_inertia
     return np.asarray(matrix)
 
 
@@ -68,9 +66,7 @@ def density(flow: ArmFlow) -> Array:
     """Return the white noise density, written out from the physics."""
     gain = flow.arm.stiffness / flow.arm.link_inertia
     arm = np.diag([0.0, NOISE.link, 0.0, NOISE.motor * gain**2])
-    models = (flow.disturbance, flow.torque_disturbance)
-    noises = [model.G @ model.G.T for model in models]
-    return np.asarray(block_diag(arm, *noises))
+    return np.asarray(block_diag(arm, flow.disturbance.G @ flow.disturbance.G.T))
 
 
 def vertices_of(
@@ -195,8 +191,7 @@ def test_a_wrong_number_is_named() -> None:
         (lambda: flow_of(period=0.0), "period: expected a finite number above 0, got 0.0"),
         (lambda: ProcessNoise(link=-1.0), "process noise density of the link: expected"),
         (lambda: ProcessNoise(motor=math.inf), "process noise density of the motor: expected"),
-        (lambda: flow_of(disturbance=TWO), "disturbance: expected 1 channels, .* got 2"),
-        (lambda: flow_of(torque_disturbance=BIAS.model), "torque_disturbance: expected 2 channels"),
+        (lambda: flow_of(disturbance=TWO), "disturbance: expected 3 channels, .* got 2"),
         (lambda: flow_of(ElasticJointArm(stiffness=1e150)), "at most 65536 rad in a step of 0.005"),
         (lambda: flow_of(ElasticJointArm(1e-200, 1e-200)), "every entry must be finite"),
         (
@@ -219,11 +214,10 @@ def test_a_wrong_number_is_named() -> None:
 
 def test_what_each_map_reads_of_the_augmented_state() -> None:
     arm = ElasticJointArm(link_inertia=2.0, motor_inertia=0.5, stiffness=8.0, gravity_torque=3.0)
-    torques = per_channel([DRIFT.model, sum_of([BIAS, RAMP])])
-    model = per_channel([CLEAN.model, BIAS.model, RAMP.model])
+    models = [CLEAN.model, BIAS.model, RAMP.model, DRIFT.model, sum_of([BIAS, RAMP])]
     outputs = ("motor_angle", "link_angle", "motor_velocity")
     late = {"delays": (0.5, 0.0, 0.0)}
-    flow = ArmFlow(arm, model, ProcessNoise(), 0.005, outputs, torques, **late)
+    flow = ArmFlow(arm, per_channel(models), ProcessNoise(), 0.005, outputs, **late)
     state = np.concatenate([arm.from_physical([0.1, 0.2, 0.3, 0.4]), np.arange(1.0, 8.0)])
     # w = [1; 2, 3] of link angle and motor velocity, then [4; 5; 6, 7] of motor and link.
     for found, expected in (
@@ -236,7 +230,8 @@ def test_what_each_map_reads_of_the_augmented_state() -> None:
         np.testing.assert_allclose(found @ state, expected, rtol=1e-14)
     physical = np.concatenate([[0.1, 0.2, 0.3, 0.4], state[4:]])
     np.testing.assert_allclose(flow.to_physical(state), physical[:4])
-    assert ArmFlow(arm, model, ProcessNoise(), 0.005, outputs).torque_map.shape == (0, 7)
+    alone = ArmFlow(arm, per_channel(models[:3]), ProcessNoise(), 0.005, outputs)
+    assert alone.torque_map.shape == (0, 7)
 
 
 def test_uncertain_parameters_have_corners_of_their_own() -> None:

@@ -154,8 +154,7 @@ class Request(ABC):
     @cached_property
     def initial_covariance(self) -> Array:
         """Error covariance before any measurement in design coordinates, shape (n, n)."""
-        models = self.flow.disturbance, self.flow.torque_disturbance
-        std = [self.plant_std, *(model.initial_std for model in models)]
+        std = self.plant_std, self.flow.disturbance.initial_std
         with np.errstate(over="ignore"):  # what is not finite is refused by the observer
             return fixed(np.diag(np.concatenate(std) ** 2))
 

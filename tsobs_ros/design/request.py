@@ -246,11 +246,10 @@ class ArmRequest(Request):
     def flow(self) -> ArmFlow:
         return ArmFlow(
             self.arm,
-            self.disturbance_model,
+            per_channel([channel.model for channel in self.channels]),
             self.process_noise,
             self.period,
             self.output_names,
-            per_channel([channel.model for channel in self.channels[len(self.sensors) :]]),
             self.torque,
             [output.delay for output in self.sensors],
         )

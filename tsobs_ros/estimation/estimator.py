@@ -283,7 +283,7 @@ def riccati_estimator(
         ("R", R),
         ("C", flow.output_matrix),
         ("scale", scale),
-        ("disturbed", flow.disturbance.H.any(axis=1)),
+        ("disturbed", flow.disturbance_map.any(axis=1)),
         ("disturbance_map", flow.disturbance_map),
         ("rate_map", flow.rate_map),
         ("torque_map", flow.torque_map),

@@ -17,7 +17,7 @@ the estimate that serves as premise.
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,6 @@ from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, check_names, non_negative
 from tsobs_ros.core import native
-from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import (
     DIRECT,
     LINK_ANGLE,
@@ -37,7 +36,7 @@ from tsobs_ros.model.arm import (
     TorquePath,
 )
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.prediction import NO_TORQUES, Corner, Flow, Uncertainty
+from tsobs_ros.model.prediction import Corner, Flow, Uncertainty
 
 SINE, TORQUE, EXTERNAL = 4, 5, 6
 """Columns of the arm's directions that sin x₁, the motor's torque and one at the link [N m] meet;
@@ -101,11 +100,11 @@ class ArmFlow(Flow):
 
     Args:
         arm: The physical model.
-        disturbance: The exosystem of the outputs' disturbances, one channel per output.
+        disturbance: The exosystem of the outputs' disturbances, one channel per output, and of
+            unknown torques at motor and link [N m], if any.
         process_noise: Densities of the arm's acceleration noise.
         period: Nominal step [s].
         outputs: What is measured, names of `QUANTITIES`.
-        torque_disturbance: The exosystem of unknown torques at motor and link [N m].
         torque_path: How the known torque reaches the motor.
         delays: Delay of each output, an angle q(t − delay) ≈ q − delay q̇ [s]; () if there is none.
 
@@ -127,30 +126,24 @@ class ArmFlow(Flow):
         process_noise: ProcessNoise,
         period: float,
         outputs: Sequence[str] = (QUANTITIES[LINK_ANGLE],),
-        torque_disturbance: DisturbanceModel = NO_TORQUES,
         torque_path: TorquePath = DIRECT,
         delays: Sequence[float] = (),
     ) -> None:
-        torques = torque_disturbance.H
-        if len(torques) != len(SIDES):
-            raise ModelError(
-                f"torque_disturbance: expected 2 channels, those of {' and '.join(SIDES)}, "
-                f"got {len(torques)}"
-            )
         self.arm, self.gravity_gain, self.torque_path = arm, arm.gravity_gain, torque_path
-        effect = np.zeros((4, torque_disturbance.state_count))
-        effect[MOTOR_VELOCITY] = arm.input_matrix[MOTOR_VELOCITY] * torques[0]
-        effect[LINK_VELOCITY] = torques[1] / arm.link_inertia
+        if len(disturbance.H) == len(outputs):
+            no_torques = np.zeros((len(SIDES), disturbance.state_count))
+            disturbance = replace(disturbance, H=np.vstack([disturbance.H, no_torques]))
+        at_link = np.zeros((4, 1))
+        at_link[LINK_VELOCITY] = 1.0 / arm.link_inertia
         scale = arm.stiffness / arm.link_inertia
         super().__init__(
             (arm.spring_matrix, arm.input_matrix, arm.measured(outputs, delays)),
             np.array([0.0, process_noise.link, 0.0, process_noise.motor * (scale * scale)]),
             disturbance,
             period,
-            torque_disturbance,
-            effect,
+            np.hstack([arm.input_matrix, at_link]),
         )
-        self.motor_torque, self.link_torque = self._placed(torques, 4 + disturbance.state_count)
+        self.motor_torque, self.link_torque = self.torques
 
     def to_physical(self, x: ArrayLike) -> Array:
         return self.arm.to_physical(super().to_physical(x))

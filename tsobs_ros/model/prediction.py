@@ -28,14 +28,11 @@ from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import DIRECT, TorquePath
-from tsobs_ros.model.disturbance import CLEAN, DisturbanceModel, per_channel
+from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.matrices import block_diagonal, product
 
 Record = np.ndarray[Any, np.dtype[Any]]
 """An array of records."""
-
-NO_TORQUES = per_channel(2 * [CLEAN[0].model])
-"""The torque disturbance of a plant without: no states."""
 
 MAX_TERMS = 60
 """Rows of a series."""
@@ -45,7 +42,6 @@ STRETCH = 1.25
 
 _LARGEST_TURN = 2.0**16
 """Most a mode may turn or decay in one step [rad]; doubling loses a digit for every factor 10."""
-
 
 _MAX_DIRECTIONS = 3
 """Uncertain directions of a proof beside gravity: k of them make 4·4^k vertices."""
@@ -169,15 +165,16 @@ class Flow(ABC):
     Args:
         plant: A [1/s], B and C of the plant itself, of an arm without gravity.
         densities: Of white noise on the derivatives of the plant's states, shape (plant_count,).
-        disturbance: The exosystem of the outputs, whose states w follow the plant's in x̄.
+        disturbance: The exosystem of the outputs and then of an arm's torques, whose states follow
+            the plant's in x̄.
         period: Nominal step [s]; longer ones are taken in nominal steps and a last one.
-        torque_disturbance: The exosystem of torques at an arm's motor and link, two channels, whose
-            states follow those.
-        torque_effect: The torques' states to derivatives of the plant's, None if there are none.
+        torque_gain: Those torques to derivatives of the plant's states, (plant_count, torques).
 
     Attributes:
         torque_path: How torques reach an arm's motor; a step is by the torque that acts there.
         plant_count: Number of the plant's own states, the first ones of x̄.
+        disturbance_map: Augmented state to the disturbance of each output, shape (p, n).
+        torques: Augmented state to the torques, shape (torques, n).
         output_matrix: Augmented state to measurement C̄ = [C H], shape (p, n).
         input_count: Number m of inputs and scheduled signals.
         scheduled_count: Number of scheduled signals, the last of them.
@@ -204,27 +201,25 @@ class Flow(ABC):
         densities: Array,
         disturbance: DisturbanceModel,
         period: float,
-        torque_disturbance: DisturbanceModel = NO_TORQUES,
-        torque_effect: Array | None = None,
+        torque_gain: Array | None = None,
     ) -> None:
         A, B, C = plant
-        n, m = len(A), B.shape[1]
-        if (channels := len(disturbance.H)) != len(C):
-            raise ModelError(
-                f"disturbance: expected {len(C)} channels, one per output, got {channels}"
-            )
-        self.disturbance, self.torque_disturbance = disturbance, torque_disturbance
-        self.period, self.plant_count = positive("period", period), n
-        self.input_count = m + self.scheduled_count
-        joined = self._placed(C, 0) + self.disturbance_map
+        n, m, p = len(A), B.shape[1], len(C)
+        gain = np.zeros((n, 0)) if torque_gain is None else torque_gain
+        if (channels := len(disturbance.H)) != p + gain.shape[1]:
+            what = "one per output" + " and torque" * bool(gain.size)
+            expected = f"{p + gain.shape[1]} channels, {what}"
+            raise ModelError(f"disturbance: expected {expected}, got {channels}")
+        self.disturbance, self.plant_count = disturbance, n
+        self.period, self.input_count = positive("period", period), m + self.scheduled_count
+        maps = np.hstack([np.zeros((len(disturbance.H), n)), disturbance.H])
+        self.disturbance_map, self.torques = maps[:p], maps[p:]
+        joined = self.disturbance_map.copy()
+        joined[:, :n] = C
         self.output_matrix = as_matrix("C̄", joined, joined.shape)
-        models = disturbance, torque_disturbance
-        self.drift = block_diagonal(A, *(model.S for model in models))
-        if torque_effect is not None:
-            self.drift[:n, n + disturbance.state_count :] = torque_effect
-        self.density = block_diagonal(
-            np.diag(densities), *(product(model.G, model.G.T) for model in models)
-        )
+        self.drift = block_diagonal(A, disturbance.S)
+        self.drift[:n] += product(gain, self.torques)
+        self.density = block_diagonal(np.diag(densities), product(disturbance.G, disturbance.G.T))
         inputs = np.zeros((self.state_count, m))
         inputs[:n] = B
         step = self.linear_share * self.period
@@ -247,8 +242,7 @@ class Flow(ABC):
     @property
     def state_count(self) -> int:
         """Length n of the augmented state."""
-        models = self.disturbance, self.torque_disturbance
-        return self.plant_count + sum(model.state_count for model in models)
+        return self.plant_count + self.disturbance.state_count
 
     @cached_property
     def nominal(self) -> Transition:
@@ -256,27 +250,18 @@ class Flow(ABC):
         return self.transition(self.period)
 
     @cached_property
-    def disturbance_map(self) -> Array:
-        """Augmented state to the disturbance of each output, shape (p, n)."""
-        return self._placed(self.disturbance.H, self.plant_count)
-
-    @cached_property
     def rate_map(self) -> Array:
         """Augmented state to the modelled rate of each output's disturbance, shape (p, n)."""
-        return self._placed(product(self.disturbance.H, self.disturbance.S), self.plant_count)
+        w = self.plant_count
+        rates = np.zeros(self.disturbance_map.shape)
+        rates[:, w:] = product(self.disturbance_map[:, w:], self.disturbance.S)
+        return rates
 
     @cached_property
     def torque_map(self) -> Array:
         """Augmented state to torque disturbances [N m], shape (t, n); sides with a model, motor's
         first."""
-        H = self.torque_disturbance.H
-        return self._placed(H[H.any(axis=1)], self.plant_count + self.disturbance.state_count)
-
-    def _placed(self, rows: Array, place: int) -> Array:
-        """Return rows of a matrix within those of all states, shape (rows, n)."""
-        placed = np.zeros((len(rows), self.state_count))
-        placed[:, place : place + rows.shape[1]] = rows
-        return placed
+        return self.torques[self.torques.any(axis=1)]
 
     def to_physical(self, x: ArrayLike) -> Array:
         """Return the plant's states in physical units, of an arm rad and rad/s, for augmented ones
