@@ -73,8 +73,9 @@ def test_a_node_without_a_library_ends_with_the_command_that_installs_it(
     assert len(error.splitlines()) == 1
 
 
-def test_an_output_that_nothing_can_name_is_refused(tmp_path: Path) -> None:
-    arguments = ["tsobs", "design", "--output", os.fsdecode(b"a\xff")]
-    expected = (1, "", "error: a\\udcff: expected a name in UTF-8\n")
-    assert ended([*COMMAND, *arguments], cwd=tmp_path) == expected
-    assert not [*tmp_path.iterdir()]
+def test_a_name_that_no_bag_can_have_is_refused(tmp_path: Path) -> None:
+    name = os.fsdecode(b"a\xff.csv")
+    (tmp_path / name).write_text("t,q,tau\n1,0,0\n2,0,0\n")
+    code, _, error = ended([*COMMAND, "tsobs", "estimate", name], cwd=tmp_path)
+    assert (code, error.startswith("error: expected names in UTF-8: ")) == (1, True), error
+    assert [each.name for each in tmp_path.iterdir()] == [name]

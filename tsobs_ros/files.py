@@ -42,14 +42,6 @@ def fsync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def require_nameable(path: Path) -> None:
-    """Raise `OutputError` for a path to write that no bag, page or message can name."""
-    try:
-        str(path).encode()
-    except UnicodeEncodeError as error:
-        raise OutputError(f"{path}: expected a name in UTF-8") from error
-
-
 def require_new(paths: Iterable[Path], *, force: bool) -> None:
     """Refuse to replace files, unless forced to.
 
@@ -88,8 +80,7 @@ def written_whole(
         problem.args = (str(problem).replace(partial or str(folder), str(folder)),)
         raise
     except OSError as problem:
-        reason = str(problem).replace(partial or str(folder), str(folder))
-        raise error(f"{folder}: cannot write it: {reason}") from problem
+        raise error(f"{folder}: cannot write it: {problem.strerror or problem}") from problem
 
 
 def write_whole(

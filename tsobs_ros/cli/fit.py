@@ -18,7 +18,7 @@ from tsobs_ros.cli.common import (
     show,
 )
 from tsobs_ros.errors import printable
-from tsobs_ros.files import require_nameable, require_new, write_whole, written_whole
+from tsobs_ros.files import require_new, write_whole, written_whole
 
 
 def add_parser(commands: Commands) -> None:
@@ -107,8 +107,6 @@ def _fit(options: argparse.Namespace) -> int:
     if report:
         # Here, so that a library that is missing shows before the work.
         from tsobs_ros.report.fit import write_page
-
-        require_nameable(report)
     request: Any = load_request(options.request)
     with progress(0, " samples", scale=True, quiet=options.json) as advance:
         found = fit(request, *options.logs, advance=advance, **keywords(options, fit))

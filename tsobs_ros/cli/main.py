@@ -10,7 +10,6 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from tsobs_ros import __version__
 from tsobs_ros.cli import (
@@ -27,7 +26,6 @@ from tsobs_ros.cli import (
 )
 from tsobs_ros.cli.common import complain, note
 from tsobs_ros.errors import TsobsError, missing_library, printable
-from tsobs_ros.files import require_nameable
 from tsobs_ros.stop import interrupt
 
 _COMMANDS = (demo, fit, design, estimate, compare, campaign, export, report, watch, bag)
@@ -44,8 +42,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         if unknown:  # as parse_args, but they may be any file's name, by a pattern
             parser.error(printable(f"unrecognized arguments: {' '.join(unknown)}"))
         command: Callable[[argparse.Namespace], int] = options.command
-        if isinstance(output := getattr(options, "output", None), Path):
-            require_nameable(output)
         return command(options)
     except TsobsError as error:
         complain(error)
@@ -54,6 +50,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         if advice is None:
             raise
         complain(advice)
+    except UnicodeEncodeError as error:  # of a file's name, which may be any bytes
+        complain(f"expected names in UTF-8: {error}")
     except KeyboardInterrupt:
         note("interrupted")
     except OSError as error:
