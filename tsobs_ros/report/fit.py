@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page of a fit: numbers, how well they predict, what the model lacks, and the residuals."""
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,22 +14,11 @@ from tsobs_ros.identification.likelihood import GATE
 from tsobs_ros.identification.result import Fit
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.report.page import write_html
-from tsobs_ros.report.panels import (
-    MEASUREMENT_COLOUR,
-    Curve,
-    Picture,
-    Plot,
-    Style,
-    Table,
-    limits_around,
-    lines,
-    thinned_curve,
-)
+from tsobs_ros.report.panels import Picture, Plot, Table, limits_around, lines, thinned_curve
 from tsobs_ros.report.quantities import outputs_of
-from tsobs_ros.style import BLUE, ORANGE
 
-_DOTS, _GROUPS = 2500, 40
-"""Dots over another quantity than time, and groups of neighbours whose means are drawn."""
+_GROUPS = 40
+"""Groups of neighbouring velocities whose means are drawn."""
 
 _SEEN = ("hardly", "yes")
 
@@ -65,8 +53,8 @@ def _rows(fit: Fit) -> Iterator[tuple[Plot, ...]]:
         values = {"measured": measured, "simulated": simulated, "predicted": predicted}
         curves = tuple(thinned_curve(key, traces.time, y, max_gap=gap) for key, y in values.items())
         remark = (
-            f"{_percent(one.one_step)} predicted one sample ahead",
-            f"{_percent(one.free_run)} simulated, from the estimate every {HORIZON:g} s",
+            f"{one.one_step:.3g} % predicted one sample ahead",
+            f"{one.free_run:.3g} % simulated, from the estimate every {HORIZON:g} s",
         )
         value = Plot(name, unit, limits_around(values.values()), curves, remark)
         yield value, _residual(name, traces.time, residual, gap)
@@ -74,13 +62,7 @@ def _rows(fit: Fit) -> Iterator[tuple[Plot, ...]]:
         "applied": (traces.time, traces.torque),
         "unexplained": (traces.time, traces.unexplained),
     }
-    speed = traces.velocity
-    friction = -fit.joint.friction[0] * np.sign(speed)
-    yield lines("torque", "N m", torques, gap), _friction(speed, traces.unexplained, friction)
-
-
-def _percent(value: float) -> str:
-    return f"{value:.3g} %" if math.isfinite(value) else "not known"
+    yield lines("torque", "N m", torques, gap), _friction(fit)
 
 
 def _residual(name: str, time: Array, r: Array, gap: float) -> Plot:
@@ -95,17 +77,14 @@ def _residual(name: str, time: Array, r: Array, gap: float) -> Plot:
     return Plot(label, "expected 1σ", (-size, size), (curve,), remark, level=SIGMAS)
 
 
-def _friction(speed: Array, rest: Array, fitted: Array) -> Plot:
-    """Return the plot of fitted friction and the rest over the speed, with neighbours' means."""
-    order, y = np.argsort(speed), fitted + rest
-    groups = np.array_split(order, min(_GROUPS, len(order)))
-    at, means = (np.array([values[each].mean() for each in groups]) for values in (speed, y))
-    some = order[:: max(1, len(order) // _DOTS)]
-    curves = (
-        Curve("samples", speed[some], y[some], Style(MEASUREMENT_COLOUR, 0.6, ".")),
-        Curve("fitted", speed[some], fitted[some], Style(ORANGE, 1.8)),
-        Curve("mean", at, means, Style(BLUE, 2.0)),
+def _friction(fit: Fit) -> Plot:
+    """Return the plot of fitted friction, and of it with the rest, over the motor's velocity."""
+    speed, fitted = fit.traces.velocity, -fit.joint.friction[0] * np.sign(fit.traces.velocity)
+    groups = np.array_split(np.argsort(speed), min(_GROUPS, len(speed)))
+    at, with_rest, alone = (
+        np.array([values[group].mean() for group in groups])
+        for values in (speed, fitted + fit.traces.unexplained, fitted)
     )
-    limits = limits_around([np.quantile(y, (0.002, 0.998)), fitted])
-    label = "friction and unexplained torque"
-    return Plot(label, "N m", limits, curves, axis="motor velocity [rad/s]")
+    curves = {"with the unexplained torque": (at, with_rest), "fitted": (at, alone)}
+    plot = lines("friction and unexplained torque", "N m", curves)
+    return plot._replace(axis="motor velocity [rad/s]")
