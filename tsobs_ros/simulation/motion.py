@@ -18,8 +18,8 @@ from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.model.arm import QUANTITIES
-from tsobs_ros.settings import check, setting
-from tsobs_ros.simulation.signals import recurs
+from tsobs_ros.settings import setting
+from tsobs_ros.simulation.signals import Numbers, recurs
 from tsobs_ros.simulation.streams import AngleDelay, RandomStream, Source
 
 if TYPE_CHECKING:
@@ -35,13 +35,10 @@ def _friction(description: str, unit: str) -> float:
 
 
 @dataclass(frozen=True)
-class Friction:
+class Friction(Numbers, kind="friction"):
     """Friction of the true arm that the nominal one lacks.
 
     Coulomb friction is c·sign(q̇), and below 0.01 rad/s it grows linearly from zero.
-
-    Raises:
-        ModelError: A number is negative or not finite.
     """
 
     link_viscous: float = _friction("The link's viscous", "N m s/rad")
@@ -49,17 +46,10 @@ class Friction:
     motor_viscous: float = _friction("The motor's viscous", "N m s/rad")
     motor_coulomb: float = _friction("The motor's Coulomb", "N m")
 
-    def __post_init__(self) -> None:
-        check(self, "friction")
-
 
 @dataclass(frozen=True)
-class Payload:
-    """What the link carries for a time; its speed does not jump as it is put on.
-
-    Raises:
-        ModelError: A number is negative or not finite.
-    """
+class Payload(Numbers, kind="payload"):
+    """What the link carries for a time; its speed does not jump as it is put on."""
 
     link_inertia: float = setting(
         0.0, "Inertia that it adds to the link's", unit="kg m^2", minimum=0.0
@@ -71,9 +61,6 @@ class Payload:
     duration: float = setting(0.0, "How long it is carried; 0: for ever", unit="s", minimum=0.0)
     mass: float = setting(0.0, "Mass at the distance, added to the above", unit="kg", minimum=0.0)
     distance: float = setting(0.0, "Its distance from the axis", unit="m", minimum=0.0)
-
-    def __post_init__(self) -> None:
-        check(self, "payload")
 
     @property
     def total(self) -> tuple[float, float]:

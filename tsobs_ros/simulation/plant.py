@@ -20,10 +20,10 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import DIRECT, SIDES, ElasticJointArm, TorquePath
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.settings import check, setting
+from tsobs_ros.settings import setting
 from tsobs_ros.simulation.motion import ArmMotion, Friction, Motion, Payload, SystemMotion
 from tsobs_ros.simulation.sensor import Disturbance, Output, SimulatedOutput
-from tsobs_ros.simulation.signals import Signal, Sine, StuckSensor
+from tsobs_ros.simulation.signals import Numbers, Signal, Sine, StuckSensor
 from tsobs_ros.simulation.streams import Source, TorqueDelay
 
 _BLOCK = 2**16
@@ -35,12 +35,8 @@ def _change(what: str) -> float:
 
 
 @dataclass(frozen=True)
-class Mismatch:
-    """Relative changes that turn the nominal arm into the true one.
-
-    Raises:
-        ModelError: A number is not finite or below -1.
-    """
+class Mismatch(Numbers, kind="mismatch"):
+    """Relative changes that turn the nominal arm into the true one."""
 
     link_inertia: float = _change("link's inertia")
     motor_inertia: float = _change("motor's inertia")
@@ -48,9 +44,6 @@ class Mismatch:
     gravity_torque: float = _change("torque that holds the link horizontal")
     link_damping: float = _change("link's damping")
     motor_damping: float = _change("motor's damping")
-
-    def __post_init__(self) -> None:
-        check(self, "mismatch")
 
     def apply(self, nominal: ElasticJointArm) -> ElasticJointArm:
         """Return the true arm."""

@@ -14,20 +14,17 @@ from tsobs_ros.checks import Array, Flags, non_negative
 from tsobs_ros.core.functions import evaluate
 from tsobs_ros.model.arm import QUANTITIES
 from tsobs_ros.schema import decode
-from tsobs_ros.settings import check, live_setting
-from tsobs_ros.simulation.signals import GaussMarkov, Signal, StuckSensor, recurs
+from tsobs_ros.settings import live_setting
+from tsobs_ros.simulation.signals import GaussMarkov, Numbers, Signal, StuckSensor, recurs
 from tsobs_ros.simulation.streams import Past, RandomStream, Source
 
 
 @dataclass(frozen=True)
-class Sensor:
+class Sensor(Numbers, kind="sensor"):
     """Numbers of a sensor; the default noise is Example 3's 5 % of the largest angle.
 
     Units are those of an angle; a sensor of another output has that output's unit in place of rad.
     Dropouts and bursts begin after one interval. A disturbance is not late with the latency.
-
-    Raises:
-        ModelError: A number is out of range.
     """
 
     noise_std: float = 0.028  # of a sample [rad]; no setting, as designs know it
@@ -65,7 +62,7 @@ class Sensor:
     )
 
     def __post_init__(self) -> None:
-        check(self, "sensor")
+        super().__post_init__()
         non_negative("sensor noise_std", self.noise_std)
 
 

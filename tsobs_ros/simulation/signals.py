@@ -26,20 +26,25 @@ from tsobs_ros.settings import check, live_setting
 
 
 @dataclass(frozen=True)
-class Signal:
-    """A value over time. A subclass with `_at` is a signal of the user's.
+class Numbers:
+    """Numbers of something simulated, of a kind that errors name.
 
     Raises:
         ModelError: A number is out of range.
     """
 
-    kind: ClassVar[str] = "signal"
+    kind: ClassVar[str]
 
     def __init_subclass__(cls, kind: str = "signal") -> None:
         cls.kind = kind
 
     def __post_init__(self) -> None:
         check(self, self.kind)
+
+
+@dataclass(frozen=True)
+class Signal(Numbers):
+    """A value over time. A subclass with `_at` is a signal of the user's."""
 
     def values(self, times: Array) -> Array:
         """Return the values at times [s], shape (samples,)."""

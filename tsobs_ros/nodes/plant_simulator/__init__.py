@@ -76,8 +76,10 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._schedule = Ticks(parameters.sample_rate)
         self._schedule.start(_DRIVEN_START if parameters.publish_clock else 0)
         self._driven: Timeline | None = None
+        self._pace = 1.0
         if parameters.publish_clock:
-            self._driven = Timeline(_DRIVEN_START, parameters.real_time_factor)
+            self._pace = parameters.real_time_factor
+            self._driven = Timeline(_DRIVEN_START, self._pace)
         else:
             jumps = self.get_clock().create_jump_callback(_BACKWARD, post_callback=self._tick)
             self.at_cleanup(jumps.unregister)
@@ -156,15 +158,10 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
     def _is_subscribed(self, waited: int) -> bool:
         wanted, there = self.parameters.wait_for_subscribers, self._publish_sample.subscribers
-        timeout = self.parameters.wait_timeout
-        is_over = timeout > 0.0 and waited >= timeout * NANOSECONDS
-        if there < wanted and is_over:
-            self.log(
-                Level.WARN,
-                f"starting with {there} of {wanted} subscriptions of joint_measurements "
-                f"after {timeout:g} s",
-            )
-        return there >= wanted or is_over
+        if there < wanted and 0.0 < self.parameters.wait_timeout * NANOSECONDS <= waited:
+            self.log(Level.WARN, f"{there} of {wanted} subscriptions of joint_measurements so far")
+            return True
+        return there >= wanted
 
     def _tick(self, _jump: Any = None) -> int | None:
         """Publish every sample that is due; return the time until the next one is [ns]."""
@@ -173,8 +170,8 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             return None
         back = self._latest - now
         if back > (0 if self._follows_clock else _SLEW_MARGIN):
-            text = f"the clock went back by {back / NANOSECONDS:g} s: the plant restarts"
-            self.log(Level.WARN, text)
+            size = f"{back / NANOSECONDS:g} s"
+            self.log(Level.WARN, f"the clock went back by {size}: the plant restarts")
             self._new_plant()
             self._schedule.start(now)
         self._latest = now
@@ -182,21 +179,16 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         now = self._limit_lag(now)
         while not self._is_over and now >= self._schedule.due:
             torques = self._commands.at(self._index)
-            samples = [
-                plant.step(torque) for plant, torque in zip(self._plants, torques, strict=True)
-            ]
+            samples = [plant.step(u) for plant, u in zip(self._plants, torques, strict=True)]
             self._publish_sample(self._schedule.take(), samples)
         if self._is_over:
             self._ticker.stop()
-        wait = self._schedule.due - self._now_ns()
-        pace = 1.0 if self._driven is None else self.parameters.real_time_factor
-        return math.ceil(wait / pace)
+        return math.ceil((self._schedule.due - self._now_ns()) / self._pace)
 
     def _limit_lag(self, now: int) -> int:
         """Give up catching up after too long a stop; return the time to publish up to."""
         lag = now - self._schedule.due
-        pace = 1.0 if self._driven is None else self.parameters.real_time_factor
-        if lag <= _LONGEST_LAG * max(1.0, pace):
+        if lag <= _LONGEST_LAG * max(1.0, self._pace):
             return now
         if self.may_log("lag"):
             self.log(Level.WARN, f"{lag / NANOSECONDS:.3f} s behind: going on from here")
