@@ -105,6 +105,14 @@ def printable(text: str, newline: str = r"\n") -> str:
     return newline.join(lines)
 
 
+def complain(problem: object) -> int:
+    """Print an error to stderr, on one line unless a design is at fault; return the exit code 1."""
+    newline = "\n" if isinstance(problem, DesignError) else " "
+    with suppress(OSError):  # the terminal has gone
+        print(f"error: {printable(str(problem), newline)}", file=sys.stderr, flush=True)
+    return 1
+
+
 def missing_library(name: str | None) -> str | None:
     """Return that a module is missing and how to install it, as it fits this Python.
 

@@ -22,20 +22,14 @@ if _PROCESS in _NAMES:
 from functools import partial
 from importlib import import_module
 
-from tsobs_ros.errors import missing_library
+from tsobs_ros.errors import complain, missing_library
 
 # Time for the interpreter's own shutdown, which may still destroy a participant.
 _FINALISE_TIMEOUT = 5.0
 
 
 def run(name: str) -> int:
-    """Run a node until it is finished or a signal comes.
-
-    Args:
-        name: Name of the executable and of the node's module.
-
-    Returns:
-        The process's exit code: 0 after a clean end, 1 after an error.
+    """Run a node by its name until it is finished or a signal comes; return the exit code.
 
     Raises:
         SystemExit: With 0 after `--help`, with 2 after arguments that are not understood.
@@ -46,12 +40,11 @@ def run(name: str) -> int:
         module = import_module(f"tsobs_ros.nodes.{name}")
         runtime = import_module("tsobs_ros.nodes.runtime")
         runtime.check_arguments(module, sys.argv)
-    except (ModuleNotFoundError, OSError) as error:
-        text = missing_library(error.name) if isinstance(error, ModuleNotFoundError) else str(error)
-        if text is None:
+    except ModuleNotFoundError as error:
+        advice = missing_library(error.name)
+        if advice is None:
             raise
-        print(f"error: {text}", file=sys.stderr)
-        return 1
+        return complain(advice)
     with StopFlag() as stop:
         exit_code: int = runtime.run(module.create, stop=stop)
     ignore_signals()

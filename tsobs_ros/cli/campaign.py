@@ -12,12 +12,11 @@ from tsobs_ros.cli.common import (
     Commands,
     add_command,
     at_least_one,
-    complain,
     keywords,
     progress,
     show,
 )
-from tsobs_ros.errors import printable
+from tsobs_ros.errors import complain, printable
 from tsobs_ros.files import write_whole
 
 

@@ -13,7 +13,7 @@ from functools import partial
 from importlib.util import find_spec
 from typing import Any, TypeAlias
 
-from tsobs_ros.errors import DesignError, printable
+from tsobs_ros.errors import printable
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """Where a command adds its parser."""
@@ -91,12 +91,6 @@ def json_text(mapping: dict[str, Any]) -> str:
     """Return plain data as JSON, null for numbers that JSON does not have."""
     plain = json.loads(json.dumps(mapping), parse_constant=lambda _: None)
     return json.dumps(plain, indent=2).replace("\x7f", r"\u007f")
-
-
-def complain(problem: object) -> None:
-    """Print what is wrong, to stderr; only what is wrong with a design has several lines."""
-    text = printable(str(problem), newline="\n" if isinstance(problem, DesignError) else " ")
-    note(f"error: {text}")
 
 
 def note(text: str) -> None:

@@ -6,8 +6,8 @@ import argparse
 import math
 from pathlib import Path
 
-from tsobs_ros.cli.common import Commands, add_command, complain, show
-from tsobs_ros.errors import printable
+from tsobs_ros.cli.common import Commands, add_command, show
+from tsobs_ros.errors import complain, printable
 from tsobs_ros.files import require_new
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import naming

@@ -13,7 +13,6 @@ from tsobs_ros.cli.common import (
     Commands,
     add_command,
     add_log_options,
-    complain,
     joined,
     keywords,
     pairs,
@@ -21,7 +20,7 @@ from tsobs_ros.cli.common import (
     progress,
     show,
 )
-from tsobs_ros.errors import BagWriteError, printable
+from tsobs_ros.errors import BagWriteError, complain, printable
 
 if TYPE_CHECKING:
     from tsobs_ros.replay.estimate import Observer, Run

@@ -9,12 +9,11 @@ from tsobs_ros.cli.common import (
     Commands,
     add_command,
     at_least_one,
-    complain,
     joined,
     pairs,
     show,
 )
-from tsobs_ros.errors import printable
+from tsobs_ros.errors import complain, printable
 from tsobs_ros.files import require_new
 
 

@@ -24,8 +24,8 @@ from tsobs_ros.cli import (
     report,
     watch,
 )
-from tsobs_ros.cli.common import complain, note
-from tsobs_ros.errors import TsobsError, missing_library, printable
+from tsobs_ros.cli.common import note
+from tsobs_ros.errors import TsobsError, complain, missing_library, printable
 from tsobs_ros.stop import interrupt
 
 _COMMANDS = (demo, fit, design, estimate, compare, campaign, export, report, watch, bag)

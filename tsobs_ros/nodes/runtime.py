@@ -44,7 +44,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from tsobs_ros.errors import TsobsError, printable
+from tsobs_ros.errors import TsobsError, complain, printable
 from tsobs_ros.settings import in_yaml, settings_of
 from tsobs_ros.stop import StopFlag
 
@@ -211,7 +211,7 @@ def run(
     try:
         rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # rcl could not parse the arguments or the parameter file
-        return _report(str(error))
+        return complain(error)
     node: Node | None = None
     exit_code = 0
     try:
@@ -221,7 +221,7 @@ def run(
     except (ExternalShutdownException, ShutdownException):
         pass  # the context was shut down from outside: a clean end
     except EXPECTED as error:
-        exit_code = _report(str(error))
+        exit_code = complain(error)
     except BaseException:
         exit_code = 1
         raise
@@ -301,7 +301,7 @@ def _tear_down(node: Node | None, exit_code: int) -> int:
         try:
             getattr(node, name, lambda: None)()
         except EXPECTED as error:
-            exit_code = _report(str(error))
+            exit_code = complain(error)
         except Exception:  # a bug
             with suppress(OSError):
                 traceback.print_exc()
@@ -310,9 +310,3 @@ def _tear_down(node: Node | None, exit_code: int) -> int:
     rclpy.try_shutdown()
     limit_time_left(0.0)
     return exit_code
-
-
-def _report(message: str) -> int:
-    with suppress(OSError):
-        print(f"error: {printable(' '.join(message.split()))}", file=sys.stderr, flush=True)
-    return 1
