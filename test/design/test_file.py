@@ -189,7 +189,7 @@ OUTPUTS, LINK = ("design", "outputs"), ("design", "torque_disturbance")
 TORQUE = ("design", "torque")
 OUTPUT = {"measures": "motor_angle", "measurement_std": 0.001}
 ARM = [
-    (OUTPUTS, [{**OUTPUT, "measures": "elbow"}], r"outputs\[0\].measures: expected one of link_an"),
+    (OUTPUTS, [{**OUTPUT, "measures": "elbow"}], r"design.outputs\[0\]: expected one of link_an"),
     (OUTPUTS, [{**OUTPUT, "delay": 0.101}], r"outputs\[0\].delay: .* 20 periods, 0.1 s, got 0.101"),
     (TORQUE, {"gain": 0.0}, "design.torque.gain: expected a finite number above 0, got 0.0"),
     (TORQUE, {"delay": 2.0}, "torque.delay: .* 20 periods, 0.1 s, got 2.0 s"),

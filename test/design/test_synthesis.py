@@ -216,7 +216,7 @@ FOUR = ("stiffness", "link_damping", "motor_damping", "link_inverse_inertia")
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: of(("elbow", CLEAN)), "measures: expected one of link_angle, .*got 'elbow'"),
+        (lambda: of(("elbow", CLEAN)), r"outputs\[0\]: expected one of link_angle, .*got 'elbow'"),
         (
             lambda: of(("link_angle", BIAS), motor=tone(629.0)),
             "half the.* 628.*, got 629",

@@ -67,9 +67,14 @@ class CertificateReport:
     contraction_rate: float
 
     @property
+    def failing(self) -> list[Inequality]:
+        """The inequalities that do not hold."""
+        return [inequality for inequality in self.inequalities if not inequality.holds]
+
+    @property
     def holds(self) -> bool:
         """Whether every inequality holds."""
-        return all(inequality.holds for inequality in self.inequalities)
+        return not self.failing
 
     @property
     def as_mappings(self) -> list[dict[str, Any]]:
@@ -82,16 +87,15 @@ class CertificateReport:
 
         Margins of different kinds have different units; their ratio to what is required has none.
         """
-        failing = [inequality for inequality in self.inequalities if not inequality.holds]
-        if failing:
-            return failing[0]
+        if self.failing:
+            return self.failing[0]
         return min(self.inequalities, key=lambda each: each.margin / (each.required or 1.0))
 
     def require(self, source: str) -> None:
         """Raise `CertificateError` naming `source` and each failing inequality, if one fails."""
-        failing = [str(inequality) for inequality in self.inequalities if not inequality.holds]
-        if failing:
-            raise CertificateError(f"{source}: the certificate does not hold: {'; '.join(failing)}")
+        if not self.holds:
+            failing = "; ".join(map(str, self.failing))
+            raise CertificateError(f"{source}: the certificate does not hold: {failing}")
 
 
 def check_certificate(problem: AnyRequest, P: Array, K: Array) -> CertificateReport:

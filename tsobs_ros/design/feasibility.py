@@ -30,10 +30,19 @@ Complex = NDArray[np.complex128]
 
 
 class HiddenMode(NamedTuple):
-    """λ [1/s], and the unit vector v with A v = λ v and C v = 0, shape (n,)."""
+    """A mode that the outputs do not show.
+
+    Attributes:
+        eigenvalue: λ [1/s].
+        shape: The unit vector v with A v = λ v and C v = 0, shape (n,).
+        slope: Gravity slope of an arm at which it is hidden, None if at any.
+        text: The mode in words: its place, what cannot be distinguished, λ and shape.
+    """
 
     eigenvalue: complex
     shape: Complex
+    slope: float | None = None
+    text: str = ""
 
 
 def undetectable_modes(A: Array, C: Array) -> list[HiddenMode]:
@@ -65,33 +74,16 @@ def _format_complex(value: complex, style: str) -> str:
     return f"{real:{style}}" + (f"{imaginary:+{style}}j" if imaginary else "")
 
 
-class Obstacle(NamedTuple):
-    """A persistent mode that the outputs do not show.
-
-    Attributes:
-        slope: Gravity slope of an arm at which it is hidden, None if at any.
-        eigenvalue: λ [1/s].
-        shape: Unit vector, shape (n,).
-        text: The mode in words: its place, what cannot be distinguished, λ and shape.
-    """
-
-    slope: float | None
-    eigenvalue: complex
-    shape: Complex
-    text: str
-
-
-def find_obstacles(request: AnyRequest) -> list[Obstacle]:
+def find_obstacles(request: AnyRequest) -> list[HiddenMode]:
     """Return the undetectable modes, one of each conjugate pair.
 
-    An arm's are those on its domain; an output with an arbitrary disturbance shows nothing. Of a
-    T–S system every vertex is tested by itself (Popov–Belevitch–Hautus). That all of them pass is
-    necessary; only the synthesis shows whether what lies between them passes too.
+    An arm's are those on its domain. Of a T–S system every vertex is tested by itself. That all of
+    them pass is necessary; only the synthesis shows whether what lies between them passes too.
     """
     if isinstance(request, ArmRequest):
         return list(_of_arm(request))
     return [
-        Obstacle(None, *mode, f"{corner.place['']}: {_mode_text(request, mode)}")
+        mode._replace(text=f"{corner.place['']}: {_mode_text(request, mode)}")
         for corner in request.corners()
         for mode in undetectable_modes(
             request.flow.drift + corner.matrix, request.flow.output_matrix
@@ -118,21 +110,18 @@ def require_detectable(request: AnyRequest) -> None:
         raise DetectabilityError("\n  - ".join([what, *lines]))
 
 
-def _of_arm(request: ArmRequest) -> Iterator[Obstacle]:
+def _of_arm(request: ArmRequest) -> Iterator[HiddenMode]:
     """Yield the modes in which disturbances take back the arm's motion, or each other."""
-    persistent = [0j]
-    for channel in request.channels:
-        for eigenvalue in np.linalg.eigvals(channel.model.S).astype(complex).tolist():
-            known = any(abs(eigenvalue - other) < 1e-6 for other in persistent)
-            if not known and eigenvalue.real >= _PERSISTENT and eigenvalue.imag >= 0.0:
-                persistent.append(eigenvalue)
     flow, (lowest, highest) = request.flow, request.slope_range
-    shows = [not output.model.arbitrary for output in request.sensors]
-    pull = request.arm.gravity_gain
+    persistent, pull = [0j], request.arm.gravity_gain
+    for eigenvalue in np.linalg.eigvals(flow.disturbance.S).astype(complex).tolist():
+        known = any(abs(eigenvalue - other) < 1e-6 for other in persistent)
+        if not known and eigenvalue.real >= _PERSISTENT and eigenvalue.imag >= 0.0:
+            persistent.append(eigenvalue)
     for eigenvalue in persistent:
         A = flow.drift - eigenvalue * np.eye(flow.state_count)
         others = np.delete(A, LINK_VELOCITY, axis=0)
-        kernel = _kernel(np.vstack([others, flow.output_matrix[shows]]))
+        kernel = _kernel(np.vstack([others, flow.output_matrix]))
         force, height = A[LINK_VELOCITY] @ kernel, kernel[LINK_ANGLE]
         slope: float | None = None
         if not kernel.size:
@@ -168,7 +157,7 @@ def _kernel(matrix: Complex) -> Complex:
 
 def _obstacle(
     request: ArmRequest, slope: float | None, eigenvalue: complex, shape: Complex
-) -> Obstacle:
+) -> HiddenMode:
     """Return a mode with its place and all that moves in it, in words."""
     place = "at every gravity slope" if request.arm.gravity_torque else "without gravity"
     if slope is not None:
@@ -191,7 +180,7 @@ def _obstacle(
     fault = "cannot be distinguished" if len(parties) > 1 else "is not shown by velocities"
     mode = _mode_text(request, HiddenMode(eigenvalue, physical))
     named = " and ".join(filter(None, (", ".join(parties[:-1]), parties[-1])))
-    return Obstacle(slope, eigenvalue, unit, f"{place}: {named} {fault}: {mode}")
+    return HiddenMode(eigenvalue, unit, slope, f"{place}: {named} {fault}: {mode}")
 
 
 def _mode_text(request: AnyRequest, mode: HiddenMode) -> str:

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, Fixed, as_matrix, finite, non_negative, positive, shown
+from tsobs_ros.checks import Array, Fixed, as_matrix, finite, non_negative, positive
 from tsobs_ros.design.problem import Channel, Request, Terms, require_squares
 from tsobs_ros.design.signals import (
     NO_LABELS,
@@ -84,7 +84,7 @@ class Output:
         delay: How late an angle is measured, y(t) = q(t − delay) ≈ q − delay · q̇ [s].
 
     Raises:
-        ModelError: The quantity is unknown, or a value is out of range.
+        ModelError: A value is out of range.
     """
 
     OMIT_EMPTY: ClassVar[bool] = True
@@ -96,10 +96,6 @@ class Output:
     delay: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.measures not in QUANTITIES:
-            raise ModelError(
-                f"measures: expected one of {', '.join(QUANTITIES)}, got {shown(self.measures)}"
-            )
         std = positive("measurement_std", self.measurement_std)
         require_squares("measurement_std", [std])
         object.__setattr__(self, "measurement_std", std)
