@@ -10,13 +10,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 import yaml
-from foreign import STRING, Entry
+from foreign import STRING, Entry, cdr, write_mcap
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType
 
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
 from tsobs_ros.bag.cdr import MessageSeries
@@ -122,6 +123,33 @@ def test_arrays_of_messages_are_in_order_of_log_time(drawn: list[tuple[str, int,
         for k in range(len(one.data))
     ]
     assert found == sorted(expected, key=lambda message: message[3])
+
+
+@settings(max_examples=10)
+@given(
+    st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 60)), max_size=40),
+    st.sampled_from(CompressionType),
+    st.sets(st.sampled_from(["/a", "/b", "/c"])),
+    st.integers(1, 400),
+)
+def test_topics_that_others_recorded_are_copied_in_the_same_order(
+    written: list[tuple[str, int]],
+    compression: CompressionType,
+    topics: set[str],
+    chunk_size: int,
+) -> None:
+    calls = [(1 + "abc".index(name), t, cdr(f"{k}"), 9 + k) for k, (name, t) in enumerate(written)]
+    channels = [(f"/{name}", "cdr", 1, {}) for name in "abc"]
+    with TemporaryDirectory() as folder:
+        source, target = Path(folder) / "x.mcap", Path(folder) / "new"
+        options = {"compression": compression, "chunk_size": chunk_size}
+        reader = BagReader(write_mcap(source, calls, channels=channels, **options))
+        with BagWriter(target) as writer:
+            writer.add_topics(one for one in reader.topics.values() if one.name in topics)
+            writer.copy_topics(reader, topics)
+        expected = [one for one in reader.messages() if one.topic in topics]
+        assert list(BagReader(target).messages()) == expected
+        assert verify(target).errors == ()
 
 
 def test_what_cannot_be_a_new_bag_is_refused_and_nothing_is_touched(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writing one MCAP file: the same bytes as the library `mcap` writes, at a fraction of the time.
 
-Unlike the library's, this writer takes whole chunks: of arrays, and of another file.
+Unlike the library's, this writer takes the records of whole chunks.
 """
 
 import os
@@ -36,10 +36,8 @@ from tsobs_ros.bag.container import (
     MAGIC,
     MESSAGE,
     RECORD,
-    RecordError,
     Records,
     by_channel,
-    parse_record,
     split_records,
 )
 from tsobs_ros.bag.metadata import BagMetadata, FileMetadata, TopicInfo, profiles_to_yaml
@@ -142,39 +140,17 @@ class FileWriter:
         if self._size > self._chunk_size:
             self._finish_chunk()
 
-    def add_chunk(self, content: Records, chunk: Chunk | None = None) -> None:
-        """Append messages as a chunk: as it is, if one is given; else it is compressed here."""
+    def add_chunk(self, content: Records) -> None:
+        """Append messages as a chunk."""
         self._finish_chunk()
         if self._records:  # what describes topics comes first
             self._stream.write(b"".join(self._records))
             self._records, self._size = [], 0
-        self._write_chunk(content, chunk)
+        self._write_chunk(content)
         times = content.rows["log_time"]
         self.message_count += len(times)
         self._start = min(self._start, int(times.min()))
         self._end = max(self._end, int(times.max()))
-
-    def can_have(self, chunk: Chunk, content: Records, ids: Mapping[int, int]) -> bool:
-        """Return whether a chunk of another file may be in this one as it is.
-
-        `ids` has the channel here of each channel there that is wanted.
-        """
-        times = content.rows["log_time"]
-        if not chunk.uncompressed_crc or not len(times):
-            return False
-        if any(ids.get(id_) != id_ for id_ in np.unique(content.rows["channel"]).tolist()):
-            return False
-        if (chunk.message_start_time, chunk.message_end_time) != (times.min(), times.max()):
-            return False
-        try:
-            return all(self._has(parse_record(each)) for each in set(content.descriptions()))
-        except RecordError:
-            return False
-
-    def _has(self, record: McapRecord) -> bool:
-        if isinstance(record, Schema):
-            return self.schemas.get(record.id) == record
-        return isinstance(record, Channel) and self.channels.get(record.id) == record
 
     def add_metadata(self, metadata: BagMetadata) -> None:
         """Append the metadata of the bag, behind all messages so far."""
@@ -243,13 +219,12 @@ class FileWriter:
             self._write_chunk(split_records(b"".join(self._records)))
             self._records, self._size, self._has_messages = [], 0, False
 
-    def _write_chunk(self, content: Records, chunk: Chunk | None = None) -> None:
-        """Write a chunk, compressed here unless it is there already, and its message indexes."""
-        rows, data = content.rows, content.data
-        if chunk is None:
-            start, end = int(rows["log_time"].min()), int(rows["log_time"].max())
-            packed, crc = self._compress(data), zlib.crc32(data)
-            chunk = Chunk(self._compression, packed, end, start, crc, len(data))
+    def _write_chunk(self, content: Records) -> None:
+        """Write a chunk and its message indexes."""
+        data, rows = content
+        start, end = int(rows["log_time"].min()), int(rows["log_time"].max())
+        packed, crc = self._compress(data), zlib.crc32(data)
+        chunk = Chunk(self._compression, packed, end, start, crc, len(data))
         record, at = _packed(chunk), self._stream.tell()
         entries = np.stack([rows["log_time"], rows["begin"] - MESSAGE.size], axis=1).astype("<u8")
         offsets, indexes = {}, bytearray()
@@ -264,13 +239,13 @@ class FileWriter:
         index = ChunkIndex(
             chunk_length=len(record),
             chunk_start_offset=at,
-            compression=chunk.compression,
-            compressed_size=len(chunk.data),
-            message_end_time=chunk.message_end_time,
+            compression=self._compression,
+            compressed_size=len(packed),
+            message_end_time=end,
             message_index_length=len(indexes),
             message_index_offsets=offsets,
-            message_start_time=chunk.message_start_time,
-            uncompressed_size=chunk.uncompressed_size,
+            message_start_time=start,
+            uncompressed_size=len(data),
         )
         self._chunks.append(index)
 

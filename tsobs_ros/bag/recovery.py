@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Chunk
-
 from tsobs_ros.bag.damaged import BagFiles, DamagedFile
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.walker import Progress
@@ -126,12 +124,12 @@ def recover(
     if source.resolve() in target.resolve().parents:
         raise BagWriteError(f"{target}: is inside of the bag {source}, which is not touched")
     writer: BagWriter | None = None
-    added, packed = 0, "" if compression == "none" else compression
+    added = 0
     with ExitStack() as stack:
         for file in files:
             if writer is not None:
                 writer.split()
-            for part, kept in file.parts(progress, is_trusted=is_trusted):
+            for _, kept in file.parts(progress, is_trusted=is_trusted):
                 if kept is None or not len(kept.rows):
                     continue
                 if writer is None:
@@ -143,10 +141,7 @@ def recover(
                     writer.add_topics(topics.values())
                     added = len(topics)
                 names = {id_: topic.name for id_, topic in file.described.topics.items()}
-                chunk = part.record if isinstance(part.record, Chunk) else None
-                if kept is not part.content or (chunk and chunk.compression != packed):
-                    chunk = None
-                writer.copy(kept, chunk, names)
+                writer.copy(kept, names)
         if writer is not None:
             writer.add_topics(topics.values())  # those without messages, too
     if writer is None:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Chunk
 from numpy.typing import NDArray
 
 from tsobs_ros import __version__
@@ -212,29 +211,21 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             wanted = {id_: one.topic for id_, one in each if one.topic in topics}
             for span in sorted(summary.spans, key=attrgetter("offset")):
                 if span.channels is None or span.channels & wanted.keys():
-                    self.copy(*reader.read(span), wanted)
+                    self.copy(reader.read(span)[0], wanted)
 
-    def copy(self, content: Records, chunk: Chunk | None, topics: Mapping[int, str]) -> None:
-        """Copy what a chunk of another bag has of some topics, as a chunk.
+    def copy(self, content: Records, topics: Mapping[int, str]) -> None:
+        """Copy what a chunk of another bag has of some topics; limits of files do not hold.
 
-        It is copied as it is if everything in it is wanted, with the channels and schemas of this
-        bag, and a checksum covers it. Limits of files do not hold.
-
-        Args:
-            content: What is in the chunk.
-            chunk: The chunk; None if its messages are to be copied into a new one.
-            topics: Those to copy, all registered, by their channels there.
+        `topics` are those to copy, all registered, by their channels there.
         """
         ids = {id_: self._file.ids[topic] for id_, topic in topics.items()}
-        if chunk is not None and self._file.can_have(chunk, content, ids):
-            self._add_chunk(content, chunk)
-        elif len((picked := pick(content, ids)).rows):
+        if len((picked := pick(content, ids)).rows):
             self._add_chunk(picked)
 
-    def _add_chunk(self, records: Records, chunk: Chunk | None = None) -> None:
+    def _add_chunk(self, records: Records) -> None:
         self._require(None, records.rows["log_time"], records.rows["publish_time"])
         with self._writing():
-            self._file.add_chunk(records, chunk)
+            self._file.add_chunk(records)
 
     def _require(self, topic: str | None, *times: NDArray[np.int64]) -> None:
         """Raise `BagWriteError` unless a topic is registered, and times [ns] fit."""
