@@ -182,15 +182,10 @@ def _decompressed(chunk: Chunk) -> bytes:
 
 
 class Span(NamedTuple):
-    """A chunk, which is read at once.
+    """A chunk, which is read at once: its first and last log time [ns], and where it is.
 
-    Attributes:
-        start: The smallest log time in it, ns.
-        end: The largest log time in it, ns.
-        rank: The place of its file in the bag.
-        offset: Its first byte in the file.
-        size: Its size in the file, bytes.
-        places: The places of its message indexes in the file, as its record has them.
+    `rank` is the place of its file in the bag, `offset` its first byte there, `size` in bytes;
+    `places` are those of its message indexes in the file, as its record has them.
     """
 
     start: int
@@ -361,23 +356,6 @@ def _chunk_span(record: bytes, rank: int) -> Span:
     if index_size % _INDEX_OFFSET.size or len(record) < rest + _CHUNK_INDEX_REST:
         raise RecordError("an index of a chunk is malformed")
     return Span(start, end, rank, offset, size, record[_CHUNK_INDEX.size : rest])
-
-
-def read_span(stream: IO[bytes], span: Span) -> tuple[Records, Chunk]:
-    """Return the records in a chunk of a file, and the chunk.
-
-    Raises:
-        RecordError: They are damaged, or there is no chunk at its place.
-    """
-    if span.size > MAX_SIZE:
-        raise RecordError(f"{span.size} bytes, too many to read")
-    stream.seek(span.offset)
-    record = stream.read(span.size)
-    chunk, data_at, size = chunk_head(record[:CHUNK_HEAD_SIZE])
-    if size != span.size:
-        raise RecordError("the index states another size")
-    chunk.data = record[data_at:]
-    return read_chunk(chunk), chunk
 
 
 def chunk_head(head: bytes) -> tuple[Chunk, int, int]:

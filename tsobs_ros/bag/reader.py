@@ -20,6 +20,8 @@ from mcap.records import Chunk, Schema
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.container import (
+    CHUNK_HEAD_SIZE,
+    MAX_SIZE,
     RECOVER_HINT,
     ROW,
     RecordError,
@@ -27,8 +29,9 @@ from tsobs_ros.bag.container import (
     Rows,
     Span,
     Summary,
+    chunk_head,
     pieces,
-    read_span,
+    read_chunk,
     read_summary,
 )
 from tsobs_ros.bag.metadata import BagMetadata, Descriptions, TopicInfo, read_metadata
@@ -229,8 +232,16 @@ class BagReader:
         """Return what a chunk holds, and the chunk."""
         path, known = self.files[span.rank], self.summaries[span.rank].channels
         try:
+            if span.size > MAX_SIZE:
+                raise RecordError(f"{span.size} bytes, too many to read")
             with open_regular(path) as stream:
-                found, chunk = read_span(stream, span)
+                stream.seek(span.offset)
+                record = stream.read(span.size)
+            chunk, data_at, size = chunk_head(record[:CHUNK_HEAD_SIZE])
+            if size != span.size:
+                raise RecordError("the index states another size")
+            chunk.data = record[data_at:]
+            found = read_chunk(chunk)
             for id_ in np.unique(found.rows["channel"]).tolist():
                 if id_ not in known:
                     raise RecordError(f"a message is of channel {id_}, which is not described")
