@@ -173,9 +173,11 @@ class Descriptions:
             schema = self.schemas.get(record.id)
             if schema is None and self._has_room(len(record.data)):
                 self.schemas[record.id] = record
-            elif schema is not None and schema != record:
+            elif schema not in (None, record) and f"schema {record.id}" not in self.problems:
                 ids = [i for i, one in self.channels.items() if one.schema_id == record.id]
-                self._contradict("schema", record.id, ids if schema.name != record.name else [])
+                self._contradict(
+                    "schema", record.id, ids if schema and schema.name != record.name else []
+                )
             return
         channel, texts = self.channels.get(record.id), record.metadata
         if channel is None and self._has_room(sum(map(len, (*texts, *texts.values())))):
@@ -195,9 +197,10 @@ class Descriptions:
             raise ValueError(f"is encoded in '{channel.message_encoding}', not in cdr")
         if schema is None:
             raise ValueError("has no type")
-        # Schemas are shared.
-        text = self._texts.setdefault(schema.id, schema.data.decode(errors="replace"))
+        if schema.id not in self._texts:  # schemas are shared
+            self._texts[schema.id] = schema.data.decode(errors="replace")
         hash_ = channel.metadata.get("topic_type_hash", "")
+        text = self._texts[schema.id]
         definition = MessageDefinition(schema.name, text, hash_, schema.encoding)
         qos: tuple[QosProfile, ...] = ()
         try:

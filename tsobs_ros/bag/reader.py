@@ -172,7 +172,9 @@ class BagReader:
         """
         self.require(topics)
         start, end = start_ns or 0, _LAST if end_ns is None else end_ns
-        spans = [s for s in self.spans_with(topics) if s.end >= start and s.start < end]
+        names = set(topics)
+        spans = [s for s in self.spans if s.end >= start and s.start < end]
+        spans = [span for span in spans if not names.isdisjoint(self.topics_of(span))]
         spans.sort(key=attrgetter("start", "rank", "offset"))
         numbers = self._numbers(topics)
         by_place = attrgetter("rank", "offset")
@@ -274,7 +276,7 @@ class BagReader:
         found: list[BagMessage] = []
         for name in names:
             last: list[BagMessage] = []
-            spans = [span for span in self.spans_with([name]) if span.start < time_ns]
+            spans = [s for s in self.spans if s.start < time_ns and name in self.topics_of(s)]
             for span in sorted(spans, key=attrgetter("end", "rank", "offset"), reverse=True):
                 if len(last) == depth and last[0].log_time >= span.end:
                     break
@@ -368,13 +370,13 @@ class BagReader:
             if (found := self.topics[name].type) != type_:
                 raise self._error(f"{name} is {found}, expected {type_}")
 
-    def spans_with(self, topics: Collection[str]) -> Iterator[Span]:
-        """Yield the chunks that may have messages of some topics."""
-        topics = frozenset(topics)
-        spans = chain.from_iterable(summary.spans for summary in self.summaries)
-        return (span for span in spans if self._topics_of(span) & topics)
+    @property
+    def spans(self) -> list[Span]:
+        """The chunks in the order of the index."""
+        return [span for summary in self.summaries for span in summary.spans]
 
-    def _topics_of(self, span: Span) -> set[str]:
+    def topics_of(self, span: Span) -> set[str]:
+        """Return the topics that a chunk may have messages of."""
         channels = self.summaries[span.rank].channels
         ids = channels.keys() if span.channels is None else span.channels & channels.keys()
         return {channels[id_].topic for id_ in ids}

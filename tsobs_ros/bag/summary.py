@@ -119,13 +119,17 @@ def _durations(reader: BagReader) -> dict[str, int]:
             found.setdefault(channels[id_].topic, []).extend((int(own.min()), int(own.max())))
         return found
 
+    spans: dict[str, list[Span]] = {name: [] for name in reader.topics}
+    for span in reader.spans:
+        for name in reader.topics_of(span):
+            spans[name].append(span)
     durations = {}
-    for name in reader.topics:
-        spans, first, last = list(reader.spans_with([name])), 2**63, 0
-        for span in sorted(spans, key=attrgetter("start")):
+    for name, own in spans.items():
+        first, last = 2**63, 0
+        for span in sorted(own, key=attrgetter("start")):
             if span.start < first:
                 first = min(first, *times(span).get(name, ()))
-        for span in sorted(spans, key=attrgetter("end"), reverse=True):
+        for span in sorted(own, key=attrgetter("end"), reverse=True):
             if span.end > last:
                 last = max(last, *times(span).get(name, ()))
         durations[name] = last - first
