@@ -18,7 +18,7 @@ from tsobs_ros.bag import BagReader
 from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, MARKERS, RECORDED_TOPICS
 from tsobs_ros.cli.main import main
 from tsobs_ros.design.file import load_design_file
-from tsobs_ros.replay.designs import recorded_observer
+from tsobs_ros.replay.designs import recorded_observers
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 pytest.importorskip("matplotlib")
@@ -77,7 +77,7 @@ def test_a_demo_leaves_a_bag_a_table_and_figures(demo: Demo, tmp_path: Path) -> 
     assert set(reader.topics) == {*RECORDED_TOPICS, *ADAPTIVE_TOPICS}
     check_disturbance(reader)
     check_layouts(reader)
-    ran, shipped = recorded_observer(reader, "/observer"), load_design_file(SHIPPED)
+    ran, shipped = recorded_observers(reader)["/observer"], load_design_file(SHIPPED)
     assert ran.designs["elastic_joint"][0].text == shipped.text
     assert report["design"] == {"file": shipped.name, "sha256": shipped.sha256}
 

@@ -67,20 +67,20 @@ class RecordedObserver:
             raise BagReadError(f"{self.source}: {error}") from error
 
 
-def recorded_observer(reader: BagReader, name: str) -> RecordedObserver:
-    """Return what an observer of a full name ran, as far as it is in the bag.
+def recorded_observers(reader: BagReader) -> dict[str, RecordedObserver]:
+    """Return what the observers of a bag ran, as far as it is there, by their full names.
 
     Raises:
-        BagReadError: Its topic `design` has something else.
+        BagReadError: A topic `design` has something else.
     """
-    topic = f"{name}/{topics.DESIGN}"
-    info = reader.topics.get(topic)
-    if info is None or info.type != STRING or not info.count:
-        return RecordedObserver()
-    try:
-        return _of_records(reader, topic)
-    except (MessageError, DesignFileError) as error:
-        raise BagReadError(f"{reader.path}: {topic}: {error}") from error
+    end, found = f"/{topics.DESIGN}", dict[str, RecordedObserver]()
+    for topic, info in reader.topics.items():
+        if topic.endswith(end) and info.type == STRING and info.count:
+            try:
+                found[topic.removesuffix(end)] = _of_records(reader, topic)
+            except (MessageError, DesignFileError) as error:
+                raise BagReadError(f"{reader.path}: {topic}: {error}") from error
+    return found
 
 
 def choose_designs(
@@ -162,19 +162,17 @@ def _of_records(reader: BagReader, topic: str) -> RecordedObserver:
         texts[CdrReader(message.data).text("data")] = None
         if len(texts) > _MAX_RECORDS:
             raise DesignFileError(f"more than {_MAX_RECORDS} different messages")
-    records = list(map(read_record, texts))
-    first = records[0].parameters
-    names = sorted({name for one in records for name in one.parameters})
-    changed = [n for n in names if any(one.parameters.get(n) != first.get(n) for one in records)]
-    remarks = (
+    first, *others = map(read_record, texts)
+    values = first.parameters.items()
+    changed = sorted({name for one in others for name, _ in one.parameters.items() ^ values})
+    remark = (
         "note: parameters of the observer were changed while it ran: "
-        f"{', '.join(changed)}; the first values are used",
+        f"{', '.join(changed)}; the first values are used"
     )
     designs: dict[str, dict[str, PublishedDesign]] = {}
-    for record in records:
-        for one in record.designs:
-            for joint in one.joints:
-                designs.setdefault(joint, {}).setdefault(one.text, one)
+    for one in (design for record in (first, *others) for design in record.designs):
+        for joint in one.joints:
+            designs.setdefault(joint, {}).setdefault(one.text, one)
     by_joint = {joint: tuple(each.values()) for joint, each in designs.items()}
-    measurements = records[0].measurements
-    return RecordedObserver(topic, by_joint, first, measurements, remarks if changed else ())
+    remarks = (remark,) if changed else ()
+    return RecordedObserver(topic, by_joint, first.parameters, first.measurements, remarks)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded measurements of some joints, in the order of recording, and the bags that hold them."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import islice, pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -22,7 +22,7 @@ from tsobs_ros.design.request import AnyRequest, ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals
 from tsobs_ros.errors import BagReadError, MessageError, ModelError
 from tsobs_ros.estimation.records import USED
-from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
+from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observers
 from tsobs_ros.replay.samples import MISSING, Batch, MeasurementReader
 from tsobs_ros.series import NANOSECONDS, Spool, Stamps
 
@@ -31,7 +31,7 @@ ARM_QUANTITIES = ("link_angle", "link_velocity", "motor_angle", "motor_velocity"
 UNNAMED_SYSTEM = "system"
 """Name of a T–S system that a recording does not name."""
 
-_OBSERVER = "observer"
+_OBSERVER = "/observer"
 # Stamps this far back are not late any more: time restarted (a looped bag, a new simulation).
 _RESTART = NANOSECONDS
 # So many messages in a row must lie back: one straggler is no restart.
@@ -134,11 +134,16 @@ class BagSource:
     ) -> None:
         self.path, self.held_out = path, held_out
         self.reader = BagReader(path)
-        of_topic = self._recorded_observers()
-        self.topic = self._find_measurements(list(of_topic)) if topic is None else topic
+        observers = recorded_observers(self.reader)
+        of_topic = {
+            ran.measurements: name.removesuffix(_OBSERVER)
+            for name, ran in observers.items()
+            if name.endswith(_OBSERVER) and ran.measurements in self.reader.topics
+        }
+        self.topic = self._find_measurements(of_topic) if topic is None else topic
         self.reader.require([self.topic], JOINT_STATE)
         self.namespace = of_topic.get(self.topic, self.topic.rpartition("/")[0])
-        self.ran = recorded_observer(self.reader, f"{self.namespace}/{_OBSERVER}")
+        self.ran = observers.get(f"{self.namespace}{_OBSERVER}", self.ran)
         first = self._first_names()
         parts = {name.partition("/")[0] for name in first}
         ran = tuple(
@@ -161,10 +166,10 @@ class BagSource:
         self._assume_zero_torque = assume_zero_torque
         states = self.there(f"{_OBSERVER}/", [topics.STATES]).values()
         self.was_observed = any(self.reader.topics[topic].count for topic in states)
-        ticks = self.reader.topics.get(f"{self.namespace}/{_OBSERVER}/{topics.TICKS}")
+        ticks = self.reader.topics.get(f"{self.namespace}{_OBSERVER}/{topics.TICKS}")
         if ticks is not None and ticks.type == TICK_LOG and ticks.count:
             self.tick_log = ticks.name
-        self.truth = self.there("", topics.TRUTH)
+        self.truth = self.there("/", topics.TRUTH)
 
     def observe(self, requests: Sequence[AnyRequest]) -> None:
         """Read what the designs of the joints need.
@@ -267,25 +272,13 @@ class BagSource:
 
     def there(self, prefix: str, names: Iterable[str]) -> dict[str, str]:
         """Return the full names of those JointStates in the namespace that the bag has."""
-        full = {name: f"{self.namespace}/{prefix}{name}" for name in names}
+        full = {name: f"{self.namespace}{prefix}{name}" for name in names}
         there = {name for name, topic in self.reader.topics.items() if topic.type == JOINT_STATE}
         return {key: name for key, name in full.items() if name in there}
 
-    def _recorded_observers(self) -> dict[str, str]:
-        """Return the namespaces of recorded observers by their measurements' topics."""
-        end = f"/{_OBSERVER}/{topics.DESIGN}"
-        found = {}
-        for name in self.reader.topics:
-            if name.endswith(end):
-                namespace = name.removesuffix(end)
-                ran = recorded_observer(self.reader, f"{namespace}/{_OBSERVER}")
-                if ran.measurements in self.reader.topics:
-                    found[ran.measurements] = namespace
-        return found
-
-    def _find_measurements(self, observed: list[str]) -> str:
+    def _find_measurements(self, observed: Collection[str]) -> str:
         names = [name for name in self.reader.topics if f"/{name}".endswith(f"/{MEASUREMENTS}")]
-        names = names or observed
+        names = names or list(observed)
         if len(names) == 1:
             return names[0]
         has = ", ".join(names or self.reader.topics) or "none"

@@ -19,14 +19,14 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import quote
 
-from tsobs_ros.bag.estimate_topics import CONDITIONS, DESIGN
+from tsobs_ros.bag.estimate_topics import CONDITIONS
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointState, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.design.file import parse_design
 from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import BagReadError, MessageError, OutputError, TsobsError
 from tsobs_ros.files import written_whole
-from tsobs_ros.replay.designs import recorded_observer
+from tsobs_ros.replay.designs import recorded_observers
 from tsobs_ros.series import NANOSECONDS
 
 FORMATS = ("csv", "parquet")
@@ -121,39 +121,32 @@ class _Table:
             yield [row.get(column.name) for column in self.columns]
 
     def _messages(self) -> Iterator[Iterator[Cell]]:
+        decode, start = JointStateDecoder(), self._reader.start_time or 0
+        is_joint_state = self._reader.topics[self.topic].type == JOINT_STATE
         # Outside of the `try`: without a decoder nothing is damaged, and there are no rows to keep.
-        messages = self._decoded()
-        start = self._reader.start_time or 0
+        messages: Any = (
+            self._reader.messages([self.topic])
+            if is_joint_state
+            else self._reader.decoded([self.topic])
+        )
         try:
-            for log_time, publish_time, cells in messages:
+            for one in messages:
                 times = (
-                    ("time", "s", (log_time - start) / NANOSECONDS),
-                    ("log_time", "ns", log_time),
-                    ("publish_time", "ns", publish_time),
+                    ("time", "s", (one.log_time - start) / NANOSECONDS),
+                    ("log_time", "ns", one.log_time),
+                    ("publish_time", "ns", one.publish_time),
                 )
-                yield chain(times, cells)
+                if is_joint_state:
+                    yield chain(times, self._flatten_joint_state(decode(one.data)))
+                else:
+                    yield chain(times, self._flatten(one.message))
         except BagReadError as error:
             self.damage = error
-
-    def _decoded(self) -> Iterator[tuple[int, int, Iterator[Cell]]]:
-        if self._reader.topics[self.topic].type == JOINT_STATE:
-            return self._joint_states()
-        return (
-            (one.log_time, one.publish_time, self._flatten(one.message))
-            for one in self._reader.decoded([self.topic])  # without a decoder it fails here
-        )
-
-    def _joint_states(self) -> Iterator[tuple[int, int, Iterator[Cell]]]:
-        decode = JointStateDecoder()
-        for raw in self._reader.messages([self.topic]):
-            try:
-                state = decode(raw.data)
-            except MessageError as error:
-                raise BagReadError(
-                    f"{self._reader.path}: the message of {self.topic} at {raw.log_time} ns is "
-                    f"not a {JOINT_STATE}: {error}"
-                ) from error
-            yield raw.log_time, raw.publish_time, self._flatten_joint_state(state)
+        except MessageError as error:
+            self.damage = BagReadError(
+                f"{self._reader.path}: the message of {self.topic} at {one.log_time} ns is not a "
+                f"{JOINT_STATE}: {error}"
+            )
 
     def _flatten_joint_state(self, message: JointState) -> Iterator[Cell]:
         """Yield the cells of a JointState; its numbers have the names of their joints."""
@@ -196,10 +189,8 @@ def _type_of(value: Any) -> str:
 def _units_of_systems(reader: BagReader) -> dict[str, dict[str, str]]:
     """Return the units of the entries of T–S systems by field, as recorded designs have them."""
     units: dict[str, dict[str, str]] = {}
-    end = f"/{DESIGN}"
-    for name in [name.removesuffix(end) for name in reader.topics if name.endswith(end)]:
-        with suppress(TsobsError):  # without the design there are no units
-            ran = recorded_observer(reader, name)
+    with suppress(TsobsError):  # without the design there are no units
+        for ran in recorded_observers(reader).values():
             for joint, (design, *_) in ran.designs.items():
                 request = parse_design(design.file, design.text).request
                 if isinstance(request, TSRequest):
