@@ -107,18 +107,6 @@ def test_plots_hold_the_run_in_its_units(simulated, troubled) -> None:
     assert list(shown.unsettled) == [pytest.approx((0.0013, 5.0013)), pytest.approx((8.0, 13.0))]
 
 
-def test_wild_guesses_and_stamps_do_not_flatten_the_rest(simulated) -> None:
-    states, (stamps, values, _) = simulated.state.copy(), simulated.measurements
-    states[:20] = 1e3
-    metrics, late = measure(simulated), stamps.copy()
-    late[100] += 10**15
-
-    assert picture(simulated, metrics).time_range == (0.0, 20.0)
-    wild = picture(replace(simulated, state=states, measurements=Series(late, values)), metrics)
-    assert wild.plots[0].limits[1] < 1.5
-    assert wild.time_range == (0.0, 19.9963)
-
-
 def test_gaps_are_drawn_as_gaps_and_counted(simulated) -> None:
     there = (simulated.times < 10.0) | (simulated.times >= 12.0)
     own = ("stamps", "state", "state_bound", "disturbance", "disturbance_bound")

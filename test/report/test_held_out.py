@@ -142,21 +142,6 @@ def test_a_bag_has_the_sensor_in_its_measurements_or_on_a_topic(
     assert found.held_out.samples == pytest.approx(samples, abs=5)
 
 
-def test_the_truth_held_out_gives_the_errors_against_the_truth(
-    simulated, write_bag, messages_of, capsys
-) -> None:
-    bag = str(write_bag(messages_of(simulated)))
-    command = ["compare", bag, "--method", "certified", "high_gain", "--param", "theta=2.5"]
-    option = "motor_velocity=/ground_truth/joint_states"
-
-    assert main([*command, "--held-out", option, "--held-out-std", "1e-9", "--json"]) == 0
-
-    for row in json.loads(capsys.readouterr().out)["errors"]:
-        truth, held_out = row["quantities"]["motor_velocity"], row["held_out"]["with_bias"]
-        assert held_out["rmse"] == pytest.approx(truth["rmse"], rel=0.02)
-        assert (held_out["inside"] is None) == (truth["inside"] is None)
-
-
 @pytest.mark.parametrize(
     ("option", "said"),
     [

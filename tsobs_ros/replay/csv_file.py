@@ -5,11 +5,11 @@
 import csv
 import math
 import re
+from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from decimal import Decimal
-from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,7 +33,6 @@ MAX_LINE = 2**20
 NO_TIME = -(2**62)
 """Stamp of a line without a time."""
 
-_BLOCK = 4096
 _LATEST = 2**31 * NANOSECONDS  # that a message's stamp cannot hold
 _NOTHING = frozenset(("", "nan", "n/a", "null"))
 _FRACTION = re.compile(r"(?<=:\d\d)[.,](\d+)")
@@ -135,10 +134,8 @@ class CsvFile:
         titles = ", ".join(repr(one.title) for one in self.columns[:20])
         return f"columns: {titles}{', …' if len(self.columns) > 20 else ''}"
 
-    def read(
-        self, time: Column, columns: Sequence[Column]
-    ) -> Iterator[tuple[list[int], Stamps, Array]]:
-        """Yield line numbers, times [ns] and values of n lines each, shape (n, columns).
+    def read(self, time: Column, columns: Sequence[Column]) -> tuple[list[int], Stamps, Array]:
+        """Return line numbers, times [ns] and values of n lines, shape (n, columns).
 
         Values are in the usual units, NaN of cells that are empty or a word for it.
 
@@ -147,21 +144,8 @@ class CsvFile:
             LogError: A line or a cell is too long, has more cells than there are titles, or ends
                 early but is not the last; or a cell is not what is expected.
         """
-        rows = self._records(1 + max(one.place for one in (time, *columns)))
-        while block := list(islice(rows, _BLOCK)):
-            stamps = [self._stamp(line, cells, time) for line, cells in block]
-            values = [[self._number(line, cells, one) for one in columns] for line, cells in block]
-            factors = np.array([one.factor for one in columns])
-            lines = [line for line, _ in block]
-            yield (
-                lines,
-                np.array(stamps, np.int64),
-                np.reshape(values, (-1, len(columns))) * factors,
-            )
-
-    def _records(self, needed: int) -> Iterator[tuple[int, list[str]]]:
-        """Yield the numbers and the cells of the lines below the titles."""
-        rows = self._rows()
+        needed = 1 + max(one.place for one in (time, *columns))
+        lines, stamps, values, rows = list[int](), array("q"), array("d"), self._rows()
         next(rows, None)
         for line, cells in rows:
             if len(cells) < needed:
@@ -169,10 +153,15 @@ class CsvFile:
                 if not self.cut_off:
                     title = self.columns[len(cells)].title
                     raise LogError(f"line {line} ends before column {title!r}")
-            elif any(cells[len(self.columns) :]):
+                break
+            if any(cells[len(self.columns) :]):
                 raise LogError(f"line {line}: {len(cells)} cells, but {len(self.columns)} titles")
-            else:
-                yield line, cells
+            lines.append(line)
+            stamps.append(self._stamp(line, cells, time))
+            values.extend(self._number(line, cells, one) for one in columns)
+        factors = np.array([one.factor for one in columns])
+        table = np.array(values).reshape(-1, len(columns)) * factors
+        return lines, np.array(stamps, np.int64), table
 
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
         reader, last = csv.reader(self._lines(), delimiter=self._delimiter), 0
@@ -261,12 +250,10 @@ def read_torques(path: str | Path) -> TorqueSeries:
             if (column := file.find(name)) is None:
                 raise LogError(f"no column is called {name!r}; {file.described}")
             columns.append(column.in_units_of(name))
-        parts = list(file.read(columns[0], columns[1:]))
-        if not parts:
+        lines, times, values = file.read(columns[0], columns[1:])
+        if not lines:
             raise LogError("no lines below the header")
-        lines = [line for own, _, _ in parts for line in own]
-        times = np.concatenate([own for _, own, _ in parts])
-        torques = np.concatenate([own[:, 0] for _, _, own in parts])
+        torques = values[:, 0]
         for wrong, text in (
             ((times == NO_TIME) | ~np.isfinite(torques), "expected a time and a finite torque"),
             (np.diff(times, prepend=NO_TIME) <= 0, "its time is not after that of the line before"),

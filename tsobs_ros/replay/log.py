@@ -203,11 +203,10 @@ class LogSource(BagSource):
 
     def _write_bag(self, time: Column, measured: Sequence[tuple[Place, Column]]) -> None:
         """Write the measurements into a temporary bag, in the order of the lines."""
-        parts = list(self._file.read(time, [column for _, column in measured]))
-        if not any((stamps != NO_TIME).any() for _, stamps, _ in parts):
-            raise LogError("no line below the titles has a time")
-        stamps, values = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
+        _, stamps, values = self._file.read(time, [column for _, column in measured])
         there = stamps != NO_TIME
+        if not there.any():
+            raise LogError("no line below the titles has a time")
         first = int(stamps[there].min())
         moved_by = 0 if first > 0 else NANOSECONDS - first
         stamps = np.where(there, stamps + moved_by, 0)
