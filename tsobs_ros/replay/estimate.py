@@ -245,8 +245,7 @@ class Run:
     def _estimate(self) -> None:
         """Make the estimates of the window, each joint on its own, and count."""
         samples, ticks, _ = self.window
-        with ThreadPoolExecutor(min(len(self.trackers), os.cpu_count() or 1)) as pool:
-            results = list(pool.map(self._run_joint, range(len(self.trackers))))
+        results = [self._run_joint(joint) for joint in range(len(self.trackers))]
         done: Flags = np.any([one.there for one in results], axis=0) & ticks.estimated
         if self.windows.at_samples:
             done &= np.any([one.newest == ticks.stamps for one in results], axis=0)

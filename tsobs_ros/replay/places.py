@@ -4,6 +4,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from itertools import accumulate
 from typing import Any, TypeAlias
 
@@ -110,16 +111,11 @@ class Layouts:
 
     def __init__(self, parts: Sequence[Sequence[Place]]) -> None:
         self.parts = parts
-        self._known: dict[tuple[tuple[int, int], ...], Layout] = {}
+        self.of = lru_cache(_MAX_LAYOUTS)(self._make)
 
-    def of(self, key: tuple[tuple[int, int], ...]) -> Layout:
+    def _make(self, key: tuple[tuple[int, int], ...]) -> Layout:
         """Return the layout of some parts by their index, each with how many of its numbers."""
-        if key not in self._known:
-            if len(self._known) >= _MAX_LAYOUTS:
-                self._known.clear()
-            places = [place for part, count in key for place in self.parts[part][:count]]
-            self._known[key] = Layout(places)
-        return self._known[key]
+        return Layout([place for part, count in key for place in self.parts[part][:count]])
 
 
 def parts_of(topic: str, joints: Sequence[Places]) -> list[Sequence[Place]]:
@@ -163,12 +159,11 @@ class EstimateEncoder:
         """
         if topic not in self._layouts:
             return []
-        layouts, found = self._layouts[topic], []
-        numbers = np.full((len(at.stamps), sum(self._widths[topic])), np.nan)
-        ends = accumulate(self._widths[topic])
-        for given, width, end in zip(values, self._widths[topic], ends, strict=True):
-            own = given[:, :width]
-            numbers[:, end - width : end - width + own.shape[1]] = own
+        layouts, found, widths = self._layouts[topic], [], self._widths[topic]
+        numbers = np.full((len(at.stamps), sum(widths)), np.nan)
+        for given, width, end in zip(values, widths, accumulate(widths), strict=True):
+            count = min(given.shape[1], width)
+            numbers[:, end - width : end - width + count] = given[:, :count]
         sizes = [len(part) for part in layouts.parts]
         there = np.isfinite(numbers[:, np.cumsum([0, *sizes])[:-1]])
         # Mostly there is all, which takes less time to see.

@@ -15,7 +15,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import TICK_LOG
 from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.metadata import TopicInfo
-from tsobs_ros.bag.reader import UNCHECKED, BagReader, RawMessages, until_damage
+from tsobs_ros.bag.reader import UNCHECKED, BagReader, until_damage
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.request import AnyRequest, ArmRequest, TSRequest
@@ -23,7 +23,7 @@ from tsobs_ros.design.signals import Signals
 from tsobs_ros.errors import BagReadError, MessageError, ModelError
 from tsobs_ros.estimation.records import USED
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observers
-from tsobs_ros.replay.samples import MISSING, Batch, MeasurementReader
+from tsobs_ros.replay.samples import MISSING, MeasurementReader
 from tsobs_ros.series import NANOSECONDS, Spool, Stamps
 
 MEASUREMENTS = "joint_measurements"
@@ -293,16 +293,32 @@ class BagSource:
             raise BagReadError(f"{self.path}: {self.topic}: {error}") from error
 
     def _read(self) -> None:
-        if not self.joints:
-            raise BagReadError(f"{self.path}: no message of {self.topic} names a joint")
-        samples, without_input = Spool(self._sample_type), 0
         joints = dict(zip(self.joints, self.signals, strict=True))
-        read = MeasurementReader(joints, self._assume_zero_torque)
+        if not joints:
+            raise BagReadError(f"{self.path}: no message of {self.topic} names a joint")
+        read, without_input = MeasurementReader(joints, self._assume_zero_torque), 0
+        p, m = (
+            max(map(len, each)) for each in zip(*(one[:2] for one in self.signals), strict=True)
+        )
+        n = len(joints)
+        names = ["stamps", "log_times", "checksums", "codes", "y", "u"]
+        formats = ["i8", "i8", "i8", f"({n},)i8", f"({n},{p})f8", f"({n},{m})f8"]
+        kind: np.dtype[Any] = np.dtype({"names": names, "formats": formats})
+        samples = Spool(kind)
         for block in self.reader.blocks([self.topic], _BLOCK, on_damage=self.damaged):
-            batch = read.read_raw(block[self.topic])
+            raw = block[self.topic]
+            batch = read.read_raw(raw)
+            some: Records = np.zeros(len(raw.log_times), kind).view(np.recarray)
+            some.stamps, some.log_times, some.codes = batch.stamps, raw.log_times, batch.codes.T
+            some.y = np.nan
+            for joint, (y, u) in enumerate(zip(batch.y, batch.u, strict=True)):
+                some.y[:, joint, : y.shape[1]] = y
+                some.u[:, joint, : u.shape[1]] = u
+            for places, data in raw.groups:
+                some.checksums[places] = [crc32(row) for row in data]
             lack = (batch.codes == MISSING).any(axis=0) & ~(batch.codes == USED).any(axis=0)
             without_input += int(lack.sum())
-            samples.add(self._samples_of(batch, block[self.topic]))
+            samples.add(some)
         self.samples = samples.read()
         if not self.count:
             raise self.damage or BagReadError(f"{self.path}: no message on {self.topic}")
@@ -311,35 +327,6 @@ class BagSource:
         off = max((apart <= -_SAME_CLOCK).sum(), (apart >= _SAME_CLOCK).sum())
         self.same_clock = bool(2 * off < self.count)  # as of the median of the differences
         self.remarks += tuple(self._notes(without_input))
-
-    @property
-    def _sample_type(self) -> np.dtype[np.void]:
-        joints = len(self.joints)
-        p = max(len(one.outputs) for one in self.signals)
-        m = max(len(one.inputs) for one in self.signals)
-        return np.dtype(
-            [
-                ("stamps", np.int64),
-                ("log_times", np.int64),
-                ("y", np.float64, (joints, p)),
-                ("u", np.float64, (joints, m)),
-                ("codes", np.int64, (joints,)),
-                ("checksums", np.int64),
-            ]
-        )
-
-    def _samples_of(self, batch: Batch, raw: RawMessages) -> Records:
-        """Return the records of samples."""
-        samples: Records = np.zeros(len(batch.stamps), self._sample_type).view(np.recarray)
-        samples.stamps, samples.log_times = batch.stamps, raw.log_times
-        samples.y = np.nan
-        for joint, (y, u) in enumerate(zip(batch.y, batch.u, strict=True)):
-            samples.y[:, joint, : y.shape[1]] = y
-            samples.u[:, joint, : u.shape[1]] = u
-        samples.codes = batch.codes.T
-        for places, data in raw.groups:
-            samples.checksums[places] = [crc32(row) for row in data]
-        return samples
 
     def _require_outputs(self, there: Sequence[Sequence[bool]]) -> None:
         """Raise `BagReadError` if no message has some output, which none lacks by chance."""
