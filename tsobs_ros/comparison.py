@@ -16,11 +16,10 @@ from tsobs_ros.campaign.premises import violated
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.baselines import THETA_STD
 from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
 from tsobs_ros.methods import METHODS, ObserverSettings, make_estimator
 from tsobs_ros.model.disturbance import DisturbanceTerm, sum_of
-from tsobs_ros.model.flow import ArmFlow, arm_uncertainty
+from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.report.comparison import aligned, number_text
 from tsobs_ros.report.metrics import JUMP, SIGMAS, RunMetrics, measure
 from tsobs_ros.simulation.plant import Scenario, Trajectories
@@ -45,14 +44,13 @@ HIGH_GAIN = ("high_gain", "proportional_integral")
 THETAS = tuple(np.geomspace(0.7, 20.0, 12).tolist())
 """θ to choose the best from for observers of high gain [rad/s]."""
 
-BOUNDS = ("pcrb", "pcrb_augmented")
-"""Names of the posterior Cramér–Rao bound with known parameters, and with those as states."""
+BOUND = "pcrb"
+"""Name of the posterior Cramér–Rao bound."""
 
 ABOUT = {
     **METHODS,
-    "pcrb": "least error of an estimator that is not biased by the sensor's offset, if it knows "
+    BOUND: "least error of an estimator that is not biased by the sensor's offset, if it knows "
     "the arm, the rest of the disturbance and when it jumps (posterior Cramér–Rao bound)",
-    "pcrb_augmented": "the same if it does not know the uncertain parameters",
 }
 """What each row of the table is."""
 
@@ -88,9 +86,8 @@ def compare_scenarios(
 ) -> dict[str, Any]:
     """Run observers on simulated scenarios, on all cores; return plain data that JSON can hold.
 
-    A scenario has the scores of each observer, and the least errors of a run by those of `BOUNDS`
-    that it has; `theta` of observers of high gain [rad/s]; and in `unbounded` why it has no bounds,
-    None if it has.
+    A scenario has the scores of each observer, and the least errors of a run as `BOUND`; `theta` of
+    observers of high gain [rad/s]; and in `unbounded` why it has no bound, None if it has.
 
     The scenarios' arm is the design's; rate and noise are in proportion to its own. Seeds are 0, 1,
     …; methods that cannot observe the arm are left out, with a remark; runs are as long as the
@@ -134,7 +131,7 @@ def compare_scenarios(
             found[method] = scores(_measured(design, chosen, runs))
             advance(seeds)
         reason = why_unbounded(scenario)
-        found |= {} if reason else _bounds(design, scenario, runs)
+        found |= {} if reason else {BOUND: _bound(scenario, runs)}
         return {**found, "theta": thetas, "unbounded": reason or None}
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
@@ -146,8 +143,8 @@ def compare_scenarios(
     for name, row in rows.items():
         if row["unbounded"]:
             notes.append(f"no bound for {name}: it has {row['unbounded']}")
-    bounds = [name for name in BOUNDS if any(name in row for row in rows.values())]
-    about = {name: ABOUT[name] for name in (*contenders, *bounds)}
+    bound = [BOUND] * any(BOUND in row for row in rows.values())
+    about = {name: ABOUT[name] for name in (*contenders, *bound)}
     return {
         "seeds": seeds,
         "observers": about,
@@ -236,9 +233,9 @@ def why_unbounded(scenario: Scenario) -> str:
     return ", ".join([*found, *["a stuck sensor"] * stuck])
 
 
-def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str, Any]:
-    """Return the Cramér–Rao bounds with known parameters, and with those as states."""
-    request, arm = design.arm_request, scenario.true_arm
+def _bound(scenario: Scenario, runs: Trajectories) -> dict[str, Any]:
+    """Return the Cramér–Rao bound with known parameters."""
+    arm = scenario.true_arm
     drifts = [each for each in scenario.outputs[0].disturbance if isinstance(each, GaussMarkov)]
     terms = [
         DisturbanceTerm("gauss_markov", {"std": each.std, "time_constant": each.time_constant})
@@ -254,26 +251,17 @@ def _bounds(design: Design, scenario: Scenario, runs: Trajectories) -> dict[str,
     sensor = scenario.outputs[0].sensor
     share = np.isfinite(runs.measurements[..., 0]).mean(axis=0) * (1.0 - sensor.outlier_probability)
     information = share * white_information(sensor.noise_std, sensor.noise_degrees)
-    uncertain = arm_uncertainty(arm, request.uncertainty_model.bounds)
-    found = {}
-    for name, unknown in zip(BOUNDS, (None, uncertain), strict=True):
-        if unknown is not None and not unknown.count:
-            continue
-        std = cramer_rao_std(
-            flow,
-            arm.from_physical(runs.physical),
-            runs.torques[..., 0],
-            information,
-            initial_std=start,
-            offset_std=_OFFSET_STD,
-            jumps=jumps,
-            uncertainty=unknown,
-            theta_std=THETA_STD,
-        )
-        # As errors of one run, so that they are averaged over the same samples.
-        least = {
-            "state": runs.physical[0] + std[:, :4],
-            "disturbance": runs.disturbances[0] + std[:, 4:5],
-        }
-        found[name] = scores([measure(recorded(runs, 0, least))])
-    return found
+    std = cramer_rao_std(
+        flow,
+        arm.from_physical(runs.physical),
+        information,
+        initial_std=start,
+        offset_std=_OFFSET_STD,
+        jumps=jumps,
+    )
+    # As errors of one run, so that they are averaged over the same samples.
+    least = {
+        "state": runs.physical[0] + std[:, :4],
+        "disturbance": runs.disturbances[0] + std[:, 4:5],
+    }
+    return scores([measure(recorded(runs, 0, least))])

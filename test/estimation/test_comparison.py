@@ -125,7 +125,7 @@ def test_the_bound_of_a_linear_arm_is_the_kalman_filters_covariance() -> None:
     information[200:300] = 0.0
 
     bound = cramer_rao_std(
-        linear, np.zeros((3, COUNT, 4)), np.zeros((3, COUNT)), information,
+        linear, np.zeros((3, COUNT, 4)), information,
         initial_std=START, offset_std=0.3, jumps=[JUMP],
     )  # fmt: skip
 

@@ -33,8 +33,7 @@ import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.model.arm import LINK_VELOCITY
-from tsobs_ros.model.flow import EXTERNAL, SINE, TORQUE, ArmFlow
-from tsobs_ros.model.prediction import Uncertainty
+from tsobs_ros.model.flow import ArmFlow
 
 _CHUNK = 1000
 """Samples whose derivatives are in memory at once."""
@@ -43,46 +42,35 @@ _CHUNK = 1000
 def cramer_rao_std(
     flow: ArmFlow,
     states: Array,
-    torques: Array,
     information: Array,
     *,
     initial_std: Array,
     offset_std: float,
     jumps: Sequence[int] = (),
-    uncertainty: Uncertainty | None = None,
-    theta_std: float = 1.0,
 ) -> Array:
     """Return the least 1σ of errors after each sample, from the samples up to it.
 
-    The constants are an offset of the output, which is another one from each of the jumps on, and
-    those of θ that are not known.
+    The constant is an offset of the output, which is another one from each of the jumps on.
 
     Args:
         flow: Of the true arm, the first of whose outputs is measured, with what of the disturbance
             is random.
         states: True states in that arm's design coordinates, shape (runs, samples, 4).
-        torques: Applied from each sample on [N m], shape (runs, samples).
         information: Of each sample about its output [1/unit²], 0 if it is lost, shape (samples,).
         initial_std: 1σ of the flow's states at the first sample, shape (n,).
 
     Returns:
-        1σ of the physical states (rad, rad/s), of the disturbance and of θ, shape
-        (samples, 4 + 1 + k).
+        1σ of the physical states (rad, rad/s) and of the disturbance, shape (samples, 5).
     """
-    n, count = flow.state_count, states.shape[1]
-    directions = np.zeros((0, 4, EXTERNAL + 1))
-    if uncertainty is not None:
-        directions = uncertainty.directions[:, 0]
-    m = 1 + len(directions)
-    size = m + n
+    count, size = states.shape[1], 1 + flow.state_count
     noise, unit = np.zeros((size, size)), np.eye(size)
-    noise[m:, m:] = flow.nominal.noise
-    C = np.concatenate([[1.0], np.zeros(m - 1), flow.output_matrix[0]])
-    P = np.diag(np.concatenate([[offset_std], [theta_std] * (m - 1), initial_std]) ** 2.0)
+    noise[1:, 1:] = flow.nominal.noise
+    C = np.append(1.0, flow.output_matrix[0])
+    P = np.diag(np.append(offset_std, initial_std) ** 2.0)
     found, again = np.empty((count, size, size)), set(jumps)
     for begin in range(0, count, _CHUNK):
         part = slice(begin, min(begin + _CHUNK, count))
-        moved, spread = _derivatives(flow, states, torques, directions, part)
+        moved, spread = _derivatives(flow, states, part)
         for place in range(part.start, part.stop):
             if place > 0:
                 F = moved[place - begin]
@@ -95,43 +83,27 @@ def cramer_rao_std(
                 cross = P @ C
                 P = P - np.outer(cross, cross) / (C @ cross + 1.0 / information[place])
             found[place] = P
-    read = np.zeros((4 + m, size))
-    read[:4, m : m + 4] = np.diag(flow.arm.to_physical(np.ones(4)))
-    read[4, 0], read[4, m:] = 1.0, flow.disturbance_map[0]
-    read[5:, 1:m] = np.eye(m - 1)
+    read = np.zeros((5, size))
+    read[:4, 1:5] = np.diag(flow.arm.to_physical(np.ones(4)))
+    read[4, 0], read[4, 1:] = 1.0, flow.disturbance_map[0]
     return np.asarray(np.sqrt(np.einsum("ai,tij,aj->ta", read, found, read)))
 
 
-def _derivatives(
-    flow: ArmFlow, states: Array, torques: Array, directions: Array, part: slice
-) -> tuple[Array, Array]:
+def _derivatives(flow: ArmFlow, states: Array, part: slice) -> tuple[Array, Array]:
     """Return F̄ of the steps to some samples, and V."""
     n, step, runs = flow.state_count, flow.nominal, len(states)
     after = np.arange(part.start, part.stop)
     before = np.maximum(after - 1, 0)
-    one, two = states[:, before], states[:, after]
-    slopes = [step.half_kick * np.cos(each[..., 0]) for each in (one, two)]
-    # Half a kick by gravity, the linear flow, half a kick.
-    A = np.broadcast_to(step.phi, (runs, len(after), n, n)).copy()
-    A[..., 0] -= slopes[0][..., np.newaxis] * step.phi[:, LINK_VELOCITY]
-    A[..., LINK_VELOCITY, :] -= slopes[1][..., np.newaxis] * A[..., 0, :]
-    pushes = []
-    for each in (one, two):
-        signals = np.zeros((*each.shape[:2], EXTERNAL + 1))
-        signals[..., :4], signals[..., SINE] = each, np.sin(each[..., 0])
-        signals[..., TORQUE] = torques[:, before]
-        pushed = np.zeros((*each.shape[:2], n, len(directions)))
-        pushed[..., :4, :] = 0.5 * step.duration * np.einsum("kic,rtc->rtik", directions, signals)
-        pushes.append(pushed)
-    B = np.zeros((runs, len(after), n, 1 + len(directions)))
-    B[..., 1:] = step.phi @ pushes[0] + pushes[1]
-    moved = np.concatenate([B, A], axis=-1)
-    mean = moved.mean(axis=0)
+    slopes = [step.half_kick * np.cos(states[:, each, 0]) for each in (before, after)]
+    # Half a kick by gravity, the linear flow, half a kick; the constant stays.
+    A = np.zeros((runs, len(after), 1 + n, 1 + n))
+    A[..., 0, 0], A[..., 1:, 1:] = 1.0, step.phi
+    A[..., 1:, 1] -= slopes[0][..., np.newaxis] * step.phi[:, LINK_VELOCITY]
+    A[..., 1 + LINK_VELOCITY, :] -= slopes[1][..., np.newaxis] * A[..., 1, :]
+    mean = A.mean(axis=0)
     root = np.linalg.inv(np.linalg.cholesky(step.noise))
-    white = np.moveaxis(root @ (moved - mean), 0, 1).reshape(len(after), runs * n, -1)
-    constant = np.zeros((len(after), B.shape[-1], moved.shape[-1]))
-    constant[:, :, : B.shape[-1]] = np.eye(B.shape[-1])
-    return np.concatenate([constant, mean], axis=1), np.swapaxes(white, 1, 2) @ white / runs
+    white = np.moveaxis(root @ (A - mean)[..., 1:, :], 0, 1).reshape(len(after), runs * n, -1)
+    return mean, np.swapaxes(white, 1, 2) @ white / runs
 
 
 def white_information(std: float, degrees: int = 0) -> float:
