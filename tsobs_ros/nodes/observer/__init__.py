@@ -34,6 +34,8 @@ services:
 
 import time
 from collections import deque
+from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -88,11 +90,8 @@ class Observer(ManagedNode[ObserverParameters]):
         parameters = self.parameters
         topic = self.resolve_topic_name("joint_measurements")
         self.joints = observed_joints(parameters, topic)
-        self._resets = 0
-        self._enabled = True
-        self._is_new = True
-        self._last_now = 0
-        self._last_output = 0
+        self._resets, self._enabled = -1, True
+        self._last_now = self._last_output = 0
         self._newest = b""
         self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
         # That of the design, as its `rate` is that of the measurements; of several the fastest.
@@ -109,26 +108,28 @@ class Observer(ManagedNode[ObserverParameters]):
             "joint_measurements",
             MEASUREMENT_QOS,
             raw=True,
-            on_arrival=self._on_arrival if at_once else None,
+            on_arrival=partial(self._work, is_tick=False) if at_once else None,
         )
         self._publisher = EstimatePublisher(self, places, [joint.learnt for joint in self.joints])
         self._record = self.create_publisher(String, f"~/{topics.DESIGN}", LATCHED)
         self.offer_diagnostics(", ".join(parameters.joints), self._statuses)
         self.offer_triggers({"reset": self._on_reset})
         self.create_service(SetBool, "~/enable", self._on_enable)
-        self._ticker = Ticker(self, 1.0 / self._rate, self._on_tick)
+        self._ticker = Ticker(self, 1.0 / self._rate, self._work)
         # Only an executor notices arrivals.
         self.ticker = None if at_once else self._ticker
-        self._log_designs()
+        for joint in self.joints:
+            design = f"design {joint.loaded.name} ({joint.loaded.identity})"
+            self._log(joint, [(Level.OK, f"{design}: certificate holds")])
+        warnings = (warning(joint.loaded.design, parameters.method) for joint in self.joints)
+        for text in filter(None, dict.fromkeys(warnings)):
+            self.log(Level.WARN, text)
 
     def activate(self) -> None:
         """Start to estimate from what comes from now on."""
         self._measurements.discard()
         self._publish_record()
-        if self._is_new:
-            self._publish_restart()
-        else:
-            self._restart("activated again")
+        self._restart("activated again" if self._resets >= 0 else "")
         self._meter.restart()
         self._ticker.start()
 
@@ -148,20 +149,16 @@ class Observer(ManagedNode[ObserverParameters]):
         """Number of samples of all joints since the start: used + rejected, while enabled."""
         return sum(joint.received for joint in self.joints)
 
-    def _on_tick(self) -> None:
-        if (now := self._now()) is not None:
-            self._meter.begin(now)
-            self._take_all(now)
-            self._publish(now)
-            self._meter.end()
+    def _log(self, joint: ObservedJoint, news: Iterable[tuple[Level, str]]) -> None:
+        for level, text in news:
+            self.log(level, f"{joint.name}: {text}")
 
-    def _on_arrival(self) -> None:
-        """Estimate from measurements as soon as they have come."""
+    def _work(self, *, is_tick: bool = True) -> None:
+        """Take what has come, and publish: at a tick, else if any of it was used."""
         if self.active and (now := self._now()) is not None:
-            self._meter.begin(now, tick=False)
-            if not self._take_all(now):
-                self._publisher.publish_tick(now, estimated=False)
-            elif self._publish(now):
+            self._meter.begin(now, tick=is_tick)
+            used = self._take_all(now)
+            if self._publish(now, wanted=is_tick or used) and not is_tick:
                 self._ticker.skip_next()
             self._meter.end()
 
@@ -184,7 +181,6 @@ class Observer(ManagedNode[ObserverParameters]):
         taken = self._measurements.drain(until=until)
         if not taken or not self._enabled:
             return False
-        self._is_new = False
         messages = [data for data, _ in taken]
         self._publisher.take(messages)
         self._newest = messages[-1]
@@ -206,41 +202,34 @@ class Observer(ManagedNode[ObserverParameters]):
         ]
         return len(used) > 0
 
-    def _publish(self, now: int) -> bool:
+    def _publish(self, now: int, *, wanted: bool) -> bool:
         """Publish the estimates for the present; return whether there were any."""
         if not self._enabled:
             return False
-        if now <= self._last_output:
-            self._publisher.publish_tick(now, estimated=False)
-            return False
-        each = ((place, joint.estimate(now)) for place, joint in enumerate(self.joints))
+        joints = self.joints if wanted and now > self._last_output else ()
+        each = ((place, joint.estimate(now)) for place, joint in enumerate(joints))
         estimates = {place: one for place, one in each if one is not None}
-        # One that is held is of an earlier time.
-        fresh = {place: one for place, one in estimates.items() if one.stamp == now}
-        self._publisher.publish_tick(now, estimated=bool(fresh))
-        self._publisher.publish(now, estimates)
+        due = self._publisher.publish(now, estimates)
         if estimates:
             self._last_output = now
             done = time.time_ns()
             for arrived in self._unanswered:
                 self._meter.answered(done - arrived)
             self._unanswered.clear()
-        due = self._publisher.publish_health(now, fresh)
-        for place, joint in enumerate(self.joints):
-            for level, text in joint.news(now, fresh.get(place), due):
-                self.log(level, f"{joint.name}: {text}")
+        for place, joint in enumerate(joints):
+            self._log(joint, joint.news(now, estimates.get(place), due))
         return bool(estimates)
 
     def _restart(self, why: str) -> None:
         """Reset everything that is computed from data; the counts are those of a new node."""
-        if self.may_log("restart"):
+        if why and self.may_log("restart"):
             self.log(Level.WARN, f"restarting: {why}")
         for joint in self.joints:
             joint.reset()
         self._resets += 1
-        self._is_new = True
         self._unanswered.clear()
-        self._publish_restart()
+        now = int(self.get_clock().now().nanoseconds)
+        self._publisher.publish_restart(now, self._resets)
 
     def _publish_record(self) -> None:
         """Publish what runs, for those who come later too."""
@@ -251,9 +240,6 @@ class Observer(ManagedNode[ObserverParameters]):
             values_of(self.parameters.settings),
         )
         self._record.publish(String(data=text))
-
-    def _publish_restart(self) -> None:
-        self._publisher.publish_restart(int(self.get_clock().now().nanoseconds), self._resets)
 
     def _on_reset(self) -> tuple[bool, str]:
         # What was received before the reset must not be used after it.
@@ -275,35 +261,20 @@ class Observer(ManagedNode[ObserverParameters]):
             return [Status("state", Level.WARN, "INACTIVE", {})]
         now = int(self.get_clock().now().nanoseconds)
         for joint in self.joints:
-            for level, text in joint.count():
-                self.log(level, f"{joint.name}: {text}")
-            self._report_missing(joint)
+            self._log(joint, joint.count())
+            self._log(joint, self._missing(joint))
         timing = self._meter.status()
         return statuses_of(self.joints, timing, now, resets=self._resets, enabled=self._enabled)
 
-    def _report_missing(self, joint: ObservedJoint) -> None:
-        """Log the outputs that messages lack."""
+    def _missing(self, joint: ObservedJoint) -> Iterator[tuple[Level, str]]:
+        """Yield the outputs that messages lack."""
         names = joint.request.output_names
         each = zip(names, joint.faults.faults, joint.signals.outputs, strict=True)
         for output, fault, place in each:
-            is_missing = fault.kind is FaultKind.MISSING
-            if is_missing and self.may_log((joint.name, output)):
-                self.log(
-                    Level.WARN,
-                    f"{joint.name}: {output} is missing: expected {place.described}; the newest "
-                    f"message: {self._reader.describe(self._newest, joint.name)}; estimation goes "
-                    "on without it",
-                )
-
-    def _log_designs(self) -> None:
-        """Log each joint's design, and warn of methods that cannot work."""
-        for joint in self.joints:
-            design = f"design {joint.loaded.name} ({joint.loaded.identity})"
-            self.log(Level.OK, f"{joint.name}: {design}: certificate holds")
-        method = self.parameters.method
-        designs = (joint.loaded.design for joint in self.joints)
-        for text in filter(None, dict.fromkeys(warning(design, method) for design in designs)):
-            self.log(Level.WARN, text)
+            if fault.kind is FaultKind.MISSING and self.may_log((joint.name, output)):
+                newest = self._reader.describe(self._newest, joint.name)
+                text = f"{output} is missing: expected {place.described}; the newest message: "
+                yield Level.WARN, f"{text}{newest}; estimation goes on without it"
 
 
 Parameters, create = ObserverParameters, Observer

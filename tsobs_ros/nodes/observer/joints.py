@@ -174,7 +174,7 @@ class ObservedJoint:
 
     def news(self, now: int, estimate: Estimate | None, due: bool) -> Iterator[tuple[Level, str]]:
         """Yield what is to be logged of the estimate for a time [ns]; `due`: as is its health."""
-        if estimate is None:
+        if estimate is None or estimate.stamp != now:  # held
             events = self.events.silence(now)
         else:
             events = self._contacts(estimate) + (self.events.update(estimate) if due else [])

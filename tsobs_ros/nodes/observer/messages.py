@@ -51,23 +51,30 @@ class EstimatePublisher:
         self._count = len(joints)
         self._slow_since = dict.fromkeys((topics.PARAMETERS, topics.HEALTH), -topics.SLOW_PERIOD)
 
-    def publish(self, stamp: int, estimates: Mapping[int, Estimate]) -> None:
-        """Publish estimates of joints, by index, at a stamp [ns]; what they lack is left out."""
+    def publish(self, stamp: int, estimates: Mapping[int, Estimate]) -> bool:
+        """Publish estimates of joints, by index, at a stamp [ns]; what they lack is left out.
+
+        A tick with measurements or estimates is published before. One that is held, of an earlier
+        time, is none. Return whether health was due.
+        """
+        fresh = {joint: each for joint, each in estimates.items() if each.stamp == stamp}
+        if self._taken or fresh:
+            self._tick += 1
+            if self._ticks.get_subscription_count():
+                self._ticks.publish(encode_tick(stamp, self._tick, bool(fresh), self._taken))
+            self._taken.clear()
         valid = {joint: each for joint, each in estimates.items() if each.parameters_valid}
-        is_due = bool(valid) and self._is_due(topics.PARAMETERS, stamp)
+        is_learnt = bool(valid) and self._is_due(topics.PARAMETERS, stamp)
+        is_due = bool(fresh) and self._is_due(topics.HEALTH, stamp)
         for topic, output in self._outputs.items():
             if topic in topics.PARAMETER_TOPICS:
-                if is_due:
+                if is_learnt:
                     output.publish(stamp, _rows(topic, valid))
-            elif topic != topics.HEALTH and output.publisher.get_subscription_count():
+            elif topic == topics.HEALTH:
+                if is_due:
+                    output.publish(stamp, {joint: each.health for joint, each in fresh.items()})
+            elif output.publisher.get_subscription_count():
                 output.publish(stamp, _rows(topic, estimates))
-
-    def publish_health(self, stamp: int, estimates: Mapping[int, Estimate]) -> bool:
-        """Publish what estimates at a stamp are worth, if that is due; return whether it is."""
-        is_due = bool(estimates) and self._is_due(topics.HEALTH, stamp)
-        if is_due:
-            rows = {joint: each.health for joint, each in estimates.items()}
-            self._outputs[topics.HEALTH].publish(stamp, rows)
         return is_due
 
     def publish_innovations(self, stamps: Stamps, innovations: Array) -> None:
@@ -91,14 +98,6 @@ class EstimatePublisher:
     def take(self, messages: Iterable[bytes]) -> None:
         """Note the measurement messages that the next tick includes."""
         self._taken += messages
-
-    def publish_tick(self, stamp: int, *, estimated: bool) -> None:
-        """Publish a tick at a stamp [ns] that has measurements or estimates, before these."""
-        if self._taken or estimated:
-            self._tick += 1
-            if self._ticks.get_subscription_count():
-                self._ticks.publish(encode_tick(stamp, self._tick, estimated, self._taken))
-            self._taken.clear()
 
     def _is_due(self, topic: str, stamp: int) -> bool:
         """Return whether what changes slowly is published at a stamp, which may have gone back."""
