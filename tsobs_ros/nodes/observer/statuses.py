@@ -57,13 +57,12 @@ def _joint_statuses(joint: ObservedJoint, now: int) -> list[Status]:
     if estimate is not None and joint.learnt:
         learnt = zip(joint.learnt, estimate.parameters, estimate.parameter_bound, strict=True)
         values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
-        values["learning"] = estimate.learning.words
-        values |= _since(joint, EventKind.LEARNING, now)
-        level, message = estimate.learning.judged
+        values |= {"learning": estimate.learning.words, **_since(joint, EventKind.LEARNING, now)}
+        message = estimate.learning.text
         if estimate.learning is Learning.ACTIVE:
             valid = estimate.parameters_valid
             message = "learnt" if valid else "not yet: the motion is too poor"
-        statuses.append(Status("parameters", level, message, values))
+        statuses.append(Status("parameters", Level.OK, message, values))
     return statuses
 
 
