@@ -140,7 +140,10 @@ def run_example(
     aug, system = design.augmentation, example.system
     n, p, size = system.state_count, len(aug.C), len(aug.L)
     A = system.A + np.multiply.outer(UNCERTAINTIES, example.delta_A)
-    times: Array = np.arange(round(duration / period) + 1) * np.float64(period)
+    count = round(duration / period) + 1
+    # The ends and the middle of each step.
+    nodes: Array = np.arange(2 * count - 1) * np.float64(0.5 * period)
+    omega, u = example.disturbance(nodes), torque(nodes)
 
     def chosen(*names: str) -> Array:
         return np.isin(VARIANTS, names).astype(float).reshape(-1, 1, 1, 1, 1)
@@ -153,7 +156,7 @@ def run_example(
         chosen("adaptive", "consistent") * example.Gamma,
         example.xi,
     )
-    noise = np.random.default_rng(_NOISE_SEED).standard_normal((len(times) + 1, p))
+    noise = np.random.default_rng(_NOISE_SEED).standard_normal((count, p))
     is_noise = chosen("noise_fed")[..., 0, 0] > 0.0
 
     def read(x: Array, omega: Array) -> tuple[Array, Array]:
@@ -165,33 +168,32 @@ def run_example(
         x, xi, Xi = np.split(state, [n, n + size], axis=-1)
         return x, xi, Xi.reshape(*Xi.shape[:-1], -1, p, size)
 
-    def rates(place: float, state: Array) -> Array:
-        """Return the derivative of plants and observers, so many periods after the start."""
-        (x, xi, Xi), time = split(state), np.array(place * period)
-        u, (y, h) = torque(time), read(x, example.disturbance(time))
-        now, share = divmod(place, 1.0)
-        drawn = (1.0 - share) * noise[int(now)] + share * noise[int(now) + 1]
-        own, learnt = observer.rates(xi, Xi, np.where(is_noise, drawn, y), u, h)
-        moved = blend(A, h, x) + blend(system.B, h, u)
+    def rates(node: int, state: Array) -> Array:
+        """Return the derivative of plants and observers."""
+        x, xi, Xi = split(state)
+        y, h = read(x, omega[node])
+        drawn = 0.5 * (noise[node // 2] + noise[(node + 1) // 2])
+        own, learnt = observer.rates(xi, Xi, np.where(is_noise, drawn, y), u[node], h)
+        moved = blend(A, h, x) + blend(system.B, h, u[node])
         return np.concatenate([moved, own, learnt.reshape(*own.shape[:-1], -1)], axis=-1)
 
-    states = np.zeros((len(times), len(VARIANTS), 2, n + size + len(A[0]) * p * size))
+    states = np.zeros((count, len(VARIANTS), 2, n + size + len(A[0]) * p * size))
     states[0, ..., :n] = example.initial_state
-    start = noise[0] = read(states[0, 0, 0, :n], example.disturbance(times[0]))[0]
+    start = noise[0] = read(states[0, 0, 0, :n], omega[0])[0]
     # ξ(0) = x̂̄(0) − E_L⁻¹L y(0).
     states[0, ..., n : n + size] = -aug.L1 @ start
     states[0, ..., 2 * n : n + size] += chosen("consistent")[..., 0, 0] * start
-    for k in range(len(times) - 1):
+    for k in range(count - 1):
         now = states[k]
-        first = rates(k, now)
-        second = rates(k + 0.5, now + 0.5 * period * first)
-        third = rates(k + 0.5, now + 0.5 * period * second)
-        fourth = rates(k + 1, now + period * third)
+        first = rates(2 * k, now)
+        second = rates(2 * k + 1, now + 0.5 * period * first)
+        third = rates(2 * k + 1, now + 0.5 * period * second)
+        fourth = rates(2 * k + 2, now + period * third)
         states[k + 1] = now + (period / 6.0) * (first + 2.0 * (second + third) + fourth)
         Xi = split(states[k + 1])[2]
         states[k + 1, ..., n + size :] = clip(Xi, example.xi).reshape(*now.shape[:-1], -1)
     x, xi, Xi = split(states)
-    omega = example.disturbance(times)
+    times, omega = nodes[::2], omega[::2]
     y, h = read(x, omega[:, np.newaxis, np.newaxis])
     x_bar, omega_hat, innovation = observer.estimates(xi, y, h)
     whole = (x_bar[..., :n], omega_hat, innovation, Xi)
