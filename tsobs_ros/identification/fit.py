@@ -233,7 +233,7 @@ def _observable(optimum: Optimum, recording: Recording, advance: Advance) -> Arm
     values = {
         each.name: float(f"{each.start:.6g}")
         for each in numbers_of(request)
-        if not each.from_nothing and each.positive and each.name != TORQUE_GAIN
+        if each.before and each.positive and each.name != TORQUE_GAIN
     }
     nothing = [each.name for each in numbers if not (each.before or each.significant)]
     values |= dict.fromkeys(values.keys() & nothing, 0.0)

@@ -89,19 +89,18 @@ class Number(NamedTuple):
     """A number of a joint and its prior.
 
     Attributes:
-        name, unit: As of `Found`.
-        start: The request's value, or what stands for nothing.
+        name, unit, before: As of `Found`.
         prior_std: 1σ beforehand: of the logarithm if `positive`.
+        start: Where to look from: the request's value, or what stands for nothing.
         positive: Whether its logarithm is estimated.
-        from_nothing: Whether the request has 0, so that `start` is only where to look from.
     """
 
     name: str
     unit: str
-    start: float
+    before: float
     prior_std: float
+    start: float
     positive: bool = True
-    from_nothing: bool = False
 
     def value(self, coordinate: float) -> float:
         """Return the number at a distance from the start, in units of `prior_std`."""
@@ -113,8 +112,7 @@ class Number(NamedTuple):
         """Return what is known of the number from a coordinate and its 1σ."""
         value = self.value(coordinate)
         unit = self.prior_std * (value if self.positive else 1.0)
-        before = 0.0 if self.from_nothing else self.start
-        return Found(self.name, self.unit, before, value, std * unit, unit)
+        return Found(self.name, self.unit, self.before, value, std * unit, unit)
 
 
 def found_named(numbers: Sequence[Found], name: str) -> Found:
@@ -255,9 +253,11 @@ def numbers_of(request: ArmRequest) -> list[Number]:
     arm, period, found = request.arm, request.period, list[Number]()
     torque, speed = arm.reference_torque, float(request.reach[1])
 
-    def add(name: str, start: float, std: float, unit: str | None = None, **kind: bool) -> None:
-        unit = _UNITS.get(name.rpartition(".")[2], "") if unit is None else unit
-        found.append(Number(name, unit, start, std, **kind))
+    def add(
+        name: str, value: float, std: float, nothing: float = 0.0, unit: str = "", **kind: bool
+    ) -> None:
+        unit = unit or _UNITS.get(name.rpartition(".")[2], "")
+        found.append(Number(name, unit, value, std, value or nothing, **kind))
 
     def add_terms(prefix: str, terms: Sequence[DisturbanceTerm], unit: str) -> None:
         units = {"density": f"({unit})²/s", "rate_density": f"({unit})²/s³", "std": unit}
@@ -266,7 +266,7 @@ def numbers_of(request: ArmRequest) -> list[Number]:
                 # A recording does not show those of its start.
                 if key != "kind" and not key.startswith("initial_") and value:
                     std = 0.1 if key == "frequency" else _NOISE
-                    add(f"{prefix}.{place}.{key}", float(value), std, units.get(key))
+                    add(f"{prefix}.{place}.{key}", float(value), std, unit=units.get(key, ""))
 
     for name, entry in UNCERTAINTY.items():
         if start := getattr(arm, name):
@@ -274,25 +274,23 @@ def numbers_of(request: ArmRequest) -> list[Number]:
             add(f"arm.{name}", start, std)
     for name in ("link_damping", "motor_damping"):
         own, bound = getattr(arm, name), request.uncertainty.get(name)
-        start = own or _SMALL * torque / speed
-        std = math.log1p(bound * _BOUND_STD / start) if bound else 2.0 * _UNKNOWN
-        add(f"arm.{name}", start, std if own else _NOISE, from_nothing=own == 0.0)
+        std = math.log1p(bound * _BOUND_STD / own) if bound and own else 2.0 * _UNKNOWN
+        add(f"arm.{name}", own, std if own else _NOISE, _SMALL * torque / speed)
     for name in FRICTION:
-        add(name, _SMALL * torque, _NOISE, from_nothing=True)
+        add(name, 0.0, _NOISE, _SMALL * torque)
     add(TORQUE_GAIN, request.torque.gain, _UNKNOWN)
     add(OFFSET, request.torque.offset, 0.1 * torque, positive=False)
     add(DELAY, request.torque.delay, 2.0 * period, positive=False)
     for side in ("link", "motor"):
-        density = getattr(request.process_noise, side)
-        size = density or 1e-8 * (torque / arm.link_inertia) ** 2 * period
-        add(f"process_noise.{side}", size, _NOISE, from_nothing=density == 0.0)
+        small = 1e-8 * (torque / arm.link_inertia) ** 2 * period
+        add(f"process_noise.{side}", getattr(request.process_noise, side), _NOISE, small)
     for place, output in enumerate(request.sensors):
         name, unit = output.measures, "rad" if output.measures.endswith("_angle") else "rad/s"
-        add(f"{name}.measurement_std", output.measurement_std, _NOISE, unit)
+        add(f"{name}.measurement_std", output.measurement_std, _NOISE, unit=unit)
         if place and unit == "rad":
             add(f"{name}.delay", output.delay, 2.0 * period, positive=False)
         if unit == "rad" and not output.model.state_count and (place or arm.gravity_torque):
-            add(f"{name}.offset", 0.0, _ZERO, unit, positive=False)
+            add(f"{name}.offset", 0.0, _ZERO, unit=unit, positive=False)
         add_terms(f"{name}.disturbance", output.disturbance, unit)
     for side in SIDES:
         add_terms(f"torque_disturbance.{side}", getattr(request.torque_disturbance, side), "N m")
