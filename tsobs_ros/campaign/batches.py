@@ -26,30 +26,15 @@ from tsobs_ros.report.run import ESTIMATED, RecordedRun
 from tsobs_ros.series import NANOSECONDS, Series
 from tsobs_ros.simulation.plant import Plant, Trajectories
 
-CLAIMS: Mapping[str, tuple[Basis, ...]] = {
-    "certified": (Basis.CERTIFIED,),
-    "learnt": (Basis.LEARNT,),
-    "covariance": (
-        Basis.COVARIANCE,
-        Basis.STARTING,
-        Basis.GAP,
-        Basis.JUMP,
-        Basis.HYPOTHESIS,
-    ),
-    "none": (Basis.CONTRADICTED, Basis.OUTSIDE),
-}
-"""What a claimed bound is said to be by its basis: the certificate's, the certificate's but for the
-learnt parameters, a covariance; and nothing, which any other one is said to be."""
+CLAIMS = ("certified", "learnt", "covariance", "none")
+"""What a bound is said to be by its basis: the certificate's, the certificate's but for the learnt
+parameters, a covariance; and nothing, which one that is not claimed is said to be."""
 
 DOMAIN = "domain"
 """The premise that the arm stays in the certificate's domain."""
 
 Columns: TypeAlias = dict[str, NDArray[Any]]
 """Of a table, by name, one entry per run."""
-
-_CLAIM_OF = np.array(
-    [[basis in bases for bases in CLAIMS.values()].index(True) for basis in Basis], np.int64
-)
 
 
 class Observed(NamedTuple):
@@ -143,10 +128,10 @@ def claimed(run: RecordedRun, rows: Rows) -> dict[str, int | float]:
     inside `SIGMAS` times their bound, and the root mean square and the largest of error / bound,
     NaN without any.
     """
-    basis, known = rows["basis"], np.isfinite(rows["basis"])
-    said = np.full(len(basis), -1)
-    of_basis = _CLAIM_OF[basis[known].astype(int)]
-    said[known] = np.where(rows["claimed"][known] == 0.0, len(CLAIMS) - 1, of_basis)
+    # The first two claims have the codes of their basis; it is NaN without an estimate.
+    basis = rows["basis"]
+    said, is_bad = np.minimum(basis, 2.0), basis >= Basis.CONTRADICTED
+    said[np.isfinite(basis) & (is_bad | (rows["claimed"] == 0.0))] = 3.0
     found: dict[str, int | float] = {
         f"{name}_samples": int((said == claim).sum()) for claim, name in enumerate(CLAIMS)
     }
@@ -186,27 +171,17 @@ def compute(campaign: Campaign, begin: int, end: int) -> Columns:
             metrics = measure(run, settle_time=campaign.entries.settle_time)
             reach = float(np.abs(truth.physical[place, :, 0]).max())
             broken = violated(scenario, request) + (DOMAIN,) * (reach > request.max_angle)
-            errors = {
-                "normalised_rmse": metrics.normalised_rmse,
-                **{
-                    f"{one.quantity.key}_{what}": getattr(one, what)
-                    for one in metrics.quantities
-                    for what in ("rmse", "bound", "inside")
-                },
-            }
-            row = {
-                "run": drawn.run,
-                "scenario": drawn.name,
-                "seed": drawn.seed,
-                "drawn": json.dumps(drawn.numbers),
-                **{f"start_{k}": x for k, x in zip(request.state_names, start, strict=True)},
-                **{f"true_{k}": x for k, x in drawn.theta.items()},
-                "premises_hold": not broken,
-                "violated": ", ".join(broken),
-                "max_link_angle": reach,
-                **{k: math.nan if x is None else x for k, x in errors.items()},
-                **claimed(run, observed.rows[place]),
-            }
+            row: dict[str, Any] = {"run": drawn.run, "scenario": drawn.name, "seed": drawn.seed}
+            row["drawn"] = json.dumps(drawn.numbers)
+            row |= {f"start_{name}": x for name, x in zip(request.state_names, start, strict=True)}
+            row |= {f"true_{name}": x for name, x in drawn.theta.items()}
+            row |= {"premises_hold": not broken, "violated": ", ".join(broken)}
+            row |= {"max_link_angle": reach, "normalised_rmse": metrics.normalised_rmse}
+            for one in metrics.quantities:
+                names = [f"{one.quantity.key}_{what}" for what in ("rmse", "bound", "inside")]
+                row |= zip(names, (one.rmse, one.bound, one.inside), strict=True)
+            row = {name: math.nan if x is None else x for name, x in row.items()}
+            row |= claimed(run, observed.rows[place])
             last = observed.rows[place][-1]
             for at, name in enumerate(learnt):
                 row[f"learnt_{name}"] = float(last["parameters"][at])
