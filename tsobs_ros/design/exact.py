@@ -111,18 +111,13 @@ def _decreases(design: Design) -> Iterator[tuple[str, Rational, Rational]]:
         corners = request.flow.corners(slopes, request.covered, bounds, period / 2, rational)
     else:
         corners = request.corners(number=rational)
-    step = _after_arm_step if isinstance(request, ArmRequest) else _after_system_step
     pairs = product([inverted @ corner.matrix @ D for corner in corners], repeat=2)
     for vertex, (first, second) in zip(request.vertices(), pairs, strict=True):
-        after = step(phi, noise, period, first, second, posterior)
+        if isinstance(request, ArmRequest):
+            after = second @ _bounded(phi, noise, first @ posterior @ first.T) @ second.T
+        else:
+            after = _after_system_step(phi, noise, period, first, second, posterior)
         yield vertex.where, kept * X - after, period * X
-
-
-def _after_arm_step(
-    phi: Enclosure, noise: Enclosure, T: Fraction, first: Rational, second: Rational, W: Rational
-) -> Rational:
-    """Return an upper bound on the covariance after an arm's step from W."""
-    return np.asarray(second @ _bounded(phi, noise, first @ W @ first.T) @ second.T)
 
 
 def _after_system_step(
@@ -200,19 +195,15 @@ def noise_integral(matrix: Rational, density: Rational) -> Enclosure:
 
 
 def cosine_below(angle: Fraction) -> Fraction:
-    """Return a fraction at most cos x, and hardly less."""
+    """Return a fraction below cos x, and hardly less."""
     turn = exponential(np.array([[Fraction(0), -angle], [angle, Fraction(0)]], dtype=object))
-    lowest: Fraction = turn.centre[0, 0] - turn.radius
-    return max(lowest, Fraction(-1))
+    return Fraction(turn.centre[0, 0] - turn.radius)
 
 
 def decay_below(exponent: Fraction) -> Fraction:
-    """Return a fraction at most e^{−x} for x ≥ 0, and hardly less; e⁰ is 1."""
-    if exponent == 0:
-        return Fraction(1)
+    """Return a fraction below e^{−x}, and hardly less."""
     decay = exponential(np.array([[-exponent]], dtype=object))
-    lowest: Fraction = decay.centre[0, 0] - decay.radius
-    return max(lowest, Fraction(0))
+    return Fraction(decay.centre[0, 0] - decay.radius)
 
 
 def _series(

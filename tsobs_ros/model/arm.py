@@ -123,26 +123,22 @@ class ElasticJointArm:
         Raises:
             ModelError: A name is unknown or listed twice, or a velocity is late.
         """
-        for place, name in enumerate(outputs):
+        rows, late = np.zeros((len(outputs), 4)), delays or (0.0,) * len(outputs)
+        for place, (name, delay) in enumerate(zip(outputs, late, strict=True)):
+            problem = ""
             if name not in QUANTITIES:
-                raise ModelError(
-                    f"outputs[{place}]: expected one of {', '.join(QUANTITIES)}, got {shown(name)}"
-                )
-            if name in outputs[:place]:
-                raise ModelError(
-                    f"outputs[{place}]: {name} is listed already, as outputs[{outputs.index(name)}]"
-                )
-        places = [QUANTITIES.index(name) for name in outputs]
-        rows = np.diag(self._physical_scale)[places]
-        for place, (row, delay) in enumerate(zip(rows, delays, strict=bool(delays))):
+                problem = f": expected one of {', '.join(QUANTITIES)}, got {shown(name)}"
+            elif name in outputs[:place]:
+                problem = f": {name} is listed already, as outputs[{outputs.index(name)}]"
+            elif delay and name not in ANGLES:
+                problem = f".delay: expected 0 for {name}, as only angles can be late, got {delay}"
+            if problem:
+                raise ModelError(f"outputs[{place}]{problem}")
+            state = QUANTITIES.index(name)
+            rows[place, state] = self._physical_scale[state]
             if delay:
-                if outputs[place] not in ANGLES:
-                    raise ModelError(
-                        f"outputs[{place}].delay: expected 0 for {outputs[place]}, as only angles "
-                        f"can be late, got {delay!r}"
-                    )
-                row[places[place] + 1] = -delay * row[places[place]]
-        return as_matrix("output_matrix", rows, (len(places), 4))
+                rows[place, state + 1] = -delay * rows[place, state]
+        return as_matrix("output_matrix", rows, rows.shape)
 
     @cached_property
     def _physical_scale(self) -> Array:
