@@ -1,23 +1,20 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults, rejected measurements and timing, as the observer's recorded diagnostics have them."""
+"""Faults and rejected measurements, as the observer's recorded diagnostics have them."""
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-import numpy as np
-
 from tsobs_ros.bag.cdr import RecordedStatus
-from tsobs_ros.checks import Array
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.series import NANOSECONDS
 
-_FAULT, _REJECTED = "sensor fault", "rejected: "
-_TIMING = tuple(f"{what} p{p} [ms]" for what in ("latency", "tick time") for p in (50, 99))
+_FAULT, _REASONS = "sensor fault", tuple(reason.text for reason in RejectReason)
 # A fault that the next status does not repeat has ended by then; they are a second apart.
 _APART = 2.5
 _MAX_KIND = 40
@@ -47,18 +44,14 @@ class Diagnosed:
     Attributes:
         count: Number of statuses.
         rejected: Number of rejected measurements by reason, without those that are zero.
-        reject_rates: Times [s] and rejects per second of the same reasons.
-        timing: Times [s] and values of the node's timing [ms], by name.
     """
 
     count: int = 0
     faults: list[FaultSpan] = field(default_factory=list)
-    rejected: dict[str, int] = field(default_factory=dict)
-    reject_rates: dict[str, tuple[Array, Array]] = field(default_factory=dict)
-    timing: dict[str, tuple[Array, Array]] = field(default_factory=dict)
+    rejected: Counter[str] = field(default_factory=Counter)
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return it as plain data, without the curves."""
+        """Return it as plain data."""
         return {
             "faults": [{**asdict(one), "level": one.level.name} for one in self.faults],
             "rejected": self.rejected,
@@ -67,9 +60,7 @@ class Diagnosed:
 
 def diagnose(statuses: Iterable[RecordedStatus], origin: int, until: float) -> Diagnosed:
     """Gather what statuses have up to the end of a run [s]; times count from a stamp [ns]."""
-    found, running = Diagnosed(), dict[str, FaultSpan]()
-    reasons = {f"{_REJECTED}{reason.text}": reason.text for reason in RejectReason}
-    numbers: dict[str, list[tuple[float, float]]] = {key: [] for key in (*_TIMING, *reasons)}
+    found, running, counted = Diagnosed(), dict[str, FaultSpan](), Counter[str]()
     for status in statuses:
         time = (status.stamp - origin) / NANOSECONDS
         if not 0.0 <= time <= until + 1.0:
@@ -87,17 +78,17 @@ def diagnose(statuses: Iterable[RecordedStatus], origin: int, until: float) -> D
                 running[output] = fault
                 found.faults += [fault] if fault is not known else []
             continue
-        for key in status.values.keys() & numbers:
-            numbers[key].append((time, _number(status.values[key])))
-    for key, pairs in numbers.items():
-        times, values = np.array(pairs).reshape(-1, 2).T
-        grown = np.maximum(np.diff(values, prepend=0.0), 0.0)
-        if key in _TIMING and pairs:
-            found.timing[key.removesuffix(" [ms]")] = (times, values)
-        elif key in reasons and (total := int(grown.sum())):
-            lengths = np.maximum(np.diff(times, prepend=times[0] - 1.0), 0.1)
-            found.rejected[reasons[key]] = total
-            found.reject_rates[reasons[key]] = (times, grown / lengths)
+        latest = Counter(
+            {
+                reason: int(_number(status.values[key]))
+                for reason in _REASONS
+                if (key := f"rejected: {reason}") in status.values
+            }
+        )
+        if latest:
+            # Counts that have fallen are those of an observer that was started again.
+            found.rejected += latest - counted
+            counted = latest
     return found
 
 

@@ -202,10 +202,6 @@ def picture(
         singles.append(_health(run.health.seconds(run.origin), run.health.values))
     singles += _learnt(run)
     singles += intervals
-    if diagnosed.timing:
-        singles.append(lines("node's latency and tick time", "ms", diagnosed.timing))
-    if diagnosed.reject_rates:
-        singles.append(lines("rejected", "1/s", diagnosed.reject_rates))
     measured = float(run.measurements.seconds(run.origin).max(initial=0.0))
     settled = [edge for window in metrics.windows for edge in window]
     edges = [float(run.times[0]), *settled, last]

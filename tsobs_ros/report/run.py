@@ -242,7 +242,7 @@ def read_run(
 
 
 def diagnostics(source: BagSource) -> Iterator[RecordedStatus]:
-    """Yield the recorded statuses of the observer that are of a source's only joint, or of all."""
+    """Yield the recorded statuses of the observer that are of a source's only joint."""
     topic = source.reader.topics.get("/diagnostics")
     node = f"{source.namespace}/observer".strip("/")
     if topic is None or topic.type != DIAGNOSTICS:
@@ -250,8 +250,8 @@ def diagnostics(source: BagSource) -> Iterator[RecordedStatus]:
     mark = f"{node}: ".encode()
     for message in source.reader.messages([topic.name]):
         for status in read_statuses(message.data) if mark in message.data else ():
-            of_all = status.name[-1] == "timing" or len(source.ran.designs) <= 1
-            if status.name[0] == node and (of_all or {*status.name[1:2]} & {*source.joints}):
+            is_alone = len(source.ran.designs) <= 1
+            if status.name[0] == node and (is_alone or {*status.name[1:2]} & {*source.joints}):
                 yield status
 
 
