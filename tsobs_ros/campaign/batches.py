@@ -130,8 +130,9 @@ def claimed(run: RecordedRun, rows: Rows) -> dict[str, int | float]:
     """
     # The first two claims have the codes of their basis; it is NaN without an estimate.
     basis = rows["basis"]
-    said, is_bad = np.minimum(basis, 2.0), basis >= Basis.CONTRADICTED
-    said[np.isfinite(basis) & (is_bad | (rows["claimed"] == 0.0))] = 3.0
+    said = np.minimum(basis, 2.0)
+    is_bad = (rows["claimed"] == 0.0) | np.isin(basis, (Basis.CONTRADICTED, Basis.OUTSIDE))
+    said[np.isfinite(basis) & is_bad] = 3.0
     found: dict[str, int | float] = {
         f"{name}_samples": int((said == claim).sum()) for claim, name in enumerate(CLAIMS)
     }
