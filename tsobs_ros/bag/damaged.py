@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags that may be damaged: the topics and messages their files still hold, and what is lost."""
 
-import re
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
@@ -17,14 +16,10 @@ from tsobs_ros.bag.metadata import (
     BagMetadata,
     Descriptions,
     TopicInfo,
-    read_metadata,
 )
 from tsobs_ros.bag.walker import Damage, FileWalker, Part, Progress
-from tsobs_ros.errors import BagReadError
 from tsobs_ros.files import open_regular
 from tsobs_ros.yaml_files import MAX_BYTES, load_yaml
-
-_NUMBER = re.compile(r"_(\d+)$")
 
 
 class DamagedFile:
@@ -146,57 +141,3 @@ class DamagedFile:
                         self.metadata = BagMetadata.from_map(load_yaml(text))
             case Schema() | Channel():
                 self.described.add(record)
-
-
-class BagFiles:
-    """The files of a bag in order of recording, and what names them.
-
-    Args:
-        bag: A bag folder, with or without metadata.yaml, or one MCAP file.
-
-    Attributes:
-        listed: Those that metadata.yaml names, whether they are there or not; or the one file.
-        others: The other files in the folder.
-        metadata: The content of metadata.yaml; None without it.
-        problem: What is wrong with it.
-
-    Raises:
-        BagReadError: There is no such folder or file.
-    """
-
-    def __init__(self, bag: Path) -> None:
-        self.path, self.listed, self.others = bag, [bag], list[Path]()
-        self.metadata: BagMetadata | None = None
-        self.problem = ""
-        if not bag.exists():
-            raise BagReadError(f"{bag}: there is no such bag")
-        if not bag.is_dir():
-            return
-        try:
-            # Not glob, which takes a folder that cannot be read for an empty one.
-            present = sorted(bag.iterdir(), key=_by_number)
-        except OSError as error:
-            raise BagReadError(f"{bag}: cannot read it: {error.strerror or error}") from error
-        try:
-            self.metadata = read_metadata(bag)
-        except BagReadError as error:
-            self.problem = str(error)
-        # Nothing outside of the folder is opened: readers, too, take the last part of a path.
-        files = self.metadata.files if self.metadata else ()
-        self.listed = list(dict.fromkeys(bag / Path(file.path).name for file in files))
-        self.others = [path for path in present if path not in self.listed]
-
-    def to_recover(self) -> list[Path]:
-        """Return those that may hold messages.
-
-        Raises:
-            BagReadError: There are none.
-        """
-        if files := [*self.listed, *(path for path in self.others if path.suffix == ".mcap")]:
-            return files
-        raise BagReadError(f"{self.path}: not a bag, there is no .mcap file in it")
-
-
-def _by_number(path: Path) -> tuple[int, str]:
-    match = _NUMBER.search(path.stem)
-    return (int(match[1]) if match else -1, path.name)

@@ -3,6 +3,7 @@
 """The topics, QoS and files of a bag, and its `metadata.yaml` of version 9, which Jazzy writes."""
 
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +23,7 @@ FILE_NAME = "metadata.yaml"
 ROOT_KEY = "rosbag2_bagfile_information"
 EMPTY_START_NS = 2**63 - 1
 
+_NUMBER = re.compile(r"_(\d+)$")
 _MAX_DESCRIPTIONS = 2**26
 _OF_PUBLISHER = ("unknown", "best_available")
 # In the order of the RMW's enumerations: bags from before Jazzy name a policy by its number.
@@ -370,6 +372,60 @@ def read_metadata(folder: Path) -> BagMetadata:
         return BagMetadata.from_map(root[ROOT_KEY])
     except ValueError as error:
         raise BagReadError(f"{path}: {error}") from error
+
+
+class BagFiles:
+    """The files of a bag in order of recording, and what names them.
+
+    Args:
+        bag: A bag folder, with or without metadata.yaml, or one MCAP file.
+
+    Attributes:
+        listed: Those that metadata.yaml names, whether they are there or not; or the one file.
+        others: The other files in the folder.
+        metadata: The content of metadata.yaml; None without it.
+        problem: What is wrong with it.
+
+    Raises:
+        BagReadError: There is no such folder or file.
+    """
+
+    def __init__(self, bag: Path) -> None:
+        self.path, self.listed, self.others = bag, [bag], list[Path]()
+        self.metadata: BagMetadata | None = None
+        self.problem = ""
+        if not bag.exists():
+            raise BagReadError(f"{bag}: there is no such bag")
+        if not bag.is_dir():
+            return
+        try:
+            # Not glob, which takes a folder that cannot be read for an empty one.
+            present = sorted(bag.iterdir(), key=_by_number)
+        except OSError as error:
+            raise BagReadError(f"{bag}: cannot read it: {error.strerror or error}") from error
+        try:
+            self.metadata = read_metadata(bag)
+        except BagReadError as error:
+            self.problem = str(error)
+        # Nothing outside of the folder is opened: readers, too, take the last part of a path.
+        files = self.metadata.files if self.metadata else ()
+        self.listed = list(dict.fromkeys(bag / Path(file.path).name for file in files))
+        self.others = [path for path in present if path not in self.listed]
+
+    def to_recover(self) -> list[Path]:
+        """Return those that may hold messages.
+
+        Raises:
+            BagReadError: There are none.
+        """
+        if files := [*self.listed, *(path for path in self.others if path.suffix == ".mcap")]:
+            return files
+        raise BagReadError(f"{self.path}: not a bag, there is no .mcap file in it")
+
+
+def _by_number(path: Path) -> tuple[int, str]:
+    match = _NUMBER.search(path.stem)
+    return (int(match[1]) if match else -1, path.name)
 
 
 def _dump(content: Mapping[str, Any]) -> str:

@@ -34,7 +34,7 @@ from tsobs_ros.bag.container import (
     read_chunk,
     read_summary,
 )
-from tsobs_ros.bag.metadata import BagMetadata, Descriptions, TopicInfo, read_metadata
+from tsobs_ros.bag.metadata import BagFiles, Descriptions, TopicInfo
 from tsobs_ros.errors import BagReadError, missing_library
 from tsobs_ros.files import open_regular
 from tsobs_ros.series import Stamps
@@ -109,18 +109,13 @@ class BagReader:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.metadata: BagMetadata | None = None
-        self.files: tuple[Path, ...] = (self.path,)
-        if self.path.is_dir():
-            try:
-                self.metadata = read_metadata(self.path)
-            except BagReadError as error:
-                if any(self.path.glob("*.mcap")):
-                    raise BagReadError(f"{error}; {RECOVER_HINT}") from error
-                raise
-            if (storage := self.metadata.storage_identifier) != "mcap":
-                raise self._error(f"storage '{storage}' is not supported, only mcap is")
-            self.files = tuple(self.path / Path(f.path).name for f in self.metadata.files)
+        there = BagFiles(self.path)
+        self.metadata, self.files = there.metadata, tuple(there.listed)
+        if there.problem:
+            is_bag = any(path.suffix == ".mcap" for path in there.others)
+            raise BagReadError(f"{there.problem}; {RECOVER_HINT}" if is_bag else there.problem)
+        if self.metadata and (storage := self.metadata.storage_identifier) != "mcap":
+            raise self._error(f"storage '{storage}' is not supported, only mcap is")
         self.topics: dict[str, TopicInfo] = {}
         self.unchecked = 0
         self.summaries = tuple(read_summary(file, rank) for rank, file in enumerate(self.files))

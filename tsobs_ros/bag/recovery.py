@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tsobs_ros.bag.damaged import BagFiles, DamagedFile
-from tsobs_ros.bag.metadata import TopicInfo
+from tsobs_ros.bag.damaged import DamagedFile
+from tsobs_ros.bag.metadata import BagFiles, TopicInfo
 from tsobs_ros.bag.walker import Progress
 from tsobs_ros.bag.writer import BagWriter, whole_bag
 from tsobs_ros.errors import BagReadError, BagWriteError, printable

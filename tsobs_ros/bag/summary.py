@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from tsobs_ros.bag.container import Span, by_channel
-from tsobs_ros.bag.damaged import BagFiles, DamagedFile
-from tsobs_ros.bag.metadata import TopicInfo
+from tsobs_ros.bag.damaged import DamagedFile
+from tsobs_ros.bag.metadata import BagFiles, TopicInfo
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.errors import BagReadError, printable
 

@@ -15,7 +15,7 @@ from staging import start
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.errors import BagReadError, ParameterError
-from tsobs_ros.nodes.player.topics import offered_qos
+from tsobs_ros.nodes.player import offered_qos
 from tsobs_ros.resources import config_path
 
 Play = Callable[..., Any]
