@@ -38,7 +38,7 @@ HOME: dict[str, set[str]] = {
     "cvxpy": {"design"},
     "clarabel": {"design"},
     "scipy": {"design", "identification"},
-    "matplotlib": {"report", "paper"},
+    "matplotlib": {"report"},
     "plotly": {"report"},
     "pyarrow": {"campaign", "report"},
     "distributed": {"campaign"},

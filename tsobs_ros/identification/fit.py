@@ -5,6 +5,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -168,20 +169,17 @@ def _with_disturbed_sensor(
     part = recording.middle(_MIDDLE_SAMPLES)
     numbers = zip(optimum.unknowns.numbers, optimum.coordinates.tolist(), strict=True)
     noisy = any(one.name.startswith("process_noise") and at > 1.0 for one, at in numbers)
-    before = best = _free_run(optimum.joint, part) if noisy else 100.0
-    changed, chosen, name = request, optimum, ""
+    before, tried = _free_run(optimum.joint, part) if noisy else 100.0, []
     for place, output in enumerate(request.sensors if before < _POOR else ()):
-        if output.model.state_count:
-            continue
-        swing = float(np.nanstd(part.y[:, place]))
-        term = DisturbanceTerm("gauss_markov", {"std": 0.02 * swing, "time_constant": 0.03})
-        disturbed = request.with_terms(place, (term,))
-        unknowns = Unknowns.of(disturbed, free)
-        tried = maximise(unknowns, part, advance, starts=1, steps=_FEW_STEPS)
-        reached = _free_run(tried.joint, part)
-        if 100.0 - reached < 0.5 * (100.0 - best):
-            changed, chosen, name, best = disturbed, tried, output.measures, reached
-    if not name:
+        if not output.model.state_count:
+            swing = float(np.nanstd(part.y[:, place]))
+            term = DisturbanceTerm("gauss_markov", {"std": 0.02 * swing, "time_constant": 0.03})
+            disturbed = request.with_terms(place, (term,))
+            unknowns = Unknowns.of(disturbed, free)
+            found = maximise(unknowns, part, advance, starts=1, steps=_FEW_STEPS)
+            tried.append((_free_run(found.joint, part), disturbed, found, output.measures))
+    best, changed, chosen, name = max(tried, key=itemgetter(0), default=(0.0, request, optimum, ""))
+    if not 100.0 - best < 0.5 * (100.0 - before):
         return request, optimum, []
     text = f"something that {name} shows and the arm does not do: a free run explains "
     text += f"{best:.3g} % with it, {before:.3g} % without"
