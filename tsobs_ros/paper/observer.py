@@ -145,12 +145,19 @@ def paper_observer(
         )
     aug = Augmentation(example_3().system)
     H1 = aug.E_L_inverse @ EXAMPLE_3_H
-    return _estimator(
-        aug,
-        np.array([A - product(H, aug.C_bar) for A, H in zip(aug.A1, H1, strict=True)]),
-        period,
-        scale=arm.to_physical(np.ones(aug.system.state_count)),
+    F = np.array([A - product(H, aug.C_bar) for A, H in zip(aug.A1, H1, strict=True)])
+    n, (_, size, p) = aug.system.state_count, H1.shape
+    return open_estimator(
+        F,
+        np.zeros_like(H1),
+        aug.B1,
+        aug.C_bar,
+        period=positive("period", period),
+        scale=arm.to_physical(np.ones(n)),
         measurement_covariance=np.array([[positive("measurement_std", measurement_std) ** 2]]),
+        rule_base=aug.system.rule_base,
+        D=product(aug.C_bar, aug.L1),
+        disturbance=(np.eye(p, size, n), aug.L1[n:]),
         torque=torque,
     )
 
@@ -159,7 +166,7 @@ def paper_system_observer(request: TSRequest) -> Estimator:
     """Return the method's observer for a T–S system, started at ω̂₀(0) = y(0) − C x̂(0).
 
     From this start e_y and Ξ̂ᵢ stay zero (Proposition 1 of docs/method.md), so neither gains nor the
-    adaptive law enter the estimate.
+    adaptive law enter the estimate: x̂ is the model, and ω̂ = y − Σ hᵢCᵢx̂ by (29).
 
     Args:
         request: Of the design; its disturbance model, noise and vertices are not used.
@@ -168,14 +175,25 @@ def paper_system_observer(request: TSRequest) -> Estimator:
         ModelError: The premise is not what the method measures, the first outputs.
     """
     _require_measured_premise(request)
-    aug = Augmentation(request.model)
-    return _estimator(
-        aug,
-        aug.A1,
-        request.period,
-        scale=np.ones(aug.system.state_count),
+    model, rate = request.model, 1.0 / request.period
+    (r, n, _), p, scheduled = model.A.shape, len(model.C), model.schedule.shape[1]
+    # p states more follow Σ hᵢ(Cᵢ − C)x̂ within a period, as weights enter derivatives only.
+    mismatch = model.rule_outputs - model.rule_outputs[0]
+    mean = sum(mismatch[1:], start=mismatch[0]) / r
+    F = np.pad(model.A, ((0, 0), (0, p), (0, p)))
+    F[:, n:, :n] = rate * (mean + _MIDPOINT * (mismatch - mean))
+    F[:, n:, n:] = -rate * np.eye(p)
+    return open_estimator(
+        F,
+        np.zeros((r, n + p, p)),
+        np.pad(model.B, ((0, 0), (0, p), (0, scheduled))),
+        np.zeros((p, n + p)),
+        period=request.period,
+        scale=np.ones(n),
         measurement_covariance=request.measurement_covariance,
-        scheduled=request.model.schedule.shape[1],
+        rule_base=model.rule_base,
+        D=np.eye(p),
+        disturbance=(np.hstack([-model.rule_outputs[0], -np.eye(p)]), np.eye(p)),
     )
 
 
@@ -193,44 +211,3 @@ def _require_measured_premise(request: TSRequest) -> None:
                 f"method paper: expected premise {j + 1} to be {expected}, or a scheduled signal "
                 "of its name, as the method measures its premises; got another one"
             )
-
-
-def _estimator(
-    aug: Augmentation,
-    F: Array,
-    period: float,
-    *,
-    scale: Array,
-    measurement_covariance: Array,
-    scheduled: int = 0,
-    torque: TorquePath = DIRECT,
-) -> Estimator:
-    """Return ξ' = Σ hᵢ(Fᵢξ + E_L⁻¹B̄ᵢu) without adaptation, Fᵢ = A₁ᵢ − H₁ᵢC̄; no other y enters.
-
-    (29) takes Σ hᵢ(Cᵢ − C)x̂ from ω̂₀. If the Cᵢ differ, p states more follow that sum within a
-    period, as weights enter derivatives only. `scheduled` signals after the inputs are not used.
-    """
-    (r, size, _), (n, p) = F.shape, (aug.system.state_count, len(aug.C))
-    U = np.concatenate([aug.B1, np.zeros((r, size, scheduled))], axis=2)
-    C_bar, omega = aug.C_bar, np.eye(p, size, n)
-    mismatch = aug.system.rule_outputs - aug.C
-    if mismatch.any():
-        rate = 1.0 / positive("period", period)
-        F, U = np.pad(F, ((0, 0), (0, p), (0, p))), np.pad(U, ((0, 0), (0, p), (0, 0)))
-        mean = sum(mismatch[1:], start=mismatch[0]) / r
-        F[:, size:, :n] = rate * (mean + _MIDPOINT * (mismatch - mean))
-        F[:, size:, size:] = -rate * np.eye(p)
-        C_bar, omega = np.pad(C_bar, ((0, 0), (0, p))), np.hstack([omega, -np.eye(p)])
-    return open_estimator(
-        F,
-        np.zeros((*F.shape[:2], p)),
-        U,
-        C_bar,
-        period=positive("period", period),
-        scale=scale,
-        measurement_covariance=measurement_covariance,
-        rule_base=aug.system.rule_base,
-        D=product(aug.C_bar, aug.L1),
-        disturbance=(omega, aug.L1[n:]),
-        torque=torque,
-    )
