@@ -169,7 +169,7 @@ def test_what_was_certified_cannot_be_changed_afterwards(design: Design) -> None
     bounds = {"stiffness": 0.1}
     arm = ArmRequest(uncertainty=bounds)
     bounds["stiffness"] = 0.4
-    assert (arm.uncertainty["stiffness"], arm.uncertainty_model.bounds["stiffness"]) == (0.1, 0.1)
+    assert (arm.uncertainty["stiffness"], arm.uncertainty_model.limits.tolist()) == (0.1, [0.1])
     for mapping in (arm.uncertainty, arm.disturbance[0]):
         with pytest.raises(TypeError, match="item assignment"):
             mapping["density"] = 1.0

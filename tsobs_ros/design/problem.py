@@ -135,7 +135,8 @@ class Request(ABC):
     def covered(self) -> Uncertainty:
         """The uncertain parameters that the certificate covers up to their bounds."""
         known = self.uncertainty_model
-        return known if self.certify_uncertainty else Uncertainty({}, known.directions[:0])
+        nothing = Uncertainty((), known.limits[:0], known.directions[:0])
+        return known if self.certify_uncertainty else nothing
 
     @property
     def disturbance_labels(self) -> list[str]:

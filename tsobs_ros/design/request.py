@@ -189,20 +189,19 @@ class ArmRequest(Request):
     """What is measured, one entry per output."""
 
     def __post_init__(self) -> None:
-        link_angle = QUANTITIES[LINK_ANGLE], self.measurement_std, self.disturbance
-        sensors = tuple(self.outputs) or (Output(*link_angle),)
+        alone = Output(QUANTITIES[LINK_ANGLE], self.measurement_std, self.disturbance)
+        sensors = tuple(self.outputs) or (alone,)
         measured = tuple(each.measures for each in sensors)
-        sides = {side: getattr(self.torque_disturbance, side) for side in SIDES}
         self.arm.measured(measured, [each.delay for each in sensors])
+        given = {each.measures: each.disturbance for each in sensors}
+        sides = {side: getattr(self.torque_disturbance, side) for side in SIDES}
+        given |= {f"the torque at the {side}": terms for side, terms in sides.items()}
         self._take(
             sensors=sensors,
             outputs=tuple(self.outputs),
             disturbance=sensors[0].disturbance,
             measurement_std=sensors[0].measurement_std,
-            channels=(
-                *(Channel.of(each.measures, each.disturbance) for each in sensors),
-                *(Channel.of(f"the torque at the {side}", sides[side]) for side in SIDES),
-            ),
+            channels=tuple(Channel.of(*each) for each in given.items()),
             torque_sides=tuple(side for side in SIDES if sum_of(sides[side]).state_count),
             output_std=np.array([each.measurement_std for each in sensors]),
             x_max=finite("x_max", self.x_max),
@@ -314,7 +313,8 @@ class ArmRequest(Request):
         slopes = "the arm without gravity"
         if self.arm.gravity_torque:
             slopes = f"gravity slopes [{self.slope_range[0]:.4g}, 1] (|q1| <= {self.x_max:.4g} rad)"
-        bounds = [f"{name} ± {bound:.4g}" for name, bound in self.covered.bounds.items()]
+        each = zip(self.covered.names, self.covered.limits, strict=True)
+        bounds = [f"{name} ± {bound:.4g}" for name, bound in each]
         return ", ".join(filter(None, (slopes, " and ".join(bounds))))
 
     @property

@@ -92,7 +92,7 @@ def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncert
     of_motor = found["motor_inverse_inertia"][0, motor]
     of_motor[:4], of_motor[TORQUE] = arm.spring_matrix[motor], arm.input_matrix[motor, 0]
     stack = np.reshape([found[name] for name in bounds], (len(bounds), 1, 4, EXTERNAL + 1))
-    return Uncertainty(bounds, stack)
+    return Uncertainty(tuple(bounds), np.array([*bounds.values()], np.float64), stack)
 
 
 class ArmFlow(Flow):

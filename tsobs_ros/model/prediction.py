@@ -23,7 +23,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, Fixed, as_matrix, positive
+from tsobs_ros.checks import Array, as_matrix, fixed, positive
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
@@ -56,35 +56,27 @@ class Uncertainty:
     link. The arm is a single rule of them.
 
     Attributes:
-        bounds: |θ| at most so much, by name; their order is that of θ.
+        names: Of the parameters, in the order of θ.
+        limits: Bound of each |θ|, shape (k,).
         directions: E_{k,i}, shape (k, r, n, c) for c signals, of which the state is the first n.
 
     Raises:
         ModelError: A direction is not finite.
     """
 
-    bounds: Mapping[str, float]
+    names: tuple[str, ...]
+    limits: Array
     directions: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "bounds", Fixed(self.bounds))
-        shape = (len(self.bounds), *np.shape(self.directions)[1:])
-        object.__setattr__(self, "directions", as_matrix("directions", self.directions, shape))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters, in the order of θ."""
-        return tuple(self.bounds)
+        as_matrix("directions", self.directions, self.directions.shape)
+        for array in (self.limits, self.directions):
+            fixed(array)
 
     @property
     def count(self) -> int:
         """Number k of uncertain parameters."""
-        return len(self.bounds)
-
-    @cached_property
-    def limits(self) -> Array:
-        """Bound of each |θ|, shape (k,)."""
-        return np.array([float(bound) for bound in self.bounds.values()])
+        return len(self.names)
 
     @property
     def linear(self) -> Array:

@@ -214,7 +214,8 @@ def system_uncertainty(model: TSModel, directions: Mapping[str, Direction]) -> U
         if not matrix.any():
             raise ModelError(f"uncertainty.{name}.E: expected a matrix other than zero")
         placed[..., :n] = matrix
-    return Uncertainty({name: each.bound for name, each in directions.items()}, stack)
+    limits = np.array([each.bound for each in directions.values()], np.float64)
+    return Uncertainty(tuple(directions), limits, stack)
 
 
 def _length(name: str, matrix: ArrayLike, axis: int, axes: int) -> int:
