@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from tsobs_ros.design.feasibility import find_obstacles
 from tsobs_ros.design.request import AnyRequest, ArmRequest, Output
+from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ANGLES
 from tsobs_ros.model.disturbance import CLEAN, DisturbanceTerm
 from tsobs_ros.model.flow import ProcessNoise
@@ -111,5 +112,9 @@ def _faster(request: AnyRequest) -> Iterator[Remedy]:
     slower = ""
     for factor in (1.5, 2.0, 3.0, 5.0, 10.0, 20.0):
         rate = factor * request.rate
-        yield Remedy(f"a faster rate: {rate:g} Hz{slower}", replace(request, rate=rate))
+        try:
+            faster = replace(request, rate=rate)
+        except ModelError:  # a delay of too many periods
+            return
+        yield Remedy(f"a faster rate: {rate:g} Hz{slower}", faster)
         slower = f" ({rate:g} Hz is not enough)"
