@@ -191,7 +191,7 @@ def lorenz() -> TSRequest:
          id="two biases", marks=SLOW),
         pytest.param(of(("motor_angle", CLEAN), ("link_angle", (DisturbanceTerm("arbitrary"),))),
          ["a model of the disturbance"], id="arbitrary"),
-        pytest.param(ArmRequest(process_noise=ProcessNoise(0.0, 0.0), torque=TorquePath(delay=0.05)),
+        pytest.param(ArmRequest(torque=TorquePath(delay=0.05), process_noise=ProcessNoise(0, 0)),
          ["process_noise above 0"], id="no noise, and a delay too long for faster rates"),
         pytest.param(lorenz(), ["a faster rate: ", "a smaller domain: rules 75 % as far"],
          id="Lorenz", marks=SLOW),
