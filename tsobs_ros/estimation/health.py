@@ -7,7 +7,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, Self, TypeVar
+from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -158,11 +158,10 @@ class LastMinute:
     """
 
     def __init__(self) -> None:
-        self.growth: Counter[str] = Counter()
-        self._totals: Counter[str] = Counter()
-        self._past = deque([Counter[str]()] * 60)
+        self.growth, self._totals = Counter[Any](), Counter[Any]()
+        self._past = deque([Counter[Any]()] * 60)
 
-    def update(self, totals: Mapping[str, int]) -> Counter[str]:
+    def update(self, totals: Mapping[Any, int]) -> Counter[Any]:
         """Take in counts since the start; return their growth since the last update."""
         latest = Counter(totals)
         grown = latest - self._totals

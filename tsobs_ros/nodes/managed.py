@@ -243,7 +243,9 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Activate, for rclpy's lifecycle."""
-        return self._attempt("activate", self._activate)
+        result = self._attempt("activate", self.activate)
+        self.active = result is _SUCCESS
+        return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Deactivate, for rclpy's lifecycle; a failure means that the node stays active."""
@@ -276,10 +278,6 @@ class ManagedNode(LifecycleNode, Generic[P]):
                 self._acquired = self.ticker = None
                 raise
             self._acquired = acquired.pop_all()
-
-    def _activate(self) -> None:
-        self.activate()
-        self.active = True
 
     def _deactivate(self) -> None:
         if self.active:

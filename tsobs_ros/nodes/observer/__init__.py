@@ -49,7 +49,7 @@ from tsobs_ros.design.file import record_text
 from tsobs_ros.estimation.faults import FaultKind
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.records import RejectReason
-from tsobs_ros.methods import warning
+from tsobs_ros.methods import ObserverSettings, warning
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.messages import EstimatePublisher
@@ -58,7 +58,7 @@ from tsobs_ros.nodes.observer.statuses import TickMeter, statuses_of
 from tsobs_ros.nodes.runtime import Ticker
 from tsobs_ros.nodes.wire import LATCHED, DrainedSubscription
 from tsobs_ros.replay.samples import MeasurementReader
-from tsobs_ros.settings import values_of
+from tsobs_ros.settings import settings_of, values_of
 
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
@@ -233,11 +233,12 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _publish_record(self) -> None:
         """Publish what runs, for those who come later too."""
+        values = values_of(self.parameters)
         text = record_text(
             self.resolve_topic_name("joint_measurements"),
             [joint.name for joint in self.joints],
             [joint.loaded for joint in self.joints],
-            values_of(self.parameters.settings),
+            {name: values[name] for name in settings_of(ObserverSettings)},
         )
         self._record.publish(String(data=text))
 

@@ -5,6 +5,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -49,7 +50,7 @@ class ObservedJoint:
         received: Number of its samples since the start: used + rejected.
         latest: The latest estimate, None before the first.
         recent: Counts over the last minute: `received`, the reasons of rejection, `FAILURES` and
-            the estimator's events, by name.
+            the estimator's events.
         newly: The same since the counts before, a second or so.
         measured_rate: Samples a second in use, by the median of their stamps' distances [Hz]; NaN
             if there are few.
@@ -68,10 +69,10 @@ class ObservedJoint:
         self.name = name
         self.loaded = loaded
         self.method = parameters.method
-        self.request, settings = loaded.design.request, parameters.settings
+        self.request = loaded.design.request
         self.signals = self.request.signals(name, alone=len(parameters.joints) == 1)
-        self.learnt = settings.learnt(loaded.design)
-        self.tracker: Tracker = make_tracker(loaded.design, settings, estimator)
+        self.learnt = parameters.learnt(loaded.design)
+        self.tracker: Tracker = make_tracker(loaded.design, parameters, estimator)
         self.torque_sides: tuple[str, ...] = ()
         if isinstance(self.request, ArmRequest) and estimator.shape.t:
             self.torque_sides = self.request.torque_sides
@@ -85,7 +86,7 @@ class ObservedJoint:
         self.events.restart()
         self.received = 0
         self.recent = health.LastMinute()
-        self.newly = Counter[str]()
+        self.newly = Counter[Any]()
         self.measured_rate = math.nan
         self._stamps: list[int] = []
         self._seconds, self.touched = 0, False
@@ -141,7 +142,7 @@ class ObservedJoint:
     def count(self) -> Iterator[tuple[Level, str]]:
         """Count what has come in the last second; yield what to log of it."""
         own = {"received": self.received, FAILURES: self.tracker.failures}
-        self.newly = self.recent.update({**own, **self.rejected, **self.tracker.events})
+        self.newly = self.recent.update({**own, **self.tracker.rejected, **self.tracker.events})
         if self.newly[FAILURES]:
             yield Level.ERROR, "numerical failure: an estimate was not finite; restarted"
         rate, self._stamps = health.rate_of(self._stamps), []
@@ -154,11 +155,6 @@ class ObservedJoint:
         stamp = self._seconds * NANOSECONDS
         for event in self.events.report(EventKind.RATE, stamp, off, judged, _LASTING):
             yield event.level, event.text
-
-    @property
-    def rejected(self) -> Counter[str]:
-        """Number of samples not used, by reason."""
-        return Counter({reason.text: n for reason, n in self.tracker.rejected.items()})
 
     def estimate(self, now: int) -> Estimate | None:
         """Return the estimate to publish at a time [ns]; of a stale joint as the parameters say."""
@@ -223,7 +219,7 @@ def observed_joints(
     estimators = {}
     for path, each in loaded.items():
         with naming(path):
-            estimators[path] = make_estimator(each.design, parameters.settings)
+            estimators[path] = make_estimator(each.design, parameters)
     return [
         ObservedJoint(joint, loaded[path], estimators[path], parameters, source)
         for joint, path in paths.items()

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer node's ROS parameters."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.estimation.events import COAST_AFTER
@@ -76,10 +76,3 @@ class ObserverParameters(ObserverSettings, JointParameters):
         if len(levels) == 1:
             levels *= len(self.joints)
         return dict(zip(self.joints, levels, strict=True))
-
-    @property
-    def settings(self) -> ObserverSettings:
-        """The settings that live and offline runs have in common."""
-        return ObserverSettings(
-            **{one.name: getattr(self, one.name) for one in fields(ObserverSettings)}
-        )

@@ -6,6 +6,8 @@ import math
 import time
 from collections.abc import Sequence
 
+import numpy as np
+
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.estimation.events import NOISY, EventKind
 from tsobs_ros.estimation.health import LastMinute, Level, Status, duration_text
@@ -86,21 +88,21 @@ def _state_status(joint: ObservedJoint, now: int) -> Status:
 
 def _measurement_status(joint: ObservedJoint) -> Status:
     """Return the counts of samples: received = used + rejected, by reason."""
-    recent, names = joint.recent.growth, [reason.text for reason in RejectReason]
+    recent, rejected = joint.recent.growth, joint.tracker.rejected
     values = {
         "received": str(joint.received),
         "used": str(joint.tracker.used),
         "rewinds": str(joint.tracker.rewinds),
-        **{f"rejected: {name}": str(joint.rejected[name]) for name in names},
+        **{f"rejected: {reason.text}": str(rejected[reason]) for reason in RejectReason},
         "last minute: received": str(recent["received"]),
-        "last minute: rejected": str(sum(recent[name] for name in names)),
+        "last minute: rejected": str(sum(map(recent.__getitem__, RejectReason))),
     }
     outputs = joint.request.output_names
     for output, sensor in zip(outputs, joint.tracker.state["sensors"][0], strict=True):
         if len(outputs) > 1:
             values |= {f"{output}: {what}": str(sensor[what]) for what in ("gated", "missing")}
-    most = max(RejectReason, key=lambda reason: recent[reason.text])
-    if not recent[most.text]:
+    most = max(RejectReason, key=recent.__getitem__)
+    if not recent[most]:
         return Status("measurements", Level.OK, "none rejected in the last minute", values)
     count = int(values["last minute: rejected"])
     values["remedy"] = most.remedy
@@ -248,10 +250,9 @@ class TickMeter:
             return Status("timing", Level.STALE, "no ticks", values)
         if sum(periods) > 0:
             values["achieved rate [Hz]"] = f"{len(periods) * 1e9 / sum(periods):.1f}"
-        for name, ordered in times.items():
-            ordered.sort()
-            for percent in (50, 99) if ordered else ():
-                place = math.ceil(percent / 100.0 * len(ordered)) - 1
-                values[f"{name} p{percent} [ms]"] = f"{ordered[place] * 1e-6:.3f}"
+        for name, each in times.items():
+            for percent in (50, 99) if each else ():
+                time_ns = np.percentile(each, percent, method="inverted_cdf")
+                values[f"{name} p{percent} [ms]"] = f"{time_ns * 1e-6:.3f}"
         level = Level.WARN if missed > _MANY_MISSED * (made + missed) else Level.OK
         return Status("timing", level, f"ticks missed in the last minute: {missed}", values)
