@@ -93,16 +93,10 @@ class Ticker:
         self._due: int | None = None
         self._timer = node.create_timer(period, self._tick, clock=executor_clock, autostart=False)
 
-    @property
-    def needs_executor(self) -> bool:
-        """Whether there are no ticks that a sleep can make."""
-        return not self.running or bool(self._clock.ros_time_is_active)
-
     def start(self) -> None:
-        """Start to tick."""
-        self.running = True
-        if self._due is None:
-            self._schedule(self._period_ns)
+        """Start to tick, by an executor at first."""
+        self.running, self._due = True, None
+        self._schedule(self._period_ns)
 
     def stop(self) -> None:
         """Stop ticking, until the next `start`."""
@@ -113,14 +107,13 @@ class Ticker:
         """Leave an executor's next tick out, as its work has just been done."""
         self._schedule(2 * self._period_ns)
 
-    def give_back(self) -> None:
-        """Let the executor tick again."""
-        if self._due is not None:
-            self._due = None
-            self._schedule(self._period_ns)
-
-    def run_for(self, seconds: float, stop: Callable[[], bool]) -> None:
-        """Tick and sleep for some time instead of the executor, until something stops it."""
+    def run_for(self, seconds: float, stop: Callable[[], bool]) -> bool:
+        """Tick and sleep for some time instead of the executor, until something stops it; return
+        whether there are ticks that a sleep can make."""
+        if not self.running or self._clock.ros_time_is_active:
+            if self._due is not None:
+                self.start()
+            return False
         now = time.monotonic_ns()
         end = now + round(seconds * 1e9)
         if self._due is None:
@@ -132,6 +125,7 @@ class Ticker:
             elif (left := min(self._due, end) - now) > 0:
                 time.sleep(left * 1e-9)
             now = time.monotonic_ns()
+        return True
 
     def _run(self) -> None:
         wait = self._callback()
@@ -270,12 +264,9 @@ def _spin(node: Node, stop: Callable[[], bool]) -> None:
         while rclpy.ok() and not stop() and not getattr(node, "finished", False):
             # A node makes and drops its ticker as it is configured.
             ticker: Ticker | None = getattr(node, "ticker", None)
-            if ticker is not None and not ticker.needs_executor:
-                ticker.run_for(_SERVE_PERIOD, stop)
+            if ticker is not None and ticker.run_for(_SERVE_PERIOD, stop):
                 _run_what_is_ready(executor, stop)
             else:
-                if ticker is not None:
-                    ticker.give_back()
                 executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
     finally:
         executor.remove_node(node)
