@@ -37,39 +37,15 @@ class RejectReason(Code):
     """
 
     NON_FINITE = 1, "non-finite", "the driver has no reading; see what it logs"
-    WRONG_JOINT = (
-        2,
-        "wrong joint or shape",
-        "compare the names in the messages with the parameter `joints`",
-    )
+    WRONG_JOINT = 2, "wrong joint or shape", "compare the names in messages with `joints`"
     DUPLICATE = 3, "duplicate stamp", "does a second publisher, or a bridge, send the same samples?"
     TOO_OLD = 4, "too old", "compare the clocks of sensor and node; `history` is the limit"
-    FROM_FUTURE = (
-        5,
-        "from the future",
-        "compare the clocks of sensor and node; in simulations, `use_sim_time`",
-    )
+    FROM_FUTURE = 5, "from the future", "compare the clocks; in simulations, set `use_sim_time`"
     GATED = 6, "gated", "is the design this arm's, the unit rad, the sign right?"
-    ZERO_STAMP = (
-        7,
-        "zero stamp",
-        "let the driver stamp with the time of sampling, or republish its messages with stamps",
-    )
-    IMPLAUSIBLE_TORQUE = (
-        8,
-        "implausible torque",
-        "is the unit N m? `torque_limit` has what is plausible",
-    )
-    MISSING_INPUT = (
-        9,
-        "missing input",
-        "publish it in the same messages; `assume_zero_torque` takes a missing effort as 0",
-    )
-    UNKNOWN_INPUT = (
-        10,
-        "unknown input",
-        "the outputs are used; publish numbers to have narrower bounds",
-    )
+    ZERO_STAMP = 7, "zero stamp", "let the driver stamp its messages with the time of sampling"
+    IMPLAUSIBLE_TORQUE = 8, "implausible torque", "is the unit N m? `torque_limit` is the limit"
+    MISSING_INPUT = 9, "missing input", "publish it with the outputs, or set `assume_zero_torque`"
+    UNKNOWN_INPUT = 10, "unknown input", "publish numbers to have narrower bounds"
 
 
 class Basis(Code):
@@ -86,10 +62,7 @@ class Basis(Code):
         "the bound is void: the measurements contradict the design",
         "the arm, the noise or the disturbance differs from it",
     )
-    HYPOTHESIS = (
-        7,
-        "the bound is not certified: it is a covariance for an arm or a sensor unlike the design's",
-    )
+    HYPOTHESIS = 7, "the bound is not certified: it is that of an arm or a sensor unlike designed"
     OUTSIDE = 8, "the bound is void: the link angle is outside of the certificate's domain"
 
     @property
@@ -119,11 +92,7 @@ class Hypothesis(Code):
         "the arm moves in ways that the model lacks",
         "its parameters are wrong, or process_noise in the design is too small",
     )
-    LOUD = (
-        3,
-        "the sensor is much noisier than designed",
-        "a larger measurement_std would expect that",
-    )
+    LOUD = 3, "the sensor is much noisier than designed", "a larger measurement_std would expect it"
     COLOURED_NOISE = (
         4,
         "the sensor's noise is alike from sample to sample: a filter in the sensor?",
@@ -134,11 +103,7 @@ class Hypothesis(Code):
         "the sensor moves away, or is wrong for a while",
         "a larger density of its disturbance in the design would follow it",
     )
-    TONE = (
-        6,
-        "the sensor oscillates",
-        "a sinusoid among the design's disturbances would estimate it",
-    )
+    TONE = 6, "the sensor oscillates", "a sinusoid in the design's disturbances would estimate it"
 
     @property
     def level(self) -> Level:
