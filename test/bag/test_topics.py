@@ -11,12 +11,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tsobs_ros.bag import BagReader, BagWriter
 from tsobs_ros.bag.cdr import (
-    DIAGNOSTICS,
     TICK_LOG,
     TICK_LOG_TEXT,
     decode_ticks,
     encode_tick,
-    read_statuses,
 )
 from tsobs_ros.bag.estimate_topics import parameter_names, sides
 from tsobs_ros.bag.joint_states import (
@@ -89,25 +87,6 @@ def test_up_to_damage_everything_is_read(bag: BagReader) -> None:
     (block,) = bag.blocks(["/j"], on_damage=damage.append)
     assert len(damage) == 1
     assert 40 < len(block["/j"].log_times) < COUNT
-
-
-def test_statuses_are_those_that_rosbags_writes_up_to_where_they_are_cut_off() -> None:
-    store = get_typestore(Stores.ROS2_JAZZY)
-    make = {name.rpartition("/")[2]: type_ for name, type_ in store.types.items()}
-    stamp = make["Time"](sec=3, nanosec=4)
-    statuses = [
-        make["DiagnosticStatus"](
-            level=level, name="node: health", message="m", hardware_id="joint",
-            values=[make["KeyValue"](key="k", value=str(level))],
-        )
-        for level in (0, 2)
-    ]  # fmt: skip
-    header = make["Header"](stamp=stamp, frame_id="")
-    array = make["DiagnosticArray"](header=header, status=statuses)
-    data = bytes(store.serialize_cdr(array, DIAGNOSTICS))
-    expected = [(3_000_000_004, level, ("node", "health"), {"k": str(level)}) for level in (0, 2)]
-    assert list(read_statuses(data)) == expected
-    assert list(read_statuses(data[:-3])) == expected[:1]
 
 
 STAMP = 1_700_000_000_123_456_789

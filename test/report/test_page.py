@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tsobs_ros.bag.cdr import RecordedStatus
 from tsobs_ros.estimation.events import Event, EventKind
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.replay.health import JointEvent, health_of
-from tsobs_ros.report.diagnosed import diagnose
+from tsobs_ros.report.diagnosed import RecordedStatus, diagnose
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.page import write_html
 from tsobs_ros.report.panels import Table, picture

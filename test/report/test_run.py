@@ -7,7 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
+from tsobs_ros.bag import BagWriter
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.replay.source import BagSource
@@ -141,3 +144,23 @@ def test_a_held_value_is_the_newest_and_not_too_old() -> None:
     held = hold(series, wanted)[:, 0]
 
     np.testing.assert_array_equal(held, [np.nan, 1.0, 1.0, 2.0, 3.0, np.nan])
+
+
+def test_statuses_of_the_observer_are_read_and_malformed_ones_left_out(tmp_path) -> None:
+    store, array = get_typestore(Stores.ROS2_JAZZY), "diagnostic_msgs/msg/DiagnosticArray"
+    make = {name.rpartition("/")[2]: type_ for name, type_ in store.types.items()}
+    values = [make["KeyValue"](key="k", value="1")]
+    each = [
+        make["DiagnosticStatus"](level=2, name=name, message="", hardware_id="", values=values)
+        for name in ("recorder: topics", "observer: health")
+    ]
+    header = make["Header"](stamp=make["Time"](sec=3, nanosec=4), frame_id="")
+    data = bytes(store.serialize_cdr(make["DiagnosticArray"](header=header, status=each), array))
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/diagnostics", array)
+        writer.add_topic("/joint_measurements", JOINT_STATE)
+        writer.write("/joint_measurements", JointStateEncoder(["j"])(5, [0.0], (), [0.0]), 5, 5)
+        for place, message in enumerate((data, data[:-3], data)):
+            writer.write("/diagnostics", message, place, place)
+    found = list(runs.diagnostics(BagSource(tmp_path / "bag")))
+    assert found == [(3_000_000_004, 2, ("observer", "health"), {"k": "1"})] * 2

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages as bytes on the wire (CDR), without ROS: texts, statuses, ticks; arrays of messages.
+"""Messages as bytes on the wire (CDR), without ROS: texts, ticks; arrays of messages.
 
 A message of the tick log of an observer is a std_msgs/Int64MultiArray of one tick, so that a replay
 is a loop: its time on the observer's clock [ns], which is the stamp of its estimates, the number of
@@ -10,8 +10,7 @@ and not counted.
 """
 
 import struct
-from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 from zlib import crc32
 
@@ -118,43 +117,6 @@ class MessageSeries(NamedTuple):
     log_times: NDArray[np.int64]
     publish_times: NDArray[np.int64]
     data: NDArray[np.uint8]
-
-
-DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
-
-
-class RecordedStatus(NamedTuple):
-    """A status of a recorded array.
-
-    Attributes:
-        stamp: Of the array's header, ns since the epoch.
-        level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
-        name: Parts of its name, such as the node, a joint and the concern.
-        values: By their keys.
-    """
-
-    stamp: int
-    level: int
-    name: tuple[str, ...]
-    values: dict[str, str]
-
-
-def read_statuses(data: bytes) -> Iterator[RecordedStatus]:
-    """Yield the statuses of a DiagnosticArray, up to where it is malformed.
-
-    Any node publishes on /diagnostics, so a malformed message is no error.
-    """
-    with suppress(MessageError):
-        reader = CdrReader(data)
-        stamp = reader.stamp("stamp")
-        reader.text("frame_id")
-        for _ in range(reader.count("status", 1)):
-            level = data[reader.skip(1, "level")]
-            name, _, _ = (reader.text(field) for field in ("name", "message", "hardware_id"))
-            pairs = [
-                (reader.text("key"), reader.text("value")) for _ in range(reader.count("values", 8))
-            ]
-            yield RecordedStatus(stamp, level, tuple(name.split(": ")), dict(pairs))
 
 
 TICK_LOG = "std_msgs/msg/Int64MultiArray"

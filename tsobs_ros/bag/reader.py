@@ -292,7 +292,7 @@ class BagReader:
         """Return the messages as `messages` does, decoded by the definitions in the bag."""
         names = self.topics if topics is None else topics
         # Before the first message, so that a caller can distinguish this from damage.
-        decoders = {name: self._decoder(name) for name in names}
+        decoders = {name: self.decoder(name) for name in names}
         return self._decode(self.messages(topics, start_ns, end_ns), decoders)
 
     def _decode(
@@ -306,7 +306,8 @@ class BagReader:
                 raise self._error(text) from error
             yield DecodedMessage(topic, type_, message, log_time, publish_time)
 
-    def _decoder(self, name: str) -> Callable[[bytes], Any]:
+    def decoder(self, name: str) -> Callable[[bytes], Any]:
+        """Return what decodes the messages of a topic; it may raise any error."""
         # Imported here: copying or playing a bag needs no decoder.
         try:
             from mcap_ros2.decoder import DecoderFactory

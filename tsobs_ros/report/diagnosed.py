@@ -7,9 +7,8 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
-from tsobs_ros.bag.cdr import RecordedStatus
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.series import NANOSECONDS
@@ -18,6 +17,22 @@ _FAULT, _REASONS = "sensor fault", tuple(reason.text for reason in RejectReason)
 # A fault that the next status does not repeat has ended by then; they are a second apart.
 _APART = 2.5
 _MAX_KIND = 40
+
+
+class RecordedStatus(NamedTuple):
+    """A status of a recorded array.
+
+    Attributes:
+        stamp: Of the array's header, ns since the epoch.
+        level: 0 OK, 1 WARN, 2 ERROR, 3 STALE.
+        name: Parts of its name, such as the node, a joint and the concern.
+        values: By their keys.
+    """
+
+    stamp: int
+    level: int
+    name: tuple[str, ...]
+    values: dict[str, str]
 
 
 @dataclass

@@ -3,6 +3,7 @@
 """One recorded run of the observer as stamped series of numbers, read from a bag."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +12,6 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.cdr import DIAGNOSTICS, RecordedStatus, read_statuses
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder, Wanted
 from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest, TSRequest
@@ -20,6 +20,7 @@ from tsobs_ros.estimation.records import USED
 from tsobs_ros.replay.health import CLAIMED
 from tsobs_ros.replay.places import ESTIMATES, places_of
 from tsobs_ros.replay.source import BagSource, passes
+from tsobs_ros.report.diagnosed import RecordedStatus
 from tsobs_ros.report.quantities import Quantity, quantities_of
 from tsobs_ros.series import NANOSECONDS, Series, SeriesSpool, Stamps
 
@@ -245,14 +246,21 @@ def diagnostics(source: BagSource) -> Iterator[RecordedStatus]:
     """Yield the recorded statuses of the observer that are of a source's only joint."""
     topic = source.reader.topics.get("/diagnostics")
     node = f"{source.namespace}/observer".strip("/")
-    if topic is None or topic.type != DIAGNOSTICS:
+    if topic is None or topic.type != "diagnostic_msgs/msg/DiagnosticArray":
         return
-    mark = f"{node}: ".encode()
+    mark, decode = f"{node}: ".encode(), source.reader.decoder(topic.name)
+    is_alone = len(source.ran.designs) <= 1
     for message in source.reader.messages([topic.name]):
-        for status in read_statuses(message.data) if mark in message.data else ():
-            is_alone = len(source.ran.designs) <= 1
-            if status.name[0] == node and (is_alone or {*status.name[1:2]} & {*source.joints}):
-                yield status
+        if mark not in message.data:
+            continue
+        with suppress(Exception):  # any node publishes there, whatever it likes
+            array = decode(message.data)
+            stamp = array.header.stamp.sec * NANOSECONDS + array.header.stamp.nanosec
+            for each in array.status:
+                name = tuple(each.name.split(": "))
+                if name[0] == node and (is_alone or {*name[1:2]} & {*source.joints}):
+                    values = {pair.key: pair.value for pair in each.values}
+                    yield RecordedStatus(stamp, int(each.level), name, values)
 
 
 def run_of(
