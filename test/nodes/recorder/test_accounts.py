@@ -72,7 +72,6 @@ def test_what_is_missing_of_publishers_that_follow_each_other_is_lost(
     ("steps", "expected"),
     [
         # A publisher that restarts between two looks is neither lost nor hides a loss.
-        ([(A, [5, 6, 9]), (B, [12, 1, 2, 5])], (2 + 2, False, 4)),
         ([(A, [5, 6, 9]), (B, [1, 2, 5])], (2 + 2, True, 4)),
         ([(A, [5, 6, 9]), (B, [3, 4])], (2, True, 4 + 2)),
         ([(A, [5, 6, 9]), (b"", [11])], (2 + 1, True, 4)),
@@ -82,7 +81,7 @@ def test_what_is_missing_of_publishers_that_follow_each_other_is_lost(
         # One came and went before it could be seen.
         ([(A, [100]), (A, [1, 101, 102])], (0, False, 99)),
         # One is killed and still announced when the next one has come.
-        ([(A, [100, 102]), (AB, [1, 3]), (B, [4, 7, 9])], (1 + 3, False, 99)),
+        ([(A, [100, 102]), (AB, [1, 3]), (B, [4, 7, 9])], (1 + 1, False, 99)),
         # The middleware gives no numbers.
         ([(A, [None, None])], (0, False, 0)),
     ],

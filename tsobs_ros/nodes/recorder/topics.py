@@ -129,13 +129,9 @@ class LossCounter:
                 return
             self.lost += number - self._next
         else:
-            # Another publisher; unless its numbers start lower, this one may be the old one's last.
-            unclear = bool(self._publishers) and 0 < self._next < number
-            if len(publishers) > 1 or unclear:
-                self.is_exact = False
-            elif self.is_exact:
-                self.earlier += number - 1
-            self._publishers = frozenset() if unclear else publishers
+            self.is_exact &= len(publishers) <= 1
+            self.earlier += number - 1 if self.is_exact else 0
+            self._publishers = publishers
         self._next = number + 1
 
 
