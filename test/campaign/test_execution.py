@@ -200,6 +200,7 @@ def test_the_command_shows_and_refuses(
     (tmp_path / "summary.txt").write_text("mine")
     assert main(["campaign", other, "--output", str(tmp_path)]) == 1
     assert "summary.txt: exists already; choose another folder" in capsys.readouterr().err
-    for wrong in ([], [other, "--rerun", "1", str(done), "--output", "x"], [other]):
+    again = ["--rerun", "one", str(done), "--output", "x"]
+    for wrong in ([], [other, *again], again, [other]):
         with pytest.raises(SystemExit, match="2"):
             main(["campaign", *wrong])

@@ -155,6 +155,12 @@ def test_a_wrong_parameter_is_named(bag: Path, capsys, parameter, said) -> None:
     assert said in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("rate", ["1e-300", "1e300"])
+def test_a_rate_that_no_recording_can_have_is_refused(bag: Path, capsys, rate: str) -> None:
+    assert main(["estimate", str(bag), "--rate", rate]) == 1
+    assert "rate: expected 1e-06 to 10000 Hz" in capsys.readouterr().err
+
+
 def test_compare_leaves_out_what_does_not_fit_the_arm_and_says_why(bag, tmp_path, capsys) -> None:
     text = config_path(FIXED_DESIGN).read_text(encoding="utf-8")
     other = tmp_path / "other.design.yaml"

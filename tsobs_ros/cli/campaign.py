@@ -47,6 +47,8 @@ def run(options: argparse.Namespace) -> int:
         options.parser.error("expected one of FILE and --rerun ID DIR")
     if options.threads is not None and options.scheduler is not None:
         options.parser.error("--workers is for this machine, not for a cluster")
+    if options.rerun is not None and not options.rerun[0].isdecimal():
+        options.parser.error(f"--rerun: expected the number of a run, got {options.rerun[0]}")
     if options.rerun is not None:
         return _rerun(options)
     from tsobs_ros.campaign.definition import load_campaign

@@ -21,7 +21,7 @@ from tsobs_ros.bag.cdr import MessageSeries, decode_ticks
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.reader import RawMessages
 from tsobs_ros.checks import Integers
-from tsobs_ros.errors import MessageError
+from tsobs_ros.errors import MessageError, ModelError
 from tsobs_ros.replay.source import BagSource, Records, passes
 from tsobs_ros.series import NANOSECONDS, Spool, Stamps
 
@@ -175,6 +175,9 @@ class Window(NamedTuple):
     restarts: bool
 
 
+_MAX_RATE = 1e4  # ten thousand estimates for each second [Hz]
+
+
 class Windows:
     """The windows of a recording; at least one, and another one whenever time restarts.
 
@@ -190,6 +193,8 @@ class Windows:
     """
 
     def __init__(self, source: BagSource, rate: float | None, as_live: bool, size: int) -> None:
+        if rate is not None and not 1e-6 <= rate <= _MAX_RATE:
+            raise ModelError(f"rate: expected 1e-06 to {_MAX_RATE:g} Hz, got {rate!r}")
         self._source, self._rate, self._size = source, rate, size
         self.live = LiveRun(source) if as_live and source.tick_log else None
         self.at_samples = self.live is None and rate is None
