@@ -8,16 +8,19 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from tsobs_ros.campaign.batches import compute
+from tsobs_ros.campaign.batches import claimed, compute
 from tsobs_ros.campaign.definition import Campaign, CampaignError, load_campaign
 from tsobs_ros.campaign.folder import PART, run_campaign
 from tsobs_ros.campaign.rerun import rerun
 from tsobs_ros.campaign.summary import summarise
 from tsobs_ros.cli.main import main
+from tsobs_ros.estimation.records import Basis
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.run import read_run
@@ -160,6 +163,15 @@ def test_the_certified_bound_holds_if_its_premises_do(write: Callable[..., Path]
     wrong = [one["inside"] for claim in others.values() for one in claim["quantities"].values()]
     assert min(wrong) > 0.97
     assert others["certified"]["samples"] < 0.5 * held["certified"]["samples"]
+
+
+def test_a_bound_is_called_what_its_basis_is() -> None:
+    rows = np.zeros(len(Basis) + 2, [("basis", float), ("claimed", float)])
+    rows["basis"], rows["claimed"] = [*Basis, Basis.LEARNT, np.nan], 1.0
+    rows["claimed"][-2] = 0.0
+    found = claimed(SimpleNamespace(quantities=()), rows)
+    expected = {"certified": 1, "learnt": 1, "covariance": 5, "none": 3}
+    assert found == {f"{name}_samples": count for name, count in expected.items()}
 
 
 @pytest.mark.parametrize("outputs", ["one", "two"])
