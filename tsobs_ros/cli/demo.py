@@ -104,7 +104,7 @@ def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
 
         def start(name: str, parameters: Mapping[str, object]) -> _Node:
             node = _Node(name, parameters, output / "log", options.domain_id)
-            stack.callback(node.stop)
+            stack.callback(node.end)
             return node
 
         design = options.design or config_path(SHIPPED_DESIGN)
@@ -129,20 +129,21 @@ def _record(output: Path, options: argparse.Namespace, bar: Any) -> Path:
 
         def has_finished() -> bool:
             bar.update(min(time.monotonic() - started, options.duration) - bar.n)
-            return not plant.running
+            return plant.poll() is not None
 
         _wait(has_finished, nodes, options.duration + _START_TIMEOUT)
         bar.update(options.duration - bar.n)
         # The recorder first, so that it still takes what the others have sent.
         for node in (plant, *nodes):
-            node.stop()
-            node.require_success()
+            node.end()
+            if node.returncode:
+                raise node.failure()
         if signal_came():
             raise KeyboardInterrupt
     return bag
 
 
-class _Node:
+class _Node(subprocess.Popen[bytes]):
     """One node executable as a child process, its output in a log file."""
 
     def __init__(
@@ -160,7 +161,7 @@ class _Node:
         environment.pop("ROS_LOCALHOST_ONLY", None)
         settings = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
         with self.log.open("wb") as output:
-            self._process = subprocess.Popen(
+            super().__init__(
                 [sys.executable, "-m", "tsobs_ros.executables", name, "--ros-args", *settings],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
@@ -170,29 +171,21 @@ class _Node:
                 start_new_session=True,
             )
 
-    @property
-    def running(self) -> bool:
-        return self._process.poll() is None
-
     def printed(self) -> str:
         return self.log.read_text(encoding="utf-8", errors="replace")
 
-    def stop(self) -> None:
+    def end(self) -> None:
         """End the process cleanly, by force only if that fails."""
-        if self.running:
-            self._process.send_signal(signal.SIGINT)
+        self.send_signal(signal.SIGINT)
         try:
-            self._process.wait(_STOP_TIMEOUT)
+            self.wait(_STOP_TIMEOUT)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            self.kill()
+            self.wait()
 
-    def require_success(self) -> None:
-        """Raise `NodeError` with the end of its log unless it ended with exit code 0."""
-        if self._process.poll():
-            last = " | ".join(self.printed().strip().splitlines()[-5:])
-            code = self._process.returncode
-            raise NodeError(f"{self.name} ended with exit code {code}: {last or 'no output'}")
+    def failure(self) -> NodeError:
+        last = " | ".join(self.printed().strip().splitlines()[-5:]) or "no output"
+        return NodeError(f"{self.name} ended with exit code {self.returncode}: {last}")
 
 
 def _wait(
@@ -204,9 +197,8 @@ def _wait(
         if signal_came():
             raise KeyboardInterrupt
         for node in needed:
-            if not node.running:
-                node.require_success()
-                raise NodeError(f"{node.name} ended early; see {node.log}")
+            if node.poll() is not None:
+                raise node.failure()
             if time.monotonic() > deadline:
                 raise NodeError(f"no answer within {timeout:g} s; see {node.log.parent}")
         time.sleep(_POLL)
