@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.checks import Array
-from tsobs_ros.errors import ModelError, TsobsError
+from tsobs_ros.errors import TsobsError
 from tsobs_ros.simulation.plant import Plant
 from tsobs_ros.simulation.scenarios import arm_with
 from tsobs_ros.simulation.signals import (
@@ -29,7 +29,6 @@ from tsobs_ros.simulation.signals import (
     Sinusoid,
     Square,
     StuckSensor,
-    parse_kinds,
     signal_of,
 )
 
@@ -123,11 +122,3 @@ def test_a_square_changes_its_sign_and_a_chirp_its_frequency() -> None:
 def test_entries_of_no_signal_are_refused(entry: Any, complaint: str) -> None:
     with pytest.raises(TsobsError, match=complaint):
         signal_of({**EXCITATIONS, **KINDS}, entry)
-
-
-def test_kinds_are_parsed() -> None:
-    assert parse_kinds("none") == ()
-    assert parse_kinds("stuck + gauss_markov") == ("stuck", "gauss_markov")
-    for text in ("offset", "", "none+ramp"):
-        with pytest.raises(ModelError, match="disturbance kind: expected none or a sum of"):
-            parse_kinds(text)
