@@ -97,9 +97,7 @@ def estimate(
     file = load_design_file(design)
     source.take_for_system([file.design.request])
     observer = Observer("observer", ObserverSettings(), (file,) * len(source.joints))
-    (run,) = make_runs(
-        source, [observer], **{"rate": None, "as_live": True, "window": 2**31, **options}
-    )
+    (run,) = make_runs(source, [observer], **{"rate": None, "as_live": True, **options})
     run_all(source, [run], output)
     return run
 

@@ -2,16 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures and pages show what is known, with gaps, and leave matplotlib as it was."""
 
-import sys
 from dataclasses import replace
 
-import matplotlib
 import numpy as np
 import pytest
 
 from tsobs_ros.report.figures import draw_run
 from tsobs_ros.report.metrics import measure
-from tsobs_ros.report.page import write_html
 from tsobs_ros.report.panels import MAX_CURVE, picture, thin
 from tsobs_ros.series import Series
 
@@ -19,22 +16,6 @@ from tsobs_ros.series import Series
 def curve(plot, name):
     """Return the curve of a name of a plot."""
     return next(one for one in plot.curves if one.name == name)
-
-
-@pytest.mark.parametrize(("draw", "name"), [(draw_run, "run.png"), (write_html, "run.html")])
-def test_the_same_run_gives_the_same_file_and_no_global_change(short, tmp_path, draw, name) -> None:
-    before, pyplot = dict(matplotlib.rcParams), "matplotlib.pyplot" in sys.modules
-    path, contents = tmp_path / name, []
-    # A name is no formula.
-    run = replace(short, name=r"a$\frac{$b")
-    for _ in range(2):
-        shown = picture(run, measure(run))
-        draw(shown, path)
-        contents.append(path.read_bytes())
-
-    assert contents[0] == contents[1]
-    assert dict(matplotlib.rcParams) == before
-    assert ("matplotlib.pyplot" in sys.modules) == pyplot
 
 
 SERIES = ("measurements", "true_state", "true_disturbance", "innovation", "health", "parameters",
