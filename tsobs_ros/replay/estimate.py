@@ -59,13 +59,7 @@ _TICK_LOG = MessageDefinition(TICK_LOG, TICK_LOG_TEXT, "")
 
 @dataclass(frozen=True)
 class Observer:
-    """An observer to run.
-
-    Attributes:
-        name: Name of the node; its topics begin with it.
-        settings: How it is run.
-        files: Design file of each joint.
-    """
+    """An observer to run: the name of its node and topics, and the design file of each joint."""
 
     name: str
     settings: ObserverSettings
@@ -117,11 +111,6 @@ def without_misfits(observers: Iterable[Observer]) -> tuple[list[Observer], list
 
 class Run:
     """One observer over a recording, window by window.
-
-    Args:
-        observer: The observer.
-        source: The measurements and their joints.
-        windows: The recording's.
 
     Attributes:
         signals: The places of each joint's signals.
@@ -452,12 +441,12 @@ def run_all(
     progress: Callable[[int], None] = lambda _: None,
     after_window: Callable[[], None] = lambda: None,
 ) -> None:
-    """Run observers over the measurements and write their messages.
+    """Run observers over the measurements and write their messages into a new bag, if any.
 
     Args:
         source: The measurements.
         runs: From `make_runs`.
-        output: Folder of a new bag; None to write none.
+        output: The new bag's folder.
         estimates_only: Leave out the measurements, and the truth of a simulation.
         progress: Called with the number of measurements that the observers have taken since.
         after_window: Called when all observers have made a window's ticks.

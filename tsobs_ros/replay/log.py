@@ -67,10 +67,9 @@ class LogSource(BagSource):
         columns: Names of columns by their usual ones: `time`, `torque`, `angle` or `velocity`, or
             the name of an output or input; for several joints `angle.JOINT` and so on.
         units: Units by quantity, for columns whose title has none.
-        joints: Names of the joints to read; all of them if empty. One name renames the joint of
-            columns that name none.
+        joints: All of them if empty. One name renames the joint of columns that name none.
         assume_zero_torque: Take torque as 0 if there is no such column.
-        held_out: As for `BagSource`, with the name of its column, as in `link_angle=COLUMN`.
+        held_out: Sensor that no observer gets, with its column: `link_angle=COLUMN`.
 
     Raises:
         LogError: The file cannot be read, lacks a column, or has a cell that is not a number; the

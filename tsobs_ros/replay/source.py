@@ -73,24 +73,20 @@ class BagSource:
         path: The bag's folder, or one MCAP file.
         topic: Full name of the measurements' topic; by default the only one that ends in
             `joint_measurements`, or the one that the live observer used.
-        joints: Names of the joints to read; by default those that the live observer observed and
-            the first messages have, else those of the first messages.
+        joints: By default those that the live observer observed and the first messages have, else
+            those of the first messages.
         assume_zero_torque: Take messages without effort as torque 0; None: as the live observer.
         held_out: Sensor that no observer gets: one of `ARM_QUANTITIES`, which may have a place
             behind it, as in `link_angle=/TOPIC`, `=/TOPIC:ENTRY` or `=:ENTRY`.
 
     Attributes:
-        path: The bag or the log.
         reader: The bag.
-        joints: Names of the joints.
         signals: The places of each joint's signals.
         samples: The measurements in the order of recording, one record per message, in a temporary
-            file. `y` and `u` have NaN for an output that is missing or that a joint does not have,
-            and 0 for an input that it does not have; stamps and log times are in ns, those of the
-            epoch; `codes` are those of `Batch`, and `checksums` the CRC-32 of the message.
+            file: stamps and log times [ns], `y` and `u` as of `Batch` for all joints, 0 for an
+            input that a joint does not have, `codes` of `Batch`, CRC-32 as `checksums`.
         ran: What the observer ran that was recorded.
         same_clock: Whether stamps and log times seem to be of the same clock.
-        topic: Name of the measurements' topic.
         namespace: Begin of the topics' names: empty, or with a slash at its front only.
         was_observed: Whether there is output of an observer that ran during the recording.
         tick_log: Full name of the topic with its ticks, empty if there are none.

@@ -53,7 +53,7 @@ def make_bag_report(
             else the shipped one.
         other_design: Whether that may be another one than the bag's.
         ekf: Whether to run EKFs over the same measurements.
-        joint: Name of the joint in the bag; None if there is one only.
+        joint: Name of the joint; None if there is one only.
         topic: Name of the measurements' topic, for a bag with several arms.
         force: Whether to replace files of these names.
         notes: What else is known of the run's origin, such as a seed, by name.
