@@ -336,30 +336,20 @@ def estimate_bag(
     from tsobs_ros.replay.estimate import make_runs, run_all
 
     source, observers = _observers(path, design, settings, (), joints)
-    (run,) = runs = make_runs(source, observers, rate=rate, as_live=rate is None)
-    times, innovation_times = list[Array](), list[Array]()
-    parts: list[list[tuple[Any, Array]]] = [[] for _ in source.joints]
-
-    def keep() -> None:
-        samples, ticks, _ = run.window
-        times.append(ticks.stamps[ticks.estimated] / NANOSECONDS)
-        innovation_times.append(samples.stamps / NANOSECONDS)
-        for own, rows, innovations in zip(parts, run.rows, run.innovations, strict=True):
-            own.append((rows[ticks.estimated], innovations))
-
-    run_all(source, runs, None if output is None else Path(output), after_window=keep)
-    joints_of = {
-        name: _estimates(
+    (run,) = runs = make_runs(source, observers, rate=rate, as_live=rate is None, keep=True)
+    run_all(source, runs, None if output is None else Path(output))
+    joints_of = {}
+    for joint, name in enumerate(source.joints):
+        made, innovations = run.kept(joint)
+        joints_of[name] = _estimates(
             run.trackers[joint],
-            np.concatenate(times),
-            np.concatenate([rows for rows, _ in own]),
-            np.concatenate(innovation_times),
-            np.concatenate([innovations for _, innovations in own]),
+            made.stamps / NANOSECONDS,
+            made.rows,
+            innovations.seconds(),
+            innovations.values,
             run.rejected,
             several=len(run.signals[joint].outputs) > 1,
         )
-        for joint, (name, own) in enumerate(zip(source.joints, parts, strict=True))
-    }
     live = run.agreement()
     reproduced = None if live is None or not live.recorded else live.reproduced / live.recorded
     damage = [] if source.damage is None else [str(source.damage)]
@@ -406,13 +396,15 @@ def compare(
     >>> [row.observer for row in rows]
     ['certified', 'high_gain']
     """
-    from tsobs_ros.replay.estimate import make_runs
-    from tsobs_ros.report.comparison import run_and_measure
+    from tsobs_ros.replay.estimate import make_runs, run_all
+    from tsobs_ros.report.comparison import measure_runs
+    from tsobs_ros.report.held_out import read_held_out
 
     source, observers = _observers(path, design, None, methods, joints, held_out)
-    runs = make_runs(source, observers, rate=None, as_live=True)
-    measured = run_and_measure(source, runs, held_out_std=held_out_std)
-    return Comparison(errors for errors, _ in measured)
+    runs = make_runs(source, observers, rate=None, as_live=True, keep=True)
+    sensors = read_held_out(source, held_out_std)
+    run_all(source, runs, None)
+    return Comparison(errors for errors, _ in measure_runs(source, runs, sensors))
 
 
 def _observers(

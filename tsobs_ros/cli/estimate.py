@@ -114,7 +114,8 @@ def estimate(
         run_all,
         without_misfits,
     )
-    from tsobs_ros.report.comparison import run_and_measure
+    from tsobs_ros.report.comparison import measure_runs
+    from tsobs_ros.report.held_out import read_held_out
     from tsobs_ros.settings import changed
 
     begin = time.monotonic()
@@ -138,15 +139,12 @@ def estimate(
         observers, misfits = without_misfits(observers)
         remarks += misfits
     as_live = options.rate is None and options.at != "measurements"
-    runs = make_runs(source, observers, rate=options.rate, as_live=as_live)
-    errors = list["ObserverErrors"]()
+    keep = len(observers) > 1 or source.held_out is not None
+    runs = make_runs(source, observers, rate=options.rate, as_live=as_live, keep=keep)
+    sensors = read_held_out(source, getattr(options, "held_out_std", None))
     with progress(source.count * len(runs), " samples", quiet=options.json) as advance:
-        how: dict[str, Any] = {"estimates_only": estimates_only, "progress": advance}
-        if source.held_out or len(runs) > 1:
-            how |= keywords(options, run_and_measure)
-            errors = [one for one, _ in run_and_measure(source, runs, output, **how)]
-        else:
-            run_all(source, runs, output, **how)
+        run_all(source, runs, output, estimates_only=estimates_only, progress=advance)
+    errors = [one for one, _ in measure_runs(source, runs, sensors)] if keep else []
     remarks += dict.fromkeys(text for run in runs for text in run.warnings())
     mapping, text = _result(source, runs, errors, output, time.monotonic() - begin, remarks)
     show(mapping, text, options.json)

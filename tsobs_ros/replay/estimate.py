@@ -47,9 +47,9 @@ from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.health import Health, JointEvent, find_events, health_of
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
-from tsobs_ros.replay.source import ARM_QUANTITIES, BagSource
+from tsobs_ros.replay.source import ARM_QUANTITIES, BagSource, Records
 from tsobs_ros.replay.windows import COMPARED, WINDOW, Agreement, Window, Windows, digests
-from tsobs_ros.series import Series, Spool, Stamps
+from tsobs_ros.series import Series, SeriesSpool, Spool, Stamps
 from tsobs_ros.settings import values_of
 
 _OF_BAGS = (".mcap", ".yaml", ".db3")
@@ -129,7 +129,9 @@ class Run:
     done: Flags
     innovations: list[Array]
 
-    def __init__(self, observer: Observer, source: BagSource, windows: Windows) -> None:
+    def __init__(
+        self, observer: Observer, source: BagSource, windows: Windows, *, keep: bool = False
+    ) -> None:
         self.observer, self.windows, self._source = observer, windows, source
         self.trackers = [make_tracker(one, observer.settings) for one in observer.designs]
         self.estimates = self.used = 0
@@ -153,6 +155,11 @@ class Run:
             ],
         )
         self._made = Spool(np.dtype(np.int64))
+        times = [("stamps", np.int64), ("log_times", np.int64)]
+        self._kept = [
+            (Spool(np.dtype([*times, ("rows", one.row_type)])), SeriesSpool(one.shape.p))
+            for one in (tracker.estimator for tracker in self.trackers if keep)
+        ]
         # Stamps of the last estimate, parameters and health that a node would have published.
         self._last, self._parameters, self._health = 0, -topics.SLOW_PERIOD, -topics.SLOW_PERIOD
         # Stamps and log times of published health, its numbers, and whether a restart is in front.
@@ -195,6 +202,13 @@ class Run:
             self._restarts, self._ticks, self._last = self._restarts + 1, 0, 0
             self._has_restarted = True
         self._estimate()
+        for (estimates, innovations), rows, y in zip(
+            self._kept, self.rows, self.innovations, strict=False
+        ):
+            columns = (ticks.stamps, ticks.log_times, rows)
+            some = [each[ticks.estimated] for each in columns]
+            estimates.add(np.rec.fromarrays(some, estimates.type))
+            innovations.add(window.samples.stamps, window.samples.log_times, y)
         made: list[MessageSeries] = []
         # Recorded messages of restarts are copied.
         if (self._is_first or window.restarts) and not (live is not None and live.restarts):
@@ -225,6 +239,14 @@ class Run:
             times = ticks.stamps[due], ticks.log_times[due]
             self._slow.append((*times, np.stack(health, axis=1), restarted))
         return made if encode else []
+
+    def kept(self, joint: int) -> tuple[Records, Series]:
+        """Return a joint's estimates, as `stamps`, `log_times` and `rows`, and its innovations.
+
+        There are rows at all ticks with estimates, and innovations of all measurements.
+        """
+        estimates, innovations = self._kept[joint]
+        return estimates.read(), innovations.read()
 
     def values(self, joint: int, *names: str) -> Array:
         """Return some fields of a joint's estimates in the window side by side, shape (m, k)."""
@@ -417,8 +439,11 @@ def make_runs(
     rate: float | None,
     as_live: bool,
     window: int = WINDOW,
+    keep: bool = False,
 ) -> list[Run]:
     """Return a run of every observer over the same measurements; options as for `Windows`.
+
+    Those that are to `keep` their estimates do so in temporary files.
 
     Raises:
         BagReadError: The bag does not have what the designs measure.
@@ -429,7 +454,7 @@ def make_runs(
     for observer in observers:
         source.observe([design.request for design in observer.designs])
     windows = Windows(source, rate, as_live, window)
-    return [Run(observer, source, windows) for observer in observers]
+    return [Run(observer, source, windows, keep=keep) for observer in observers]
 
 
 def run_all(
@@ -439,7 +464,6 @@ def run_all(
     *,
     estimates_only: bool = False,
     progress: Callable[[int], None] = lambda _: None,
-    after_window: Callable[[], None] = lambda: None,
 ) -> None:
     """Run observers over the measurements and write their messages into a new bag, if any.
 
@@ -449,7 +473,6 @@ def run_all(
         output: The new bag's folder.
         estimates_only: Leave out the measurements, and the truth of a simulation.
         progress: Called with the number of measurements that the observers have taken since.
-        after_window: Called when all observers have made a window's ticks.
 
     Raises:
         BagWriteError: The folder exists, or the bag cannot be written.
@@ -469,7 +492,6 @@ def run_all(
             if writer is not None:
                 writer.write_series(made)
             progress(len(window.samples) * len(runs))
-            after_window()
 
 
 def _begin_bag(writer: BagWriter, source: BagSource, runs: Sequence[Run], *, copy: bool) -> None:

@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from operator import attrgetter
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,11 +21,11 @@ from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import EKFS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
 from tsobs_ros.replay.source import BagSource
-from tsobs_ros.report.held_out import HeldOutErrors, read_held_out
+from tsobs_ros.report.held_out import HeldOutErrors, HeldOutSensor
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics, innovation_std, measure, root_mean
 from tsobs_ros.report.quantities import outputs_of
 from tsobs_ros.report.run import ESTIMATED, RecordedRun, recorded_parts, run_of
-from tsobs_ros.series import SeriesSpool
+from tsobs_ros.series import Series
 
 DIVERGED = 1e6
 """No joint's error is so large [rad, rad/s]; the number is not worth a column of digits."""
@@ -86,77 +85,53 @@ def best_ekf(
     """
     methods = EKFS if settings.learnt(file.design) else EKFS[:1]
     observers = [Observer(name, replace(settings, method=name), (file,)) for name in methods]
-    runs = make_runs(source, without_misfits(observers)[0], rate=None, as_live=True)
-    best, run = min(run_and_measure(source, runs), key=lambda one: one[0].normalised_rmse)
+    fitting, _ = without_misfits(observers)
+    runs = make_runs(source, fitting, rate=None, as_live=True, keep=True)
+    run_all(source, runs, None)
+    best, run = min(measure_runs(source, runs), key=lambda one: one[0].normalised_rmse)
     if best.metrics is None or run is None:
         raise BagReadError(f"{source.path}: no EKF could be run over the measurements")
     return best.observer, best.metrics, run
 
 
-def run_and_measure(
-    source: BagSource,
-    runs: Sequence[Run],
-    output: Path | None = None,
-    *,
-    held_out_std: float | None = None,
-    **options: Any,
+def measure_runs(
+    source: BagSource, runs: Sequence[Run], sensors: Sequence[HeldOutSensor] = ()
 ) -> list[tuple[ObserverErrors, RecordedRun | None]]:
-    """Run observers as `run_all` does, and measure each of them at each joint.
+    """Measure runs that have kept their estimates, if time restarted the longest pass.
 
-    What the source holds out is a sensor to measure them against, with this 1σ of its noise. If
-    time restarted, the longest pass counts. Estimates are kept in temporary files. Returns, joint
-    by joint, each observer's errors with its run, None without estimates.
+    Of each joint there may be a sensor that no run got, to measure them against. Returns, joint by
+    joint, each observer's errors with its run, None without estimates.
 
     Raises:
-        BagWriteError: The bag exists, or cannot be written.
-        BagReadError: The bag does not have the held-out sensor.
-        LogError: Too few readings of it are between estimates.
+        LogError: Too few readings of a held-out sensor are between estimates.
     """
-    sensors = read_held_out(source, held_out_std)
-    each = [(joint, run) for joint in range(len(source.joints)) for run in runs]
-    widths = [_widths(run, joint) for joint, run in each]
-    estimates = [SeriesSpool(sum(own.values())) for own in widths]
-    innovations = [SeriesSpool(len(run.signals[joint].outputs)) for joint, run in each]
-
-    def keep() -> None:
-        for (joint, run), made, errors in zip(each, estimates, innovations, strict=True):
-            (samples, ticks, _), y = run.window, run.innovations[joint]
-            used = np.isfinite(y).any(axis=1)
-            errors.add(samples.stamps[used], samples.log_times[used], y[used])
-            values = run.values(joint, *ESTIMATED, *HEALTH)
-            there = np.isfinite(values[:, 0])
-            made.add(ticks.stamps[there], ticks.log_times[there], values[there])
-
-    run_all(source, runs, output, after_window=keep, **options)
-    common = [recorded_parts(source, joint) for joint in range(len(source.joints))]
     found = []
-    for (joint, one), own, *spools in zip(each, widths, estimates, innovations, strict=True):
-        name, method = source.joints[joint], one.observer.name
-        design, (made, errors) = one.observer.designs[joint], (spool.read() for spool in spools)
-        run = metrics = held_out = None
-        if len(made.stamps):
-            columns = np.split(made.values, np.cumsum([*own.values()])[:-1], axis=1)
-            parts = {
-                key: made._replace(values=values)
-                for key, values in zip(own, columns, strict=True)
-                if own[key]
-            }
-            parts |= common[joint] | {"innovation": errors}
-            if sensors:
-                parts["held_out"] = sensors[joint].readings
-            run = run_of(parts, method, name, design.request)
-            metrics = measure(run, innovation_std(design))
-            held_out = sensors[joint].errors(run, metrics.windows) if sensors else None
-        rms, outputs = map(root_mean, errors.values.T), outputs_of(design.request)
-        row = ObserverErrors(method, name, tuple(rms), metrics, tuple(outputs), held_out)
-        found.append((row, run))
+    for joint, name in enumerate(source.joints):
+        common = recorded_parts(source, joint)
+        for one in runs:
+            method, design = one.observer.name, one.observer.designs[joint]
+            (made, errors), run, metrics, held_out = one.kept(joint), None, None, None
+            errors = errors.take(np.flatnonzero(np.isfinite(errors.values).any(axis=1)))
+            there = np.isfinite(made.rows["state"][:, 0])
+            made = made if there.all() else made[there]
+            if len(made):
+                columns = {key: made.rows[key] for key in ESTIMATED}
+                if sensors:
+                    columns["health"] = np.stack([made.rows[key] for key in HEALTH], axis=1)
+                parts = common | {
+                    key: Series(made.stamps, values, made.log_times)
+                    for key, values in columns.items()
+                    if values.shape[1]
+                }
+                parts |= {"innovation": errors}
+                parts |= {"held_out": sensors[joint].readings} if sensors else {}
+                run = run_of(parts, method, name, design.request)
+                metrics = measure(run, innovation_std(design))
+                held_out = sensors[joint].errors(run, metrics.windows) if sensors else None
+            rms, outputs = map(root_mean, errors.values.T), outputs_of(design.request)
+            row = ObserverErrors(method, name, tuple(rms), metrics, tuple(outputs), held_out)
+            found.append((row, run))
     return found
-
-
-def _widths(run: Run, joint: int) -> dict[str, int]:
-    """Return the number of columns of each part of a joint's estimates."""
-    kind = run.trackers[joint].estimator.row_type
-    return {name: math.prod(kind[name].shape) for name in ESTIMATED} | {"health": len(HEALTH)}
 
 
 def render_comparison(rows: Sequence[ObserverErrors]) -> str:
