@@ -225,20 +225,10 @@ def _misread(what: str, line: int, cells: Sequence[str], column: Column) -> LogE
     return LogError(f"line {line}, column {column.title!r}: expected a {what}, got {got}")
 
 
-class TorqueSeries(NamedTuple):
-    """Torques, each held from its time to the next.
+def read_torques(path: str | Path) -> tuple[Array, Array]:
+    """Return rising times since the first one [s] and torques [N m] of a CSV file, shape (n,).
 
-    Attributes:
-        time: Since the first one [s], rising, shape (n,).
-        torque: [N m], shape (n,).
-    """
-
-    time: Array
-    torque: Array
-
-
-def read_torques(path: str | Path) -> TorqueSeries:
-    """Return the columns `time` and `torque` of a CSV file, such as that of `tsobs excite`.
+    Its columns are called `time` and `torque`, as those of `tsobs excite`.
 
     Raises:
         LogError: The file cannot be read, lacks a column, or has a cell that is no finite number,
@@ -260,4 +250,4 @@ def read_torques(path: str | Path) -> TorqueSeries:
         ):
             if wrong.any():
                 raise LogError(f"line {lines[int(wrong.argmax())]}: {text}")
-    return TorqueSeries((times - times[0]) / NANOSECONDS, torques)
+    return (times - times[0]) / NANOSECONDS, torques

@@ -19,7 +19,7 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError, ParameterError, TsobsError
 from tsobs_ros.nodes.parameters import JointParameters
 from tsobs_ros.plants import EFFORT_ERROR, TORQUES, request_in, scenario_of
-from tsobs_ros.replay.csv_file import TorqueSeries, read_torques
+from tsobs_ros.replay.csv_file import read_torques
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.settings import live_setting, setting, values_of
 from tsobs_ros.simulation.motion import Friction, Payload
@@ -65,19 +65,19 @@ class TorqueFile(Signal, kind="file"):
     """
 
     file: str = ""
-    _series: TorqueSeries = field(init=False, repr=False, compare=False)
+    _lines: tuple[Array, Array] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.file:
             raise ModelError("file: expected a CSV file of time and torque")
-        object.__setattr__(self, "_series", _read(read_torques, self.file))
+        object.__setattr__(self, "_lines", _read(read_torques, self.file))
 
     def _at(self, times: Array) -> Array:
-        series = self._series
-        places = np.searchsorted(series.time, times + _LATE, side="right") - 1
-        is_on = (places >= 0) & (times <= series.time[-1] + _LATE)
-        return np.where(is_on, series.torque[places], 0.0)
+        starts, torques = self._lines
+        places = np.searchsorted(starts, times + _LATE, side="right") - 1
+        is_on = (places >= 0) & (times <= starts[-1] + _LATE)
+        return np.where(is_on, torques[places], 0.0)
 
 
 PLAYED: Mapping[str, type[Signal]] = {**EXCITATIONS, TorqueFile.kind: TorqueFile}
