@@ -47,7 +47,7 @@ def numbers(report: dict[str, Any]) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def run() -> ExampleRun:
     """Example 1 without the time it needs to settle to its last digits."""
-    return run_example(example_1(), duration=6.0)
+    return run_example(example_1(), 6.0)
 
 
 @pytest.mark.parametrize(

@@ -31,10 +31,10 @@ from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
-PERIOD = 8e-3
+_PERIOD = 8e-3
 """Runge–Kutta step of plants and observers together [s]."""
 
-DURATION, SETTLED = 20.0, 10.0
+_DURATION, SETTLED = 20.0, 10.0
 """Length of Examples 1 and 2, and the time from which their errors count [s]."""
 
 UNCERTAINTIES = np.array([0.0, 1.0])
@@ -50,11 +50,11 @@ consistent: as adaptive, but started at ω̂₀(0) = y(0), so that e_y(0) = 0.""
 
 _NOISE_SEED, _FIRST_SEED = 20110022, 9000
 
-THETAS = tuple(round(float(theta), 3) for theta in np.geomspace(0.5, 8.0, 13))
+_THETAS = tuple(round(float(theta), 3) for theta in np.geomspace(0.5, 8.0, 13))
 """The grid of θ [1/s] of PO and PIO."""
 
-WINDOW_START = 20.0
-"""Time from which the errors of Example 3 count [s]."""
+_ARM_DURATION, _ARM_SETTLED = 60.0, 20.0
+"""Length of a run of Example 3, and the time from which its errors count [s]."""
 
 _SCALE = (0.226, 0.60, 3.55, 4.64)  # RMS of the states themselves, in design coordinates
 
@@ -132,17 +132,15 @@ class ExampleRun:
         return float(np.abs(difference[self.times >= since]).max())
 
 
-def run_example(
-    example: PaperExample, *, period: float = PERIOD, duration: float = DURATION
-) -> ExampleRun:
+def run_example(example: PaperExample, duration: float = _DURATION) -> ExampleRun:
     """Design the observer of Example 1 or 2 and run its `VARIANTS` with λ = 0 and 1."""
     design = design_adaptive_observer(example.system, example.alpha, example.xi)
     aug, system = design.augmentation, example.system
     n, p, size = system.state_count, len(aug.C), len(aug.L)
     A = system.A + np.multiply.outer(UNCERTAINTIES, example.delta_A)
-    count = round(duration / period) + 1
+    count = round(duration / _PERIOD) + 1
     # The ends and the middle of each step.
-    nodes: Array = np.arange(2 * count - 1) * np.float64(0.5 * period)
+    nodes: Array = np.arange(2 * count - 1) * np.float64(0.5 * _PERIOD)
     omega, u = example.disturbance(nodes), torque(nodes)
 
     def chosen(*names: str) -> Array:
@@ -186,10 +184,10 @@ def run_example(
     for k in range(count - 1):
         now = states[k]
         first = rates(2 * k, now)
-        second = rates(2 * k + 1, now + 0.5 * period * first)
-        third = rates(2 * k + 1, now + 0.5 * period * second)
-        fourth = rates(2 * k + 2, now + period * third)
-        states[k + 1] = now + (period / 6.0) * (first + 2.0 * (second + third) + fourth)
+        second = rates(2 * k + 1, now + 0.5 * _PERIOD * first)
+        third = rates(2 * k + 1, now + 0.5 * _PERIOD * second)
+        fourth = rates(2 * k + 2, now + _PERIOD * third)
+        states[k + 1] = now + (_PERIOD / 6.0) * (first + 2.0 * (second + third) + fourth)
         Xi = split(states[k + 1])[2]
         states[k + 1, ..., n + size :] = clip(Xi, example.xi).reshape(*now.shape[:-1], -1)
     x, xi, Xi = split(states)
@@ -245,12 +243,12 @@ class ArmComparison(NamedTuple):
         return {name: float(one.motor_angle.mean()) for name, one in self.observers.items()}
 
 
-def compare_on_arm(design: Design, seeds: int = 20, *, duration: float = 60.0) -> ArmComparison:
-    """Run every observer on the same noisy arm, above `WINDOW_START` long [s], once a seed.
+def compare_on_arm(design: Design, seeds: int) -> ArmComparison:
+    """Run every observer on the same noisy arm, once a seed.
 
     The model and noise densities of the certified design are the EKF's too.
     """
-    runs = simulate(SCENARIOS["noise"], range(_FIRST_SEED, _FIRST_SEED + seeds), duration)
+    runs = simulate(SCENARIOS["noise"], range(_FIRST_SEED, _FIRST_SEED + seeds), _ARM_DURATION)
     arm, asked = ElasticJointArm(), design.arm_request
     period = float(runs.times[1] - runs.times[0])
     known = (period, asked.measurement_std)
@@ -265,12 +263,12 @@ def compare_on_arm(design: Design, seeds: int = 20, *, duration: float = 60.0) -
                 likeliest(observer.model["initial"])["x"] = starts[run]
             tracker.reset()
             physical.append(tracker.follow(stamps, *samples).state)
-        estimates, settled = arm.from_physical(np.stack(physical)), runs.times >= WINDOW_START
+        estimates, settled = arm.from_physical(np.stack(physical)), runs.times >= _ARM_SETTLED
         error = estimates[..., settled, :] - runs.states[:, settled]
         return ObserverErrors(np.sqrt(np.mean(error**2, axis=-2)), theta, estimates[0])
 
     def best(make: Callable[..., Estimator]) -> ObserverErrors:
-        found = [errors(make(arm, theta, *known), theta) for theta in THETAS]
+        found = [errors(make(arm, theta, *known), theta) for theta in _THETAS]
         return min(found, key=lambda one: float(one.motor_angle.mean()))
 
     def kalman(request: ArmRequest) -> ObserverErrors:

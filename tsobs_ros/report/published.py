@@ -229,8 +229,7 @@ def _numbers(run: ExampleRun) -> dict[str, Any]:
         }
         for variant in ("adaptive", "fixed")
     }
-    conditions = {name: one.number for name, one in run.design.conditions.items()}
-    return {"epsilon": run.design.epsilon, "conditions": conditions, "settled": settled}
+    return {"epsilon": run.design.epsilon, "settled": settled}
 
 
 def _arm_numbers(comparison: ArmComparison) -> dict[str, Any]:
