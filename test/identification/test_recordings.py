@@ -68,40 +68,21 @@ def test_what_is_asked_of_recordings_is_checked(log: Recorded) -> None:
             ts.fit(request, *logs, **options)
 
 
-def test_gaps_are_left_out_and_counted(log: Recorded) -> None:
+def test_recordings_are_put_right_and_remarks_say_how(log: Recorded) -> None:
+    """Disorder, repetition, a gap, another rate, and encoders whose zero was never set."""
     time, y, u = log
-    keep = (time < 2.0) | (time > 2.5)
-    _, (made,), (note,) = read(request_of(), [(time[keep], y[keep], u[keep])])
+    keep = np.flatnonzero((time < 2.0) | (time > 2.5))
+    order = np.random.default_rng(0).permutation(np.repeat(keep, 2))
+    spoilt = time[order], y[order] + np.array([0.0, 6.5]), u[order]
+    request, (made,), notes = read(request_of(rate=200.0), [spoilt])
 
+    np.testing.assert_allclose(made.y, y[keep], atol=0.05)
+    np.testing.assert_array_equal(made.u, u[keep])
     assert (made.durations < 0.0).sum() == 1
-    assert "1 gaps are left out" in note
-
-
-def test_disorder_and_repetition_are_put_right(log: Recorded) -> None:
-    time, y, u = log
-    order = np.random.default_rng(0).permutation(np.repeat(np.arange(len(time)), 2))
-    ordered, mixed = (
-        read(request_of(), [each])[1][0] for each in (log, (time[order], y[order], u[order]))
-    )
-
-    np.testing.assert_array_equal(ordered.y, mixed.y)
-    np.testing.assert_array_equal(ordered.u, mixed.u)
-
-
-def test_another_rate_is_the_fitted_requests(log: Recorded) -> None:
-    time, y, u = log
-    request, _, (note,) = read(request_of(rate=200.0), [(time, y, u)])
-
     assert request.rate == 500.0
-    assert "500 samples per second, the request 200" in note
-
-
-def test_zeros_of_encoders_that_were_never_set_are_subtracted(log: Recorded) -> None:
-    time, y, u = log
-    _, (made,), (note,) = read(request_of(), [(time, y + np.array([0.0, 6.5]), u)])
-
-    np.testing.assert_allclose(made.y, y, atol=0.05)
-    assert "the zeros of the angles differ" in note
+    assert "500 samples per second, the request 200" in notes[0]
+    assert "the zeros of the angles differ" in notes[1]
+    assert "1 gaps are left out" in notes[2]
 
 
 DRIFT = DisturbanceTerm("gauss_markov", {"std": 0.02, "time_constant": 0.5})
