@@ -14,6 +14,7 @@ import pytest
 
 import tsobs_ros as ts
 from tsobs_ros.design.record import Design
+from tsobs_ros.methods import CERTIFIED, METHODS
 from tsobs_ros.report.export import export_bag
 from tsobs_ros.resources import config_path
 
@@ -72,8 +73,31 @@ def test_a_simulation_is_reproducible_and_in_physical_units(design: Design) -> N
     assert disturbed.tolist() == [0.0] * 100 + [0.2] * 101
 
 
-def test_a_ts_system_is_simulated_and_estimated_by_its_design() -> None:
-    design = ts.load_design(config_path("paper_example_1.design.yaml"))
+@pytest.fixture(scope="module")
+def example_1() -> Design:
+    return ts.load_design(config_path("paper_example_1.design.yaml"))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_system_is_observed_by_the_methods_that_fit(method: str, example_1: Design) -> None:
+    """At rest with a disturbance on the second output; the others see no state move."""
+    settings = ts.ObserverSettings(method=method)
+    if method not in (*CERTIFIED, "ekf", "paper"):
+        with pytest.raises(ts.TsobsError, match=f"method {method}: expected a design for an arm"):
+            ts.make_tracker(example_1, settings)
+        return
+    time = np.arange(0.0, 4.0, example_1.request.period)
+    y = np.zeros((len(time), 3))
+    y[:, 1] = 0.2
+    estimates = ts.estimate(example_1, time, y, np.zeros((len(time), 2)), settings=settings)
+    assert np.abs(estimates.state[-1]).max() < 0.02
+    np.testing.assert_allclose(estimates.disturbance[-1], [0.0, 0.2, 0.0], atol=0.02)
+    assert estimates.in_domain.all()
+    assert np.isnan(estimates.state_bound).all() == (method == "paper")
+
+
+def test_a_ts_system_is_simulated_and_estimated_by_its_design(example_1: Design) -> None:
+    design = example_1
     run = ts.simulate(
         design, duration=3.0, seed=1, mismatch={"delta": 0.5}, initial_state=[0.5, 0.7, 0.5]
     )
