@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from tsobs_ros.bag.definitions import MessageDefinition
-from tsobs_ros.bag.estimate_topics import CONDITIONS
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.replay.health import BASIS, CLAIMED, HYPOTHESIS
+from tsobs_ros.replay.places import CONDITIONS
 from tsobs_ros.report.run import RecordedRun
 from tsobs_ros.series import Series
 from tsobs_ros.simulation.scenarios import arm_with, simulate

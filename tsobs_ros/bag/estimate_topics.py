@@ -41,17 +41,6 @@ TORQUE_TOPICS = (TORQUE_DISTURBANCE, TORQUE_DISTURBANCE_BOUND)
 SLOW_PERIOD = 100_000_000
 """Parameters and health change slowly: they are published ten times a second [ns]."""
 
-CONDITIONS = (
-    "noise_scale",
-    "coloured_power",
-    "basis",
-    "claimed",
-    "learning",
-    "hypothesis",
-    "measurement_age",
-)
-"""Names of the numbers of a joint's health, as those of its parameters."""
-
 
 def sides(joint: str) -> tuple[str, str]:
     """Return the names of a joint's link and motor in estimates."""

@@ -124,15 +124,7 @@ class Innovation(NamedTuple):
     expected_std: Array
 
 
-HEALTH = (
-    "noise_scale",
-    "coloured_power",
-    "basis",
-    "claimed",
-    "learning",
-    "hypothesis",
-    "age",
-)
+HEALTH = ("noise_scale", "coloured_power", "basis", "claimed", "learning", "hypothesis", "age")
 """Fields of an estimate that say what its numbers are worth, in the order of the health topic."""
 
 _EMPTY = np.zeros(0)

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from tsobs_ros.bag.estimate_topics import CONDITIONS
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.estimation.events import (
     COAST_AFTER,
@@ -18,6 +17,7 @@ from tsobs_ros.estimation.events import (
     EventLog,
 )
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
+from tsobs_ros.replay.places import CONDITIONS
 from tsobs_ros.series import NANOSECONDS, Series
 
 C = TypeVar("C", bound=IntEnum)

@@ -38,6 +38,9 @@ ESTIMATES: Mapping[str, tuple[str, ...]] = {
 FIELDS: tuple[Field, ...] = ("position", "velocity", "effort")
 """Fields of a JointState."""
 
+CONDITIONS = (*HEALTH[:-1], "measurement_age")
+"""Names of the numbers of a joint's health in messages."""
+
 _MAX_LAYOUTS = 256
 
 
@@ -57,7 +60,7 @@ def places_of(
     rates = (Place(name, "velocity") for name in signals.disturbances if rated)
     parameters, conditions = (
         positions(topics.parameter_names(joint, names, alone=alone))
-        for names in (learnt, topics.CONDITIONS)
+        for names in (learnt, CONDITIONS)
     )
     return {
         **dict.fromkeys((topics.STATES, topics.STATE_BOUNDS, topics.TRUE_STATES), signals.states),

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import quote
 
-from tsobs_ros.bag.estimate_topics import CONDITIONS
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointState, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.design.file import parse_design
@@ -27,6 +26,7 @@ from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import BagReadError, MessageError, OutputError, TsobsError
 from tsobs_ros.files import written_whole
 from tsobs_ros.replay.designs import recorded_observers
+from tsobs_ros.replay.places import CONDITIONS
 from tsobs_ros.series import NANOSECONDS
 
 FORMATS = ("csv", "parquet")
