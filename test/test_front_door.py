@@ -14,7 +14,7 @@ import pytest
 
 import tsobs_ros as ts
 from tsobs_ros.design.record import Design
-from tsobs_ros.methods import CERTIFIED, METHODS
+from tsobs_ros.methods import CERTIFIED, METHODS, warning
 from tsobs_ros.report.export import export_bag
 from tsobs_ros.resources import config_path
 
@@ -94,6 +94,7 @@ def test_a_system_is_observed_by_the_methods_that_fit(method: str, example_1: De
     np.testing.assert_allclose(estimates.disturbance[-1], [0.0, 0.2, 0.0], atol=0.02)
     assert estimates.in_domain.all()
     assert np.isnan(estimates.state_bound).all() == (method == "paper")
+    assert ("open-loop simulation" in warning(example_1, method)) == (method == "paper")
 
 
 def test_a_ts_system_is_simulated_and_estimated_by_its_design(example_1: Design) -> None:
