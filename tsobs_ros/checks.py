@@ -3,7 +3,6 @@
 """Checks of numbers and matrices: an error names the quantity, what was expected and what came."""
 
 import math
-import reprlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
@@ -41,18 +40,9 @@ class Fixed(Mapping[str, T]):
         return repr(self._entries)
 
 
-_PRINTER = reprlib.Repr()
-_PRINTER.maxlevel, _PRINTER.maxstring, _PRINTER.maxother = 3, 50, 60
-
-
 def shown(value: object) -> str:
     """Return `value` as text for an error: at most 60 characters, whatever it contains."""
-    try:
-        # repr() alone would write out every alias of a YAML file, exponentially many.
-        text = _PRINTER.repr(value)
-    except ValueError:
-        # Python refuses to print integers of more than 4300 digits.
-        text = f"a {type(value).__name__} too long to print"
+    text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 

@@ -105,7 +105,7 @@ class Setting:
         return f"expected {expected}{self.unit and f' {self.unit}'}"
 
     def accepted(self, value: Any) -> Any:
-        """Return a value from YAML, a message or a caller in the setting's type; None: refused."""
+        """Return a value, or its text, in the setting's type; None if it is refused."""
         if not self.is_array:
             return self._accepted(value)
         if value is None:  # rcl hands `name: []` over like this
@@ -128,16 +128,12 @@ class Setting:
             )
         return found
 
-    def parsed(self, value: Any) -> Any:
-        """Return a value, or its text as on the command line, in the setting's type."""
-        if isinstance(value, str) and not self.is_array:
+    def _accepted(self, value: Any) -> Any:
+        """Return a value in the type of a setting or of its elements; None if it is refused."""
+        if isinstance(value, str):  # as on the command line
             with suppress(KeyError, ValueError):
                 words = {"true": True, "false": False}
                 value = words[value.lower()] if self.type is bool else self.type(value)
-        return self.converted(value)
-
-    def _accepted(self, value: Any) -> Any:
-        """Return a value in the type of a setting or of its elements; None if it is refused."""
         if isinstance(value, bool) != (self.type is bool):
             return None
         if not isinstance(value, _TYPES[self.type][3]):
@@ -211,7 +207,7 @@ def changed(record: T, values: Mapping[str, Any]) -> T:
     for name in values:
         if name not in known:
             raise ParameterError(f"parameter '{name}': expected one of {', '.join(known)}")
-    given = {name: known[name].parsed(value) for name, value in values.items()}
+    given = {name: known[name].converted(value) for name, value in values.items()}
     found: T = _changed(record, given)
     return found
 
