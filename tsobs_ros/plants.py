@@ -88,7 +88,7 @@ def scenario_of(
         if initial_state is not None:
             start = request.arm.from_physical(as_matrix("initial_state", initial_state, (4,)))
             own["initial_state"], own["initial_spread"] = tuple(start.tolist()), (0.0,) * 4
-        sensed = [(each.measurement_std, each.delay) for each in request.sensors]
+        delays = [each.delay for each in request.sensors]
     else:
         make, model, uncertain = SystemScenario, request.model, request.uncertainty_model
         check_names("mismatch", changes, uncertain.names)
@@ -104,14 +104,14 @@ def scenario_of(
             names.index(name) if name in names else None
             for name in request.input_names[model.input_count :]
         )
-        sensed = [(std, 0.0) for std in np.asarray(request.measurement_std).tolist()]
+        delays = [0.0] * len(names)
     scheduled = len(own.get("fed_back", ()))
     free = [excitation or Sine()] * (len(request.input_names) - scheduled)
     # What an output that is an input, too, is given disturbs its measured value.
     chosen = {name: each[-1] for name, each in given.items() if each and name not in names}
     own["inputs"] = tuple(map(chosen.get, request.input_names, [*free, *[NoTorque()] * scheduled]))
     own["outputs"] = ()
-    for name, (std, delay) in zip(names, sensed, strict=True):
+    for name, std, delay in zip(names, request.output_std.tolist(), delays, strict=True):
         numbers: dict[str, Any] = {"noise_std": std * noise_factor}
         for each in given.get(name, ()):
             numbers |= {} if isinstance(each, Signal) else each

@@ -125,7 +125,7 @@ def test_a_scheduler_that_goes_away_ends_the_campaign_with_one_line(
     short: Campaign, tmp_path: Path, cluster: tuple[str, list[Any]]
 ) -> None:
     address, (scheduler, *_) = cluster
-    with pytest.raises(CampaignError, match=r"scheduler tcp.*the same command goes on with the"):
+    with pytest.raises(CampaignError, match=r"scheduler tcp.*the same command goes on with"):
         run_campaign(
             short, tmp_path / "campaign", scheduler=address,
             progress=lambda runs: scheduler.kill() if runs else None,

@@ -131,13 +131,11 @@ def _on_cluster(
             for future in dask.as_completed(futures):
                 yield futures[future], future.result()
                 future.release()
-    except dask.KilledWorker as error:
-        raise CampaignError(f"{where}: workers died again and again: {error}") from error
-    except (CancelledError, OSError) as error:
-        reason = str(error).partition("\n")[0] or type(error).__name__
+    except (dask.KilledWorker, CancelledError, OSError) as error:
+        reason = f"{type(error).__name__}: {error}".partition("\n")[0]
         raise CampaignError(
-            f"{where}: the connection was lost: {reason}; the same command goes on with the runs "
-            "that are missing"
+            f"{where}: workers or connection were lost: {reason}; the same command goes on with "
+            "the runs that are missing"
         ) from error
 
 

@@ -239,17 +239,16 @@ class PlantSimulatorParameters(JointParameters):
         )
 
     def _initial_states(self) -> dict[str, tuple[float, ...]]:
-        values, sizes = self.initial_state, [len(e.state_names) for e in self.requests.values()]
+        sizes = {joint: len(each.state_names) for joint, each in self.requests.items()}
+        values = self.initial_state
         if not values:
-            return {
-                joint: (0.0,) * size if path else _SHIPPED_STATE
-                for (joint, path), size in zip(self.design_of.items(), sizes, strict=True)
-            }
-        if len(values) != sum(sizes):
-            expected = " + ".join(map(str, sizes))
+            paths = self.design_of
+            return {j: (0.0,) * n if paths[j] else _SHIPPED_STATE for j, n in sizes.items()}
+        if len(values) != sum(sizes.values()):
+            expected = " + ".join(map(str, sizes.values()))
             raise ModelError(f"initial_state: expected {expected} numbers, got {len(values)}")
         numbers = iter(values)
-        return {j: tuple(islice(numbers, n)) for j, n in zip(self.requests, sizes, strict=True)}
+        return {joint: tuple(islice(numbers, size)) for joint, size in sizes.items()}
 
     def _by_joint(
         self, parameter: str, known: Callable[[ArmRequest | TSRequest], Readers]
