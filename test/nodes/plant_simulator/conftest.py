@@ -65,7 +65,7 @@ class Listener:
     @staticmethod
     def core(count: int, of: str = "measurements", seed: int = 0, **changes: Any) -> list[float]:
         """Return the angles that a simulator publishes; the true ones are `of="physical"`."""
-        (scenario,) = PlantSimulatorParameters(**{"rate": RATE, **changes}).scenarios().values()
+        (scenario,) = PlantSimulatorParameters(**{"rate": RATE, **changes}).scenarios.values()
         angles: list[float] = getattr(Plant(scenario, seed).run(count), of)[:, 0].tolist()
         return angles
 

@@ -77,8 +77,8 @@ def test_joints_of_design_files_are_in_the_same_messages(
     parameters = PlantSimulatorParameters(
         **{name: tuple(v) if isinstance(v, list) else v for name, v in given.items()}
     )
-    assert parameters.scenarios()["shoulder"].true_arm.stiffness == 12.0
-    elbow = parameters.scenarios()["elbow"]
+    assert parameters.scenarios["shoulder"].true_arm.stiffness == 12.0
+    elbow = parameters.scenarios["elbow"]
     assert elbow.torque == TorquePath(0.9, 0.1, 0.003)
     assert [output.delay for output in elbow.outputs] == [0.004, 0.0, 0.0]
     plants = plants_of(parameters)

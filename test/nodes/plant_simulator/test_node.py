@@ -162,7 +162,7 @@ def test_parameters_describe_arms_sensors_and_torques_that_no_design_foresees(
     file.write_text(f"/**:\n  ros__parameters:\n{indent(GIVEN, '    ')}")
     arguments = ["--ros-args", "--params-file", str(file)]
     node = start(ros, "plant_simulator", options={"cli_args": arguments})
-    (scenario,) = node.parameters.scenarios().values()
+    (scenario,) = node.parameters.scenarios.values()
     sensor = Sensor(
         0.056, 0.02, dropout_interval=9.0, outlier_is_uniform=True, noise_degrees=3, latency=0.015
     )

@@ -205,7 +205,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
     def retune(self, parameters: PlantSimulatorParameters) -> None:
         """Take changed parameters over from the next sample on."""
-        for plant, scenario in zip(self._plants, parameters.scenarios().values(), strict=True):
+        for plant, scenario in zip(self._plants, parameters.scenarios.values(), strict=True):
             plant.exchange(scenario)
         time = self._plants[0].time
         self.log(Level.OK, f"changed at t = {time:g} s, from which on new disturbances count")
@@ -226,7 +226,7 @@ def plants_of(parameters: PlantSimulatorParameters) -> list[Plant]:
     """Return each joint's plant at t = 0; the numbers of one do not depend on the others."""
     return [
         Plant(scenario, parameters.seed + place * SEED_STEP)
-        for place, scenario in enumerate(parameters.scenarios().values())
+        for place, scenario in enumerate(parameters.scenarios.values())
     ]
 
 

@@ -180,7 +180,7 @@ class PlantSimulatorParameters(JointParameters):
     sensor: Sensor = field(default_factory=Sensor)
 
     def __post_init__(self) -> None:
-        self.scenarios()
+        _ = self.scenarios
 
     @cached_property
     def requests(self) -> dict[str, ArmRequest | TSRequest]:
@@ -193,8 +193,9 @@ class PlantSimulatorParameters(JointParameters):
         """Samples a second of all joints [Hz]: `rate`, or the design's; of several the fastest."""
         return self.rate or max(request.rate for request in self.requests.values())
 
+    @cached_property
     def scenarios(self) -> dict[str, Scenario | SystemScenario]:
-        """Return what the parameters describe, by joint.
+        """What the parameters describe, by joint.
 
         Raises:
             ModelError: They do not describe a plant.

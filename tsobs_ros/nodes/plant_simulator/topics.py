@@ -34,7 +34,7 @@ class TorqueCommands:
     """
 
     def __init__(self, node: ManagedNode[PlantSimulatorParameters]) -> None:
-        plants = node.parameters.scenarios().values()
+        plants = node.parameters.scenarios.values()
         self._counts = [each.input_count for each in plants]
         self._is_arm = np.repeat([isinstance(each, Scenario) for each in plants], self._counts)
         self._node, self._rejected = node, 0
