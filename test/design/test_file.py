@@ -214,7 +214,7 @@ SYSTEM = [
     (("system", "rules", 1, "A"), [[1], [2]], r"system.rules\[1\].A: expected shape \(2, 2\), got"),
     (("system", "rules", 0, "if"), {"speed": {"shape": "always"}}, r"\[0\].if: unknown entry 'sp"),
     (("names",), {"states": ["a", "b/c"]}, r"names.states\[1\]: expected a letter, .* got 'b/c'"),
-    (("names",), {"outputs": ["e", "u1"]}, r"names.inputs\[0\]: .* 'u1', which names.outputs\[1\]"),
+    (("names",), {"outputs": ["e", "u1"]}, "names of outputs and inputs: .* 'u1' twice"),
     (("units",), {"states": ["m", "m"], "inputs": ["N"]}, "units.outputs: expected 2, .* got 0"),
     (("uncertainty", "gravity", "E"), [[0]], r"uncertainty.gravity.E: expected shape \(2, 2\), go"),
 ]

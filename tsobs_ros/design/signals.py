@@ -79,15 +79,10 @@ def checked_labels(names: Labels, units: Labels, counts: Sequence[int]) -> tuple
                         f"got {shown(text)}"
                     )
     for together in (("states",), ("outputs", "inputs"), ("inputs", "scheduled")):
-        places: dict[str, str] = {}
-        for group in together:
-            for i, name in enumerate(getattr(names, group)):
-                place = f"names.{group}[{i}]"
-                if (other := places.setdefault(name, place)) != place:
-                    raise ModelError(
-                        f"{place}: expected a name that no other has, got {shown(name)}, "
-                        f"which {other} has"
-                    )
+        each = [name for group in together for name in getattr(names, group)]
+        if twice := [name for name in each if each.count(name) > 1]:
+            where = " and ".join(together)
+            raise ModelError(f"names of {where}: expected all to differ, got {twice[0]!r} twice")
     return names, units
 
 
