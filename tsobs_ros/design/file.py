@@ -117,9 +117,9 @@ class DesignFile(NamedTuple):
     design: Design
 
     @classmethod
-    def of(cls, design: Design, name: str = "a design without a file") -> "DesignFile":
+    def of(cls, design: Design) -> "DesignFile":
         """Return a design as `save_design` would write it."""
-        return cls(name, design_text(design), design)
+        return cls("a design without a file", design_text(design), design)
 
     @property
     def sha256(self) -> str:
