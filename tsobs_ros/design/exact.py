@@ -60,21 +60,17 @@ def verify_exactly(design: Design) -> CertificateReport:
     Raises:
         ModelError: The model is so fast for the period that its flow cannot be enclosed.
     """
-    found = tuple(_inequalities(design))
-    return CertificateReport(found, design.certificate.contraction_rate)
-
-
-def _inequalities(design: Design) -> Iterator[Inequality]:
-    guesses = {(each.name, each.where): each.margin for each in design.certificate.inequalities}
-    P, name = rational(design.P), "P symmetric and positive definite"
-    margin = 0.0
+    report, P = design.certificate, rational(design.P)
+    guesses = {(each.name, each.where): each.margin for each in report.inequalities}
+    name, margin = "P symmetric and positive definite", 0.0
     if (P == P.T).all():
         margin = _margin(P, np.diag(np.diag(P)), guesses[name, ""])
-    yield Inequality(name, "", margin, 0.0)
+    found = [Inequality(name, "", margin, 0.0)]
     name = "covariance decrease"
     for where, decrease, unit in _decreases(design) if margin else ():
         margin = _margin(decrease, unit, guesses.get((name, where), 0.0))
-        yield Inequality(name, where, margin, 0.0)
+        found.append(Inequality(name, where, margin, 0.0))
+    return CertificateReport(tuple(found), report.contraction_rate)
 
 
 def _margin(matrix: Rational, unit: Rational, guess: float) -> float:
