@@ -273,16 +273,8 @@ def estimate(
     ticks = stamps, np.maximum.accumulate(stamps), np.arange(1, count + 1)
     made = tracker.run(stamps, y, u, ticks)
     rejected = Counter(RejectReason(code) for code in made.outcomes.codes.tolist() if code)
-    several = np.ndim(angle) == 2
-    return _estimates(
-        tracker,
-        times,
-        made.rows,
-        times,
-        made.outcomes.innovations,
-        rejected,
-        several,
-    )
+    several, innovations = np.ndim(angle) == 2, made.outcomes.innovations
+    return _estimates(tracker, times, made.rows, times, innovations, rejected, several)
 
 
 class BagEstimates(NamedTuple):

@@ -8,14 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from tsobs_ros.cli.common import (
-    Commands,
-    add_command,
-    at_least_one,
-    keywords,
-    progress,
-    show,
-)
+from tsobs_ros.cli.common import Commands, add_command, at_least_one, keywords, progress, show
 from tsobs_ros.errors import complain, printable
 from tsobs_ros.files import write_whole
 

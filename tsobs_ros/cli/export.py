@@ -5,14 +5,7 @@
 import argparse
 from pathlib import Path
 
-from tsobs_ros.cli.common import (
-    Commands,
-    add_command,
-    at_least_one,
-    joined,
-    pairs,
-    show,
-)
+from tsobs_ros.cli.common import Commands, add_command, at_least_one, joined, pairs, show
 from tsobs_ros.errors import complain, printable
 from tsobs_ros.files import require_new
 

@@ -9,21 +9,10 @@ import argparse
 import os
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from tsobs_ros import __version__
-from tsobs_ros.cli import (
-    bag,
-    campaign,
-    compare,
-    demo,
-    design,
-    estimate,
-    export,
-    fit,
-    report,
-    watch,
-)
+from tsobs_ros.cli import bag, campaign, compare, demo, design, estimate, export, fit, report, watch
 from tsobs_ros.cli.common import note
 from tsobs_ros.errors import TsobsError, complain, missing_library, printable
 from tsobs_ros.stop import interrupt
@@ -37,12 +26,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     if threading.current_thread() is threading.main_thread():
         interrupt()
     try:
-        parser = _parser()
+        parser = argparse.ArgumentParser(
+            prog="tsobs",
+            description="State and sensor-disturbance estimation for an arm with an elastic joint.",
+        )
+        parser.add_argument("--version", action="version", version=f"tsobs {__version__}")
+        commands = parser.add_subparsers(required=True, metavar="COMMAND")
+        for module in _COMMANDS:
+            module.add_parser(commands)
         options, unknown = parser.parse_known_args(argv)
         if unknown:  # as parse_args, but they may be any file's name, by a pattern
             parser.error(printable(f"unrecognized arguments: {' '.join(unknown)}"))
-        command: Callable[[argparse.Namespace], int] = options.command
-        return command(options)
+        exit_code: int = options.command(options)
+        return exit_code
     except TsobsError as error:
         complain(error)
     except ModuleNotFoundError as error:
@@ -62,18 +58,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         except OSError:  # it would fail again at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 1
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="tsobs",
-        description="State and sensor-disturbance estimation for an arm with an elastic joint.",
-    )
-    parser.add_argument("--version", action="version", version=f"tsobs {__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for module in _COMMANDS:
-        module.add_parser(commands)
-    return parser
 
 
 if __name__ == "__main__":
