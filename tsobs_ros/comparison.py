@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tsobs_ros.campaign.batches import observe, recorded
-from tsobs_ros.campaign.premises import violated
+from tsobs_ros.campaign.drawing import violated
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.campaign.definition import Campaign, CampaignEntries, load_campaign
-from tsobs_ros.campaign.drawing import Drawn, check, draw_group
-from tsobs_ros.campaign.premises import violated
+from tsobs_ros.campaign.drawing import Drawn, check, draw_group, violated
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm

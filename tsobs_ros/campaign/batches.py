@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.campaign.definition import Campaign
-from tsobs_ros.campaign.drawing import draw_group
-from tsobs_ros.campaign.premises import violated
+from tsobs_ros.campaign.drawing import draw_group, violated
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest
