@@ -51,8 +51,9 @@ _SENSOR = {
 _SEEDS = 2**53
 """Seeds of runs are below it, so that every program can read them."""
 
-_INVERSE = {"link_inverse_inertia": "link_inertia", "motor_inverse_inertia": "motor_inertia"}
-_RELATIVE = {"stiffness": "stiffness", "gravity": "gravity_torque"}
+_INERTIAS = {"link_inverse_inertia": "link_inertia", "motor_inverse_inertia": "motor_inertia"}
+_NUMBERS = {"gravity": "gravity_torque", **_INERTIAS}
+"""An arm's numbers that change with uncertain parameters of other names."""
 
 
 class Drawn(NamedTuple):
@@ -152,7 +153,7 @@ def _scenario(
     random: np.random.Generator,
     duration: float,
 ) -> Scenario:
-    mismatch, damping = (asdict(one) for one in _true_arm(request.arm, theta))
+    mismatch, friction = _true_arm(request.arm, given, theta)
     signals: dict[str, list[Any]] = {EFFORT_ERROR: _signals("torque_error", given.torque_error)}
     for side, torque in zip(SIDES, TORQUES, strict=True):
         signals[torque] = _designed(getattr(request.torque_disturbance, side), given, random)
@@ -167,20 +168,14 @@ def _scenario(
                     own.append(sensor_numbers(entries.sensor))
     found = scenario_of(
         request,
-        # One change after the other.
-        {
-            name: (1.0 + own) * (1.0 + mismatch[name]) - 1.0
-            for name, own in asdict(given.mismatch).items()
-        },
+        mismatch,
         initial_state=given.initial_state,
         excitation=signal_of(EXCITATIONS, given.excitation),
         signals=signals,
         noise_factor=given.noise,
         process_noise_factor=given.process_noise * given.process_noise,
         duration=duration,
-        friction=Friction(
-            **{name: own + damping[name] for name, own in asdict(given.friction).items()}
-        ),
+        friction=friction,
         payload=given.payload,
     )
     assert isinstance(found, Scenario)
@@ -217,20 +212,24 @@ def _designed(
     return found
 
 
-def _true_arm(arm: ElasticJointArm, theta: Mapping[str, float]) -> tuple[Mismatch, Friction]:
-    """Return what makes the arm one whose uncertain parameters have changed by θ."""
-    changes: dict[str, float] = {}
-    damping: dict[str, float] = {}
+def _true_arm(
+    arm: ElasticJointArm, given: ScenarioEntries, theta: Mapping[str, float]
+) -> tuple[dict[str, float], Friction]:
+    """Return mismatch and friction of an arm by a scenario and by θ, one change after the other."""
+    changes, friction = dict[str, float](), asdict(given.friction)
     for name, value in theta.items():
-        if name in _RELATIVE:
-            changes[_RELATIVE[name]] = value
-        elif name in _INVERSE:
-            changes[_INVERSE[name]] = 1.0 / (1.0 + value) - 1.0
-        elif value > 0.0:
-            damping[f"{name.partition('_')[0]}_viscous"] = value
-        elif value < 0.0:
+        if not name.endswith("damping"):
+            change = 1.0 / (1.0 + value) - 1.0 if name in _INERTIAS else value
+            changes[_NUMBERS.get(name, name)] = change
+        elif value >= 0.0:
+            friction[f"{name.partition('_')[0]}_viscous"] += value
+        else:
             changes[name] = max(value / getattr(arm, name), math.nextafter(-1.0, 0.0))
-    return Mismatch(**changes), Friction(**damping)
+    mismatch = {
+        name: (1.0 + own) * (1.0 + changes.get(name, 0.0)) - 1.0
+        for name, own in asdict(given.mismatch).items()
+    }
+    return mismatch, Friction(**friction)
 
 
 def violated(scenario: Scenario, request: ArmRequest) -> tuple[str, ...]:
