@@ -220,7 +220,7 @@ class BagSource:
         found = choose_designs(self.path, self.ran, self.joints, given, others_allowed)
         requests = [file.design.request for files in found.values() for file in files]
         if self.take_for_system(requests):
-            found = choose_designs(self.path, self.ran, self.joints, given, others_allowed)
+            found = {name: files[:1] for name, files in found.items()}
         return found
 
     def take_for_system(self, requests: Sequence[AnyRequest]) -> bool:
@@ -252,13 +252,8 @@ class BagSource:
 
     def copy(self, writer: BagWriter) -> None:
         """Copy the messages of `topics` into a bag that has these, up to any damage."""
-        names = [topic.name for topic in self.topics]
-        if self.damage is not None:  # the messages in front of it are wanted, and no others
-            for one in until_damage(self.reader.messages(names), self.damaged):
-                writer.write(one.topic, one.data, one.log_time, one.publish_time)
-            return
         try:
-            writer.copy_topics(self.reader, names)
+            writer.copy_topics(self.reader, [topic.name for topic in self.topics])
         except BagReadError as error:
             self.damaged(error)
 
