@@ -51,12 +51,13 @@ def simulated(design: Design) -> RecordedRun:
     return RecordedRun(
         name="run",
         joint="elastic_joint",
-        measurements=Series(stamps, np.hstack([y[0], u[0]])),
-        stamps=ticks,
-        **{name: np.array(rows[name]) for name in names},
-        innovation=Series(stamps[:-1], found.outcomes.innovations[:-1]),
-        true_state=Series(stamps, scenario.arm.to_physical(states[0])),
-        true_disturbance=Series(stamps, biases[0]),
+        parts={
+            "measurements": Series(stamps, np.hstack([y[0], u[0]])),
+            **{name: Series(ticks, np.array(rows[name])) for name in names},
+            "innovation": Series(stamps[:-1], found.outcomes.innovations[:-1]),
+            "true_state": Series(stamps, scenario.arm.to_physical(states[0])),
+            "true_disturbance": Series(stamps, biases[0]),
+        },
     )
 
 
@@ -95,31 +96,31 @@ def topics_of(run: RecordedRun, namespace: str = "") -> dict[str, list[Row]]:
     def scalar(stamp: int, x: Any) -> Row:
         return Row(stamp, own, x)
 
-    topics = {
-        "joint_measurements": rows(run.measurements, lambda s, x: Row(s, own, x[:1], (), x[1:])),
-        "observer/joint_states": rows((run.stamps, run.state), motion),
-        "observer/error_bound": rows((run.stamps, run.state_bound), motion),
-        "observer/disturbance": rows((run.stamps, run.disturbance), scalar),
-        "observer/disturbance_bound": rows((run.stamps, run.disturbance_bound), scalar),
+    kinds = {
+        "joint_measurements": (
+            "measurements",
+            lambda stamp, x: Row(stamp, own, x[:1], (), x[1:]),
+        ),
+        "observer/joint_states": ("state", motion),
+        "observer/error_bound": ("state_bound", motion),
+        "observer/disturbance": ("disturbance", scalar),
+        "observer/disturbance_bound": ("disturbance_bound", scalar),
+        "observer/innovation": ("innovation", scalar),
+        "ground_truth/joint_states": ("true_state", motion),
+        "ground_truth/disturbance": ("true_disturbance", scalar),
+        "observer/health": ("health", lambda stamp, x: Row(stamp, CONDITIONS, x)),
     }
-    for name, series, row in (
-        ("observer/innovation", run.innovation, scalar),
-        ("ground_truth/joint_states", run.true_state, motion),
-        ("ground_truth/disturbance", run.true_disturbance, scalar),
-        ("observer/health", run.health, lambda stamp, x: Row(stamp, CONDITIONS, x)),
-    ):
-        if series is not None:
-            topics[name] = rows(series, row)
+    topics = {
+        name: rows(run.parts[part], row) for name, (part, row) in kinds.items() if part in run.parts
+    }
     return {f"{namespace}/{name}": each for name, each in topics.items()}
 
 
 @pytest.fixture
 def short(simulated: RecordedRun) -> RecordedRun:
     """The first second of the simulated run, for bags that are quick to write."""
-    series = ("measurements", "innovation", "true_state", "true_disturbance")
-    cut: dict[str, Any] = {name: getattr(simulated, name).take(slice(200)) for name in series}
-    names = ("stamps", "state", "state_bound", "disturbance", "disturbance_bound")
-    return replace(simulated, **cut, **{name: getattr(simulated, name)[:200] for name in names})
+    parts = {name: part.take(slice(200)) for name, part in simulated.parts.items()}
+    return replace(simulated, parts=parts)
 
 
 @pytest.fixture
@@ -131,7 +132,7 @@ def troubled(simulated: RecordedRun) -> RecordedRun:
     health[(times > 5.0) & (times < 12.0), 0] = 1.8
     health[(times > 8.0) & (times < 10.0), BASIS : CLAIMED + 1] = Basis.CONTRADICTED, 0.0
     health[times > 15.0, HYPOTHESIS] = Hypothesis.FORCE
-    return replace(simulated, health=Series(stamps, health))
+    return replace(simulated, parts={**simulated.parts, "health": Series(stamps, health)})
 
 
 @pytest.fixture

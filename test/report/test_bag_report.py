@@ -61,7 +61,8 @@ def test_a_report_lists_what_happened_to_the_estimates(
 
 
 def test_a_report_of_a_robot_without_truth(short, messages_of, write_bag, tmp_path) -> None:
-    bag = write_bag(messages_of(replace(short, true_state=None, true_disturbance=None)))
+    parts = {name: part for name, part in short.parts.items() if "true" not in name}
+    bag = write_bag(messages_of(replace(short, parts=parts)))
     (tmp_path / "report.json").write_text("old")
 
     report, text = make_bag_report(bag, tmp_path, ekf=False, force=True)

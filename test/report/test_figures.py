@@ -10,6 +10,7 @@ import pytest
 from tsobs_ros.report.figures import draw_run
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.panels import MAX_CURVE, picture, thin
+from tsobs_ros.report.run import ESTIMATED
 from tsobs_ros.series import Series
 
 
@@ -18,26 +19,22 @@ def curve(plot, name):
     return next(one for one in plot.curves if one.name == name)
 
 
-SERIES = ("measurements", "true_state", "true_disturbance", "innovation", "health", "parameters",
-          "parameter_bound")  # fmt: skip
-
-
 @pytest.mark.parametrize("gap", ["stamps", "all", "nan"])
 def test_a_figure_is_drawn_of_series_with_gaps(troubled, tmp_path, gap: str) -> None:
     """Of five seconds, or of all: without stamps there, or with numbers that are none."""
     learnt = Series(troubled.stamps[::10], 0.01 * np.ones((len(troubled.stamps[::10]), 2)))
-    whole = replace(troubled, parameters=learnt, parameter_bound=learnt)
+    parts = {**troubled.parts, "parameters": learnt, "parameter_bound": learnt}
+    whole = replace(troubled, parts=parts)
     begin, end = (0.0, 99.0) if gap == "all" else (6.0, 11.0)
     begin, end = (whole.stamps[0] + int(1e9 * time) for time in (begin, end))
 
-    gaps = {}
-    for name in SERIES:
-        stamps, values, _ = getattr(whole, name)
+    for name, (stamps, values, _) in parts.items():
         inside = (stamps >= begin) & (stamps < end)
-        gaps[name] = Series(stamps, np.where(inside[:, np.newaxis], np.nan, values))
+        part = Series(stamps, np.where(inside[:, np.newaxis], np.nan, values))
         if gap == "stamps":
-            gaps[name] = Series(stamps[~inside], values[~inside])
-    run = replace(whole, **gaps)
+            part = Series(stamps[~inside], values[~inside])
+        parts[name] = parts[name] if name in ESTIMATED else part
+    run = replace(whole, parts=parts)
     shown = picture(run, measure(run))
     assert np.isfinite([plot.limits for plot in shown.plots]).all()
     draw_run(shown, tmp_path / "run.png")
@@ -71,18 +68,19 @@ def test_plots_hold_the_run_in_its_units(simulated, troubled) -> None:
         "measurement interval [ms]",
     ]  # fmt: skip
     assert [row[1].label for row in shown.rows[:5]] == [f"{one.label}: error" for one in plots[:5]]
-    measured = simulated.measurements.values
+    parts = {name: part.values for name, part in simulated.parts.items()}
     for plot, name, values in (
-        (plots[0], "measured", measured[:, 0]),
-        (plots[2], "true", simulated.true_state.values[:, 2]),
-        (plots[4], "estimated", simulated.disturbance[:, 0]),
-        (plots[5], "applied", measured[:, 1]),
+        (plots[0], "measured", parts["measurements"][:, 0]),
+        (plots[2], "true", parts["true_state"][:, 2]),
+        (plots[4], "estimated", parts["disturbance"][:, 0]),
+        (plots[5], "applied", parts["measurements"][:, 1]),
     ):
         np.testing.assert_array_equal(curve(plot, name).values, values)
     assert plots[6].level == pytest.approx(0.09)
     np.testing.assert_allclose(curve(plots[7], "interval").values, 5.0)
     noise = picture(troubled, measure(troubled)).plots[-2]
-    np.testing.assert_array_equal(curve(noise, "noise scale").values, troubled.health.values[:, 0])
+    health = troubled.parts["health"].values
+    np.testing.assert_array_equal(curve(noise, "noise scale").values, health[:, 0])
     assert noise.spans == (pytest.approx((8.1, 10.0), abs=0.01),)
     # What does not count as settled is what the windows leave.
     assert list(shown.unsettled) == [pytest.approx((0.0013, 5.0013)), pytest.approx((8.0, 13.0))]
@@ -90,10 +88,10 @@ def test_plots_hold_the_run_in_its_units(simulated, troubled) -> None:
 
 def test_gaps_are_drawn_as_gaps_and_counted(simulated) -> None:
     there = (simulated.times < 10.0) | (simulated.times >= 12.0)
-    own = ("stamps", "state", "state_bound", "disturbance", "disturbance_bound")
-    cut = {name: getattr(simulated, name)[there] for name in own}
-    measurements = simulated.measurements.take(np.append(there, True))
-    run = replace(simulated, measurements=measurements, **cut)
+    names, parts = ("state", "state_bound", "disturbance", "disturbance_bound"), simulated.parts
+    cut = {name: parts[name].take(there) for name in names}
+    cut["measurements"] = parts["measurements"].take(np.append(there, True))
+    run = replace(simulated, parts={**parts, **cut})
 
     shown = picture(run, measure(run))
 

@@ -31,22 +31,28 @@ def exact() -> RecordedRun:
     return RecordedRun(
         name="run",
         joint="elastic_joint",
-        measurements=Series(stamps, nothing[:, :2]),
-        stamps=stamps,
-        state=nothing,
-        state_bound=nothing + BOUND,
-        disturbance=bias,
-        disturbance_bound=nothing[:, :1] + BOUND,
-        true_state=Series(stamps, nothing),
-        true_disturbance=Series(stamps, bias),
+        parts={
+            "measurements": Series(stamps, nothing[:, :2]),
+            "state": Series(stamps, nothing),
+            "state_bound": Series(stamps, nothing + BOUND),
+            "disturbance": Series(stamps, bias),
+            "disturbance_bound": Series(stamps, nothing[:, :1] + BOUND),
+            "true_state": Series(stamps, nothing),
+            "true_disturbance": Series(stamps, bias),
+        },
     )
+
+
+def changed(run: RecordedRun, **values: np.ndarray) -> RecordedRun:
+    """Return the run with other values of some parts at the estimates' stamps."""
+    return replace(run, parts=run.parts | {k: Series(run.stamps, v) for k, v in values.items()})
 
 
 def with_error(run, begin: float, end: float, size: float, column: int = 0):
     """Return the run with an error of one state in part of it."""
-    states = run.state.copy()
+    states = run.parts["state"].values.copy()
     states[(run.times >= begin) & (run.times < end), column] += size
-    return replace(run, state=states)
+    return changed(run, state=states)
 
 
 def test_errors_count_where_the_run_is_settled(exact) -> None:
@@ -69,32 +75,33 @@ def test_inside_counts_three_sigma_and_the_normalised_error_weighs_the_states(ex
     for size, inside in ((0.31, 0.9), (-0.29, 1.0)):
         metrics = measure(with_error(exact, 10.0, 13.0, size, column=2))
         assert metrics["motor_angle"].inside == pytest.approx(inside)
-    run = replace(exact, state=exact.state + 0.01 * np.array([0.226, 0.60, 0.355, 0.464]))
+    run = changed(exact, state=np.tile(0.01 * np.array([0.226, 0.60, 0.355, 0.464]), (8001, 1)))
     assert measure(run).normalised_rmse == pytest.approx(0.01)
 
 
 def test_small_steps_of_the_disturbance_are_no_jumps(exact) -> None:
-    stamps, values, _ = exact.true_disturbance
-    ramp = Series(stamps, 0.2 * np.sin(3.0 * exact.times)[:, np.newaxis])
-    chatter = values.copy()
+    ramp = 0.2 * np.sin(3.0 * exact.times)[:, np.newaxis]
+    chatter = exact.parts["true_disturbance"].values.copy()
     chatter[4001:4010:2] = 0.0
 
-    assert measure(replace(exact, true_disturbance=ramp)).jumps == ()
-    (jump,) = measure(replace(exact, true_disturbance=Series(stamps, chatter))).jumps
+    assert measure(changed(exact, true_disturbance=ramp)).jumps == ()
+    (jump,) = measure(changed(exact, true_disturbance=chatter)).jumps
     assert jump == (20.0, pytest.approx(0.1), "disturbance")
 
 
 def test_what_is_not_known_is_left_out(exact) -> None:
-    blind = measure(replace(exact, true_state=None, true_disturbance=None))
+    known = {name: part for name, part in exact.parts.items() if "true" not in name}
+    blind = measure(replace(exact, parts=known))
     assert blind.windows == ((5.0, 40.0),)
     assert blind["link_angle"].bound == pytest.approx(BOUND)
     assert all(one.rmse is one.ratio is one.inside is None for one in blind.quantities)
     assert blind.normalised_rmse is None
 
-    bounds = exact.state_bound.copy()
+    bounds = exact.parts["state_bound"].values.copy()
     bounds[2000:2400] = np.nan
-    truth = exact.true_state.take((exact.times < 12.0) | (exact.times > 13.0))
-    run = with_error(replace(exact, state_bound=bounds, true_state=truth), 12.0, 13.0, 9.0)
+    run = with_error(changed(exact, state_bound=bounds), 12.0, 13.0, 9.0)
+    truth = exact.parts["true_state"].take((exact.times < 12.0) | (exact.times > 13.0))
+    run = replace(run, parts=run.parts | {"true_state": truth})
     found = measure(run)["link_angle"]
     assert (found.rmse, found.bound, found.inside) == (0.0, pytest.approx(BOUND), 1.0)
 
@@ -102,7 +109,7 @@ def test_what_is_not_known_is_left_out(exact) -> None:
 def test_the_innovation_is_measured_against_the_expected_one(exact) -> None:
     values = np.full((8001, 1), 0.03)
     values[exact.times < 5.0] = 9.0
-    run = replace(exact, innovation=Series(exact.stamps, values))
+    run = changed(exact, innovation=values)
 
     assert measure(run, [0.02]).nis == pytest.approx(2.25)
     assert measure(run).nis is measure(exact, [0.02]).nis is None
@@ -110,8 +117,7 @@ def test_the_innovation_is_measured_against_the_expected_one(exact) -> None:
 
 @pytest.mark.parametrize("size", [2e83, 1e200])
 def test_a_diverged_observer_is_called_so_and_stays_plain_data(exact, size) -> None:
-    innovations = Series(exact.stamps, np.full((8001, 1), size))
-    run = replace(with_error(exact, 5.0, 40.0, size), innovation=innovations)
+    run = changed(with_error(exact, 5.0, 40.0, size), innovation=np.full((8001, 1), size))
     metrics = measure(run, [0.02])
     rows = [ObserverErrors("high_gain", "elbow", (size,), metrics)]
 

@@ -41,13 +41,11 @@ def diagnosed(simulated):
 @pytest.fixture
 def page(simulated, troubled, diagnosed, tmp_path):
     """A page with all panels, of a run with a name that is markup."""
-    slow = troubled.health.stamps
+    slow = troubled.parts["health"].stamps
     learnt = Series(slow, np.tile([0.1, -0.05], (len(slow), 1)))
-    run = replace(
-        troubled, name=HOSTILE, parameters=learnt, parameter_bound=learnt._replace(
-            values=np.full((len(slow), 2), 0.02)
-        ),
-    )  # fmt: skip
+    bound = learnt._replace(values=np.full((len(slow), 2), 0.02))
+    parts = {**troubled.parts, "parameters": learnt, "parameter_bound": bound}
+    run = replace(troubled, name=HOSTILE, parts=parts)
     metrics = measure(run)
     shown = picture(run, metrics, (0.03,), diagnosed=diagnosed)
     path = tmp_path / "run.html"
@@ -136,7 +134,7 @@ def test_diagnostics_come_to_faults_and_rejects(diagnosed) -> None:
 def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> None:
     metrics = measure(simulated)
     timing = picture(simulated, metrics).timing
-    health, nothing = health_of(troubled.health.values), diagnose([], 0, 20.0)
+    health, nothing = health_of(troubled.parts["health"].values), diagnose([], 0, 20.0)
 
     good = summarise(metrics, health, nothing, timing)
     assert good.level is Level.OK
@@ -152,7 +150,9 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
     # What comes after the last measurement is no silence.
     assert summarise(metrics, health, nothing, timing, events, until=0) == good
 
-    wrong = replace(simulated, state_bound=0.1 * simulated.state_bound)
+    stamps, bound, _ = simulated.parts["state_bound"]
+    parts = {**simulated.parts, "state_bound": Series(stamps, 0.1 * bound)}
+    wrong = replace(simulated, parts=parts)
     bad = summarise(measure(wrong), None, diagnosed, timing)
     assert bad.level is Level.ERROR
     assert "sensor faults: 1; worst: bias of 0.25 rad, from 8.5 s to 15.0 s." in bad.text

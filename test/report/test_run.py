@@ -31,14 +31,13 @@ def read_run(bag: Path, topic: str | None = None) -> RecordedRun:
 def test_a_run_comes_back_from_its_bag(short, messages_of, write_bag, namespace) -> None:
     run = read_run(write_bag(messages_of(short, namespace)))
 
-    for name in ("stamps", "state", "state_bound", "disturbance", "disturbance_bound"):
-        np.testing.assert_array_equal(getattr(run, name), getattr(short, name), err_msg=name)
-    for name in ("measurements", "innovation", "true_state", "true_disturbance"):
-        for read, written in zip(getattr(run, name), getattr(short, name)[:2], strict=False):
+    assert run.parts.keys() == short.parts.keys()
+    for name, part in run.parts.items():
+        for read, written in zip(part, short.parts[name][:2], strict=False):
             np.testing.assert_array_equal(read, written, err_msg=name)
     assert run.joint == "elastic_joint"
     assert run.passes == 1
-    assert run.origin == short.measurements.stamps[0]
+    assert run.origin == short.parts["measurements"].stamps[0]
     assert run.name.startswith("elastic_joint, test_a_run_comes_back")
 
 
@@ -51,23 +50,24 @@ def test_the_health_of_one_joint_is_read_whoever_else_is_in_it(
         position = [*np.full(7, np.nan), *one.position]
         topics["/observer/health"][k] = one._replace(names=names, position=position)
 
-    health = read_run(write_bag(topics)).health
+    health, written = read_run(write_bag(topics)).parts["health"], troubled.parts["health"]
 
-    np.testing.assert_array_equal(health.stamps, troubled.health.stamps)
-    np.testing.assert_array_equal(health.values, troubled.health.values)
+    np.testing.assert_array_equal(health.stamps, written.stamps)
+    np.testing.assert_array_equal(health.values, written.values)
 
 
 def test_missing_topics_are_named_and_of_two_arms_one_is_chosen(
     short, messages_of, write_bag, tmp_path
 ) -> None:
-    other = replace(short, state=short.state + 1.0)
+    stamps, state, _ = short.parts["state"]
+    other = replace(short, parts={**short.parts, "state": Series(stamps, state + 1.0)})
     bag = write_bag({**messages_of(short, "/left"), **messages_of(other, "/right")})
 
     with pytest.raises(BagReadError, match=r"several topics end in joint_measurements, choose"):
         read_run(bag)
     for name, run in (("left", short), ("right", other)):
         found = read_run(bag, f"/{name}/joint_measurements")
-        np.testing.assert_array_equal(found.state, run.state)
+        np.testing.assert_array_equal(found.parts["state"].values, run.parts["state"].values)
     with pytest.raises(BagReadError, match="no topic /nowhere/joint_measurements; topics: /left/"):
         read_run(bag, "/nowhere/joint_measurements")
 
@@ -86,11 +86,14 @@ def test_joints_efforts_and_messages_that_are_missing_leave_gaps(
 
     run = read_run(write_bag(topics))
 
-    np.testing.assert_array_equal(run.measurements.stamps, [first.stamp, second.stamp])
-    np.testing.assert_array_equal(run.measurements.values, [[0.5, 0.25], [0.75, np.nan]])
-    assert np.flatnonzero(np.isnan(run.state_bound[:, 0])).tolist() == [10]
-    assert np.flatnonzero(np.isnan(run.disturbance[:, 0])).tolist() == [20]
-    np.testing.assert_array_equal(run.state_bound[11:], short.state_bound[11:])
+    measured = run.parts["measurements"]
+    np.testing.assert_array_equal(measured.stamps, [first.stamp, second.stamp])
+    np.testing.assert_array_equal(measured.values, [[0.5, 0.25], [0.75, np.nan]])
+    link, disturbance = (run.of(run.quantities[place]).bounds for place in (0, 4))
+    assert np.flatnonzero(np.isnan(link)).tolist() == [10]
+    assert np.flatnonzero(np.isnan(disturbance)).tolist() == []
+    assert np.flatnonzero(np.isnan(run.of(run.quantities[4]).values)).tolist() == [20]
+    np.testing.assert_array_equal(link[11:], short.parts["state_bound"].values[11:, 0])
 
 
 def test_of_a_looped_bag_the_longest_pass_is_read(short, messages_of, write_bag) -> None:
@@ -107,8 +110,8 @@ def test_of_a_looped_bag_the_longest_pass_is_read(short, messages_of, write_bag)
 
     assert run.passes == 3
     assert len(run.stamps) == 200
-    np.testing.assert_array_equal(run.state, short.state)
-    np.testing.assert_array_equal(run.true_state.values, short.true_state.values)
+    for name in ("state", "true_state"):
+        np.testing.assert_array_equal(run.parts[name].values, short.parts[name].values)
 
 
 def motion(stamps: np.ndarray, w: float = 5.0) -> np.ndarray:

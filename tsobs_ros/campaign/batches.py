@@ -98,26 +98,20 @@ def recorded(
     """
     request = request or ArmRequest()
     sides = request.torque_sides
-    stamps, p = stamps_of(runs.times), runs.disturbances.shape[2]
+    stamps = stamps_of(runs.times)
     there = np.flatnonzero(np.isfinite(runs.measurements[run]).any(axis=1))
     measured = np.hstack([runs.measurements[run], runs.torques[run]])
     torques = runs.torque_disturbances[run][:, [SIDES.index(side) for side in sides]]
-    known: dict[str, Any] = {}
-    for name, width in zip(ESTIMATED, (4, 4, p, p, len(sides), len(sides)), strict=True):
-        # A method without bounds has no numbers there.
-        given = estimates.get(name, np.zeros((0, 0)))
-        known[name] = given if given.shape[1] else np.full((len(stamps), width), np.nan)
-    return RecordedRun(
-        name="run",
-        joint="run",
-        measurements=Series(stamps[there], measured[there]),
-        stamps=stamps,
-        request=request,
-        true_state=Series(stamps, runs.physical[run]),
-        true_disturbance=Series(stamps, runs.disturbances[run]),
-        true_torque_disturbance=Series(stamps, torques) if sides else None,
-        **known,
-    )
+    parts = {
+        "true_state": runs.physical[run],
+        "true_disturbance": runs.disturbances[run],
+        "true_torque_disturbance": torques,
+        **estimates,
+    }
+    # A method without bounds has no numbers there.
+    series = {name: Series(stamps, values) for name, values in parts.items() if values.shape[1]}
+    series["measurements"] = Series(stamps[there], measured[there])
+    return RecordedRun("run", "run", series, request=request)
 
 
 def claimed(run: RecordedRun, rows: Rows) -> dict[str, int | float]:

@@ -79,17 +79,17 @@ def make_bag_report(
     run, expected = read_run(source, file.design.request), innovation_std(file.design)
     metrics = measure(run, expected)
     health, events, health_lines = None, list[JointEvent](), tuple[str, ...]()
-    if run.health is not None:
-        health = health_of(run.health.values)
-        stamped = run.health._replace(log_times=run.health.stamps)
+    if recorded := run.parts.get("health"):
+        health = health_of(recorded.values)
+        stamped = recorded._replace(log_times=recorded.stamps)
         events = sorted(find_events(run.joint, run.topic, stamped), key=attrgetter("log_time"))
         health_lines = () if health is None else health.lines()
     diagnosed = diagnose(diagnostics(source), run.origin, metrics.last)
     rival = None
-    if ekf and run.true_state is not None:
+    if ekf and "true_state" in run.parts:
         rival = best_ekf(source, file, source.ran.settings())
     shown = picture(run, metrics, expected, diagnosed=diagnosed, rival=rival and rival[2])
-    until = int(run.measurements.stamps.max())
+    until = int(run.part("measurements").stamps.max())
     summary = summarise(metrics, health, diagnosed, shown.timing, events, until)
     remarks = [*source.ran.doubt(given), *source.ran.remarks, *_limits(run, metrics, diagnosed)]
     cells = metrics_cells(metrics, rival and rival[1])
@@ -176,7 +176,7 @@ def _tables(run: RecordedRun, diagnosed: Diagnosed, events: Sequence[JointEvent]
 
 
 def _limits(run: RecordedRun, metrics: RunMetrics, diagnosed: Diagnosed) -> Iterator[str]:
-    if run.true_state is None:
+    if "true_state" not in run.parts:
         yield "note: the bag has no ground truth, so there are bounds but no errors"
     if run.passes > 1:
         yield f"note: this is the longest of {run.passes} passes of time"

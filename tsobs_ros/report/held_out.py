@@ -95,16 +95,17 @@ class HeldOutSensor(NamedTuple):
             LogError: Too few readings are between settled estimates.
         """
         one = run.of(self.quantity)
-        if run.held_out is None or run.health is None or not np.isfinite(one.values).any():
+        health, readings = run.part("health"), run.part("held_out")
+        if not (len(health.stamps) and len(readings.stamps) and np.isfinite(one.values).any()):
             return None
-        settled = inside_windows(run.held_out.seconds(run.origin), windows)
-        readings = run.held_out.take(settled & np.isfinite(run.held_out.values[:, 0]))
+        settled = inside_windows(readings.seconds(run.origin), windows)
+        readings = readings.take(settled & np.isfinite(readings.values[:, 0]))
         found = interpolate(Series(run.stamps, one.values[:, np.newaxis]), readings.stamps)
         error = (found - readings.values)[:, 0]
         known = np.isfinite(error)
         where = f"{self.source}, between settled estimates"
         _require_enough(int(known.sum()), self.quantity, where)
-        claims = align(run.health, run.stamps)[:, CLAIMED]
+        claims = align(health, run.stamps)[:, CLAIMED]
         bounds = Series(run.stamps, np.column_stack([one.bounds, claims]))
         error, (bound, claimed) = error[known], interpolate(bounds, readings.stamps)[known].T
         limit = np.where(claimed == 1.0, np.hypot(bound, self.std), np.nan)

@@ -146,7 +146,7 @@ def measure(
     times, scale = run.times, SCALE
     if isinstance(run.request, TSRequest):  # their sizes before any measurement
         scale = tuple(np.asarray(run.request.initial_std).tolist())
-    measured = run.measurements.seconds(run.origin)
+    measured = run.part("measurements").seconds(run.origin)
     jumps, first, last = _jumps(run), float(times[0]), float(times[-1])
     # Predictions of an observer that is left running after the last measurement do not count.
     end = min(last, float(measured.max(initial=-math.inf)))
@@ -201,9 +201,10 @@ def _innovations(
     run: RecordedRun, windows: Windows, stds: Sequence[float]
 ) -> tuple[float | None, tuple[float | None, ...]]:
     """Return the mean square of all innovations over the expected, and that of each output."""
-    if run.innovation is None or not stds:
+    innovation = run.part("innovation")
+    if not (len(innovation.stamps) and stds):
         return None, ()
-    settled = run.innovation.take(inside_windows(run.innovation.seconds(run.origin), windows))
+    settled = innovation.take(inside_windows(innovation.seconds(run.origin), windows))
     scaled = settled.values / np.array(stds)
     sizes = [root_mean(one) for one in (scaled, *scaled.T)]
     nis, *of_outputs = (None if size is None else _bounded(size * size) for size in sizes)

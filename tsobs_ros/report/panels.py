@@ -184,7 +184,7 @@ def picture(
     """
     diagnosed = diagnosed or Diagnosed()
     last, outputs = float(run.times[-1]), outputs_of(run.request)
-    samples = run.measurements.ordered()
+    samples = run.part("measurements").ordered()
     times = samples.seconds(run.origin)
     # What is outside of the time axis must not squeeze the rest.
     samples = samples.take((times >= 0.0) & (times <= last + _MAX_AHEAD))
@@ -198,11 +198,12 @@ def picture(
     if diagnosed.faults:
         singles.append(_faults(diagnosed.faults))
     singles += _innovations(run, metrics, innovation_std, outputs)
-    if run.health is not None and len(run.health.stamps):
-        singles.append(_health(run.health.seconds(run.origin), run.health.values))
+    health = run.part("health")
+    if len(health.stamps):
+        singles.append(_health(health.seconds(run.origin), health.values))
     singles += _learnt(run)
     singles += intervals
-    measured = float(run.measurements.seconds(run.origin).max(initial=0.0))
+    measured = float(run.part("measurements").seconds(run.origin).max(initial=0.0))
     settled = [edge for window in metrics.windows for edge in window]
     edges = [float(run.times[0]), *settled, last]
     return Picture(
@@ -229,7 +230,7 @@ def _headline(metrics: RunMetrics, run: RecordedRun) -> str:
         parts.append(f"normalised RMSE {metrics.normalised_rmse:.3g}")
     if metrics.nis is not None:
         parts.append(f"innovation² / expected {metrics.nis:.2f}")
-    if run.true_state is None:
+    if "true_state" not in run.parts:
         parts.append("no ground truth recorded")
     return "  ·  ".join(parts)
 
@@ -389,10 +390,10 @@ def _innovations(
     stds: Sequence[float],
     outputs: Sequence[tuple[str, str]],
 ) -> Iterator[Plot]:
-    if run.innovation is None or not len(run.innovation.stamps):
+    innovation = run.part("innovation")
+    times, columns = innovation.seconds(run.origin), innovation.values.T
+    if not len(times):
         return
-    times = run.innovation.seconds(run.origin)
-    columns = run.innovation.values.T
     for place, ((name, unit), values) in enumerate(zip(outputs, columns, strict=True)):
         there = np.isfinite(values)
         if not there.any():
@@ -409,12 +410,13 @@ def _innovations(
 
 
 def _learnt(run: RecordedRun) -> Iterator[Plot]:
-    if run.parameters is None or not len(run.parameters.stamps):
+    learnt = run.part("parameters")
+    times, values = learnt.seconds(run.origin), learnt.values
+    if not len(times):
         return
-    times, values = run.parameters.seconds(run.origin), run.parameters.values
     bounds = np.full(values.shape, np.nan)
-    if run.parameter_bound is not None:
-        bounds = align(run.parameter_bound, run.parameters.stamps)
+    if "parameter_bound" in run.parts:
+        bounds = align(run.part("parameter_bound"), learnt.stamps)
     names = run.request.uncertainty_model.names
     for name, value, bound in zip(names, values.T, bounds.T, strict=True):
         bands = _bands(times, value, bound, _SLOW_GAP)

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -70,30 +70,26 @@ class Estimated(NamedTuple):
         return self.values - self.true_values
 
 
+NOTHING = Series(np.zeros(0, np.int64), np.zeros((0, 0)))
+
+
 @dataclass(frozen=True)
 class RecordedRun:
     """Measurements, estimates and, from a simulation, the truth.
 
     Attributes:
         name: Its origin, for titles.
-        measurements: In order of arrival: outputs and then inputs at the sampling stamps, of an arm
-            [y (rad), u (N m)], values (n, p + m).
-        stamps: Of the estimates [ns], ascending, shape (m,).
-        state: Estimated, of an arm [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (m, plant).
-        state_bound: Published 1σ bound of each, NaN if lost, shape (m, plant).
-        disturbance: Estimated disturbance of each output, NaN if lost, shape (m, p).
-        disturbance_bound: Published 1σ bound of each, NaN if lost, shape (m, p).
-        torque_disturbance: Estimated torque disturbances [N m], NaN if lost, shape (m, t).
-        torque_disturbance_bound: Published 1σ bound of each [N m], NaN if lost, shape (m, t).
-        innovation: y − ŷ at the measurements' stamps, NaN of outputs that were not used, values
-            (n', p). It is None if not recorded, like all that follow.
-        true_state: At the sampling stamps, values (k, plant).
-        true_disturbance: Of the outputs at the sampling stamps, values (k', p).
-        true_torque_disturbance: At the sampling stamps [N m], values (k'', t).
-        health: Fields of `estimation.records.HEALTH` at their stamps, values (h, 7).
-        parameters: Learnt changes of the uncertain parameters, values (l, c).
-        parameter_bound: 1σ of each, values (l, c).
-        held_out: Readings of a sensor that no observer got, values (r, 1).
+        parts: What there is of these, by their names. Stamps ascend but for the measurements.
+
+            measurements: In order of arrival at the sampling stamps: outputs, then inputs.
+            state, disturbance, torque_disturbance: Estimates, of an arm [q₁, q̇₁, q₂, q̇₂] (rad,
+                rad/s), of each output, of each torque [N m]. There is a state.
+            state_bound, disturbance_bound, torque_disturbance_bound: Published 1σ bounds.
+            true_state, true_disturbance, true_torque_disturbance: At the sampling stamps.
+            innovation: y − ŷ at the sampling stamps, NaN of outputs that were not used.
+            health: Fields of `HEALTH` at their stamps.
+            parameters, parameter_bound: Learnt changes of the uncertain parameters, and 1σ.
+            held_out: Readings of a sensor that no observer got.
         topic: Name of the measurements' topic.
         passes: Number of passes over the recorded time; this is the longest one.
         request: Of the design, for names, units and places.
@@ -101,25 +97,19 @@ class RecordedRun:
 
     name: str
     joint: str
-    measurements: Series
-    stamps: Stamps
-    state: Array
-    state_bound: Array
-    disturbance: Array
-    disturbance_bound: Array
-    torque_disturbance: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    torque_disturbance_bound: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    innovation: Series | None = None
-    true_state: Series | None = None
-    true_disturbance: Series | None = None
-    true_torque_disturbance: Series | None = None
-    health: Series | None = None
-    parameters: Series | None = None
-    parameter_bound: Series | None = None
-    held_out: Series | None = None
+    parts: Mapping[str, Series]
     topic: str = "joint_measurements"
     passes: int = 1
     request: ArmRequest | TSRequest = field(default_factory=ArmRequest)
+
+    def part(self, name: str) -> Series:
+        """Return a part, without rows if it is not known."""
+        return self.parts.get(name, NOTHING)
+
+    @property
+    def stamps(self) -> Stamps:
+        """Stamps of the estimates [ns], ascending, shape (m,)."""
+        return self.parts["state"].stamps
 
     @cached_property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -129,38 +119,45 @@ class RecordedRun:
     @cached_property
     def origin(self) -> int:
         """Stamp that times count from: the first measurement's, or estimate's if earlier [ns]."""
-        stamped = self.measurements.stamps[self.measurements.stamps > 0]
-        return int(np.append(stamped, self.stamps[0]).min())
+        stamped = self.part("measurements").stamps
+        return int(np.append(stamped[stamped > 0], self.stamps[0]).min())
 
     @cached_property
     def times(self) -> Array:
         """Times of the estimates since the origin [s], shape (m,)."""
-        return np.asarray((self.stamps - self.origin) / NANOSECONDS, dtype=np.float64)
+        return self.parts["state"].seconds(self.origin)
 
     def of(self, quantity: Quantity) -> Estimated:
         """Return what is known of a quantity."""
-        kind, column = quantity.kind, quantity.column
-        truth: Series | None = getattr(self, f"true_{kind}")
-        return Estimated(
-            getattr(self, kind)[:, column],
-            getattr(self, f"{kind}_bound")[:, column],
-            None if truth is None else truth.column(column),
-            self._true_values[kind][:, column],
-        )
+        return self._estimated[quantity.key]
 
     @cached_property
-    def _true_values(self) -> dict[str, Array]:
-        """Truth at the estimates' stamps by kind; a disturbance may jump between its samples."""
-        each = (
-            ("state", self.true_state, interpolate),
-            ("disturbance", self.true_disturbance, hold),
-            ("torque_disturbance", self.true_torque_disturbance, hold),
-        )
+    def _estimated(self) -> dict[str, Estimated]:
+        # A disturbance may jump between its samples.
+        reads = {
+            "true_state": interpolate,
+            "true_disturbance": hold,
+            "true_torque_disturbance": hold,
+        }
+        known = {
+            name: reads.get(name, align)(part, self.stamps)
+            for name, part in self.parts.items()
+            if name in (*ESTIMATED, *TRUE)
+        }
+        nothing = np.full(len(self.stamps), np.nan)
+
+        def of(name: str, column: int) -> Array:
+            return known[name][:, column] if name in known else nothing
+
         return {
-            kind: np.full(getattr(self, kind).shape, np.nan)
-            if truth is None
-            else read(truth, self.stamps)
-            for kind, truth, read in each
+            one.key: Estimated(
+                of(one.kind, one.column),
+                of(f"{one.kind}_bound", one.column),
+                truth.column(one.column) if len(truth.stamps) else None,
+                of(f"true_{one.kind}", one.column),
+            )
+            for one in self.quantities
+            for truth in [self.part(f"true_{one.kind}")]
         }
 
 
@@ -285,31 +282,10 @@ def run_of(
         for key, own in each.items()
         if own
     }
-    measurements, (stamps, state, _) = near.pop("measurements"), near.pop("state").ordered()
-    widths = {
-        "state": state.shape[1],
-        "disturbance": len(request.output_names),
-        "torque_disturbance": len(request.torque_sides),
-    }
-    parts: dict[str, Any] = {}
-    for key in ESTIMATED[1:]:
-        parts[key] = np.full((len(stamps), widths[key.removesuffix("_bound")]), np.nan)
-        if key in near:
-            parts[key] = align(near.pop(key), stamps)
     if "health" in near and np.isnan(near["health"].values[:, CLAIMED]).any():
         del near["health"]  # of version 0.7, which had other codes
-    parts |= {key: one.ordered() for key, one in near.items()}
-    return RecordedRun(
-        name=name,
-        joint=joint,
-        measurements=measurements,
-        stamps=stamps,
-        state=state,
-        topic=topic,
-        passes=len(each["state"]),
-        request=request,
-        **parts,
-    )
+    parts = {key: one if key == "measurements" else one.ordered() for key, one in near.items()}
+    return RecordedRun(name, joint, parts, topic, len(each["state"]), request)
 
 
 def align(series: Series, stamps: Stamps) -> Array:
