@@ -19,7 +19,7 @@ from tsobs_ros.design.signals import Place, positions
 from tsobs_ros.replay.estimate import Observer, make_runs, open_source, run_all
 from tsobs_ros.replay.places import Layout
 from tsobs_ros.replay.source import MEASUREMENTS
-from tsobs_ros.simulation.plant import Plant
+from tsobs_ros.simulation.plant import Plant, Trajectories
 
 JOINT = "elastic_joint"
 """Name of the joint in the bag."""
@@ -34,36 +34,33 @@ def rerun(campaign: Campaign, run: int, output: Path) -> Path:
     """
     if not 0 <= run < campaign.entries.runs:
         raise CampaignError(f"run {run}: expected a number from 0 to {campaign.entries.runs - 1}")
+    (drawn,) = draw_group(campaign, run, run + 1)
+    runs = Plant(drawn.scenario, drawn.seed).run(drawn.scenario.sample_count)
     with TemporaryDirectory() as folder:
-        recorded = Path(folder, f"run_{run}")
-        _record(campaign, run, recorded)
-        source = open_source(recorded)
+        source = open_source(_recorded(campaign, runs, Path(folder, f"run_{run}")))
         observer = Observer("observer", campaign.settings, (campaign.file,))
         run_all(source, make_runs(source, [observer], rate=None, as_live=False), output / "bag")
     return output / "bag"
 
 
-def _record(campaign: Campaign, run: int, bag: Path) -> None:
+def _recorded(campaign: Campaign, run: Trajectories, bag: Path) -> Path:
     """Write what a plant simulator would have sent."""
-    (drawn,) = draw_group(campaign, run, run + 1)
     own = campaign.file.design.arm_request.signals(JOINT, alone=True)
-    runs = Plant(drawn.scenario, drawn.seed).run(drawn.scenario.sample_count)
-    stamps = stamps_of(runs.times)
-    measured = np.isfinite(runs.measurements).any(axis=1)
-    everywhere = np.ones(len(stamps), np.bool_)
-    inputs_and_outputs = np.hstack([runs.measurements, runs.torques])
+    stamps, everywhere = stamps_of(run.times), np.ones(len(run.times), np.bool_)
+    measured = np.isfinite(run.measurements).any(axis=1)
+    inputs_and_outputs = np.hstack([run.measurements, run.torques])
     # The motor's first, as in the truth of a run.
     torques = [Place(name, "effort") for name in reversed(sides(JOINT))]
-    notes = {"run": run, "scenario": drawn.name, "seed": drawn.seed, "campaign": campaign.identity}
     series = []
-    with BagWriter(bag, custom_data={name: str(note) for name, note in notes.items()}) as writer:
+    with BagWriter(bag) as writer:
         for name, places, values, there in (
             (MEASUREMENTS, (*own.outputs, *own.inputs), inputs_and_outputs, measured),
-            (TRUE_STATES, own.states, runs.physical, everywhere),
-            (TRUE_DISTURBANCE, positions(own.disturbances), runs.disturbances, everywhere),
-            (TRUE_TORQUE, torques, runs.torque_disturbances, everywhere),
+            (TRUE_STATES, own.states, run.physical, everywhere),
+            (TRUE_DISTURBANCE, positions(own.disturbances), run.disturbances, everywhere),
+            (TRUE_TORQUE, torques, run.torque_disturbances, everywhere),
         ):
             writer.add_topic(f"/{name}", JOINT_STATE, [QosProfile()])
             times, data = stamps[there], Layout(places).encode(stamps[there], values[there])
             series.append(MessageSeries(f"/{name}", JOINT_STATE, times, times, data))
         writer.write_series(series)
+    return bag
