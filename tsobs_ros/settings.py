@@ -196,8 +196,7 @@ def check(record: Any, name: str = "") -> None:
 def changed(record: T, values: Mapping[str, Any]) -> T:
     """Return an instance of a dataclass of settings with some of them changed.
 
-    Args:
-        values: By their full names; text is converted.
+    They are named in full; text is converted.
 
     Raises:
         ParameterError: There is no such setting, a value is not accepted, or they contradict each

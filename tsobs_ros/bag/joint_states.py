@@ -170,13 +170,9 @@ class JointStateEncoder:
         velocity: Sequence[float] = (),
         effort: Sequence[float] = (),
     ) -> bytes:
-        """Return a message in CDR, with the numbers of each joint, or none.
+        """Return a message in CDR, stamped in ns since the epoch.
 
-        Args:
-            stamp: Of its header, ns since the epoch.
-            position: [rad or m].
-            velocity: [rad/s or m/s].
-            effort: [N m or N].
+        Position, velocity and effort of each joint, or none, are in SI units.
 
         Raises:
             MessageError: The stamp does not fit into a message, or a value is not a number.
@@ -196,11 +192,7 @@ class JointStateEncoder:
     ) -> NDArray[np.uint8]:
         """Return messages, each as if encoded on its own, as rows of bytes.
 
-        Args:
-            stamps: Of the headers, ns since the epoch, shape (m,).
-            position: Shape (m, joints), or (m, 0) or (1, 0) for none.
-            velocity: As `position`.
-            effort: As `position`.
+        Stamps have the shape (m,), numbers (m, joints), or (m, 0) or (1, 0) for none.
 
         Raises:
             MessageError: A stamp does not fit into a message.
@@ -268,11 +260,8 @@ class JointStateDecoder:
     ) -> tuple[Flags, Stamps, Array]:
         """Read numbers of messages, with whether there are any, shape (count,), and the stamps.
 
-        Args:
-            count: The number of messages.
-            groups: Those of the same size, as of `decode_rows`.
-            wanted: Of a message the last group is read of which it has any entry; what it lacks
-                is NaN.
+        Groups are those of the same size, as of `decode_rows`. Of a message the last group that is
+        wanted is read of which it has any entry; what it lacks is NaN.
         """
         named, stamps = np.zeros(count, np.bool_), np.zeros(count, np.int64)
         values = np.full((count, len(wanted[0])), np.nan)

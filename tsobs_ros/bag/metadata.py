@@ -142,10 +142,8 @@ class TopicInfo:
 class Descriptions:
     """What the schemas and channels of a file describe.
 
-    Args:
-        of_bag: The topics of the bag by name, to which those of the file are added.
-
     Attributes:
+        of_bag: The topics of the bag by name, to which those of the file are added.
         schemas: The first description with each number.
         channels: The first description with each number.
         topics: The topics by channel, without QoS if that makes no sense.

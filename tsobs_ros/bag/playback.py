@@ -171,11 +171,8 @@ def read_passes(
 ) -> Messages:
     """Read passes through a part of a bag; a thread reads ahead, a batch at a time.
 
-    Args:
-        latched: How many messages of each latched topic from before the start come first.
-        start: Log time at which a pass starts [ns].
-        end: Log time at which a pass ends; messages of that time are still read [ns].
-        read_ahead: How much to read ahead [bytes]; a single message may be larger.
+    A pass begins with so many messages of each latched topic from before its start, and ends with
+    those at its end [ns]. A single message may be larger than what is read ahead [bytes].
 
     Raises:
         BagReadError: The bag is damaged there.

@@ -106,7 +106,6 @@ def recover(
     each file that messages were found in. Memory is bounded by the largest chunk.
 
     Args:
-        bag: A bag folder, with or without metadata.yaml, or one MCAP file.
         output: The folder to make, which must not exist.
         compression: Of the new bag's chunks: `none`, `lz4` or `zstd`.
         is_trusted: Whether to read chunks however much they decompress to.

@@ -53,9 +53,6 @@ class BagSummary(dict[str, Any]):
 def summarise(bag: str | Path) -> BagSummary:
     """Return the summary of a bag; one that is not finished or is damaged is read through.
 
-    Args:
-        bag: A bag folder, or one MCAP file.
-
     Raises:
         BagReadError: There is no bag of ROS 2, or nothing can be read of it.
     """

@@ -7,12 +7,7 @@ NEVER = 2**62
 
 
 class Timeline:
-    """Bag time as a function of steady time: a line through an anchor, or a halt.
-
-    Args:
-        time: The bag time it stands at [ns].
-        rate: Seconds of bag time per second, once it runs.
-    """
+    """Bag time as a function of steady time: a line through an anchor, or a halt, in ns."""
 
     def __init__(self, time: int, rate: float = 1.0) -> None:
         self.paused = True

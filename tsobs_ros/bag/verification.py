@@ -86,10 +86,8 @@ def verify(
 ) -> Verification:
     """Check a bag: its folder, the structure of its files, and each message.
 
-    Args:
-        bag: A bag folder, or one MCAP file.
-        progress: Called with the number of bytes that were checked since the last call.
-        is_trusted: Whether to read chunks however much they decompress to.
+    Progress is called with the number of bytes that were checked since its last call. Trusted
+    chunks are read however much they decompress to.
 
     Raises:
         BagReadError: There is no such folder or file.

@@ -196,14 +196,9 @@ class Estimator:
         return copy_records(self.model["initial"])
 
     def correct(self, state: Record, y: ArrayLike) -> tuple[Record, Correction]:
-        """Use one measurement.
+        """Return the state at a stamp corrected by a measurement, and the innovation.
 
-        Args:
-            state: The state predicted to the measurement's stamp.
-            y: Measurement, NaN of an output that is missing, shape (p,).
-
-        Returns:
-            The corrected state, and the innovation.
+        It has the shape (p,), NaN of an output that is missing.
 
         Raises:
             ModelError: The measurement has another shape.
@@ -216,14 +211,10 @@ class Estimator:
     def predict(
         self, state: Record, u: ArrayLike, duration: float, *, between_samples: bool = False
     ) -> Record:
-        """Predict to the next stamp.
+        """Predict over a duration [s] with inputs u held, shape (m,).
 
-        Args:
-            state: Corrected, or not if the measurement is missing.
-            u: Inputs held over the step, shape (m,).
-            duration: Time to the next stamp [s], at least 0.
-            between_samples: Whether the result is only read, and not stepped on: the certified
-                bound then serves the whole interval to the next regular sample.
+        If the result is `between_samples`, only read and not stepped on, its certified bound serves
+        the whole interval to the next regular sample.
 
         Raises:
             ModelError: The duration is negative or not finite, or the inputs have another shape.

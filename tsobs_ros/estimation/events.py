@@ -96,11 +96,7 @@ class EventLog:
         return self._changes[kind].report(stamp, value, judged, lasting)
 
     def update(self, estimate: Estimate) -> list[Event]:
-        """Return what an estimate gives occasion to report, in the order of its beginning.
-
-        Args:
-            estimate: The next one, about a tenth of a second after the last.
-        """
+        """Return what the next estimate, about 0.1 s after the last, gives occasion to report."""
         stamp, scale = estimate.stamp, estimate.noise_scale
         newest, before = stamp - round(estimate.age * NANOSECONDS), self._newest
         events = []

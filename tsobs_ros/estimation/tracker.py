@@ -210,14 +210,9 @@ class Tracker:
         self.memory["refused"][0, reason] += count
 
     def offer(self, measurement: Measurement, now: int) -> Innovation | RejectReason:
-        """Use a measurement, or refuse it.
+        """Use a measurement, late by up to the history, at a time on the clock of the stamps [ns].
 
-        Args:
-            measurement: May be late by up to the history.
-            now: Time on the clock of the stamps [ns].
-
-        Returns:
-            Its innovation, or the reason of its rejection, which has been counted.
+        Returns its innovation, or the reason of its rejection, which has been counted.
         """
         stamp, y, u = measurement
         codes, _, innovations, expected_std = self.offer_many([stamp], [y], [u], now)
@@ -257,13 +252,8 @@ class Tracker:
 
         Other threads of Python can run meanwhile.
 
-        Args:
-            stamps: Of N measurements, ascending, later than any before [ns], shape (N,).
-            y: Measured outputs, NaN if lost, shape (N, p).
-            u: Inputs from each measurement until the next one, shape (N, m).
-
-        Returns:
-            Rows of `Estimator.row_type`, NaN where there is no estimate, shape (N,).
+        Arguments are those of `offer_many`, stamps ascending and later than any before. Rows are of
+        `Estimator.row_type`, NaN where there is no estimate, shape (N,).
 
         Raises:
             ModelError: The arrays have other shapes, or the stamps do not ascend.
@@ -286,9 +276,6 @@ class Tracker:
         """Offer measurements, as of `offer_many`, and estimate at M ticks, as `follow`.
 
         Args:
-            stamps: In the order of use.
-            y: Measured outputs.
-            u: Inputs.
             ticks: Stamps of the estimates and times on the clock [ns], and numbers of measurements
                 taken by the end of each tick.
             stale_after: Age of the newest measurement after which nothing is estimated [s].
@@ -323,9 +310,8 @@ class Tracker:
     def estimate(self, stamp: int) -> Estimate | None:
         """Return the estimate at a stamp [ns].
 
-        Returns:
-            None before the first measurement, too long after the last, or if the estimate is not
-            finite, which is counted.
+        It is None before the first measurement, too long after the last, or if it is not finite,
+        which is counted.
         """
         row = np.empty(self._width)
         if not native.history_estimate(*self._records, stamp, row):

@@ -138,10 +138,6 @@ class Excitation:
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the motion as CSV: time, torque, and the nominal arm's angles.
 
-        Args:
-            path: Of the new file.
-            force: Whether an existing file may be replaced.
-
         Raises:
             OutputError: The file cannot be written, or exists and may not be replaced.
         """

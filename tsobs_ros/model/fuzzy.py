@@ -156,10 +156,7 @@ class RuleBase:
         return np.array(codes, np.int64), np.array(numbers)
 
     def weights(self, z: ArrayLike) -> Array:
-        """Return the normalised rule weights h, each ≥ 0, summing to one, shape (..., r).
-
-        Args:
-            z: Premise variables, shape (..., q).
+        """Return the normalised weights h ≥ 0 of r rules, shape (..., r), at premises (..., q).
 
         Raises:
             ModelError: z has the wrong last axis, or no rule fires at some z.

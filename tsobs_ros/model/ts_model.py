@@ -137,11 +137,7 @@ class TSModel:
 class TSFlow(Flow):
     """Predicts the augmented state x̄ = [x; w] of a T–S system (or of a batch of equal ones).
 
-    Args:
-        model: The T–S system.
-        disturbance: The exosystem of the outputs' disturbances, one channel per output.
-        process_noise: Densities of white noise on each state's derivative [unit²/s], shape (n,).
-        period: Nominal step [s].
+    Process noise are the densities of white noise on each state's derivative [unit²/s], shape (n,).
 
     Raises:
         ModelError: As `Flow`; a density is negative or of the wrong shape.

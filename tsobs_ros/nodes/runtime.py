@@ -152,9 +152,7 @@ class Ticker:
 def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
     """Print the help if it is asked for, and refuse what neither the node nor ROS understands.
 
-    Args:
-        module: The node's, with the topics in its docstring and its parameters as `Parameters`.
-        arguments: Command line including the program's name.
+    The node's module has the topics in its docstring and its parameters as `Parameters`.
 
     Raises:
         SystemExit: With 0 after the help, with 2 after an error.

@@ -117,11 +117,7 @@ class ObserverFeed:
 
 
 class Watcher(Node):
-    """Shows an observer until it is told to stop.
-
-    Args:
-        observer: Full name of the observer, or relative to the root.
-        show: Takes a view; returns whether there shall be another.
+    """Shows an observer, by its name from the root, until `show` returns that it is enough.
 
     Raises:
         NodeError: The observer's name is not one of a node.

@@ -95,11 +95,8 @@ def project(value: Array, rate: Array, Gamma: Array, limits: Array) -> Array:
     It is Γ Y − Γ g ⟨g, ΓY⟩/⟨g, Γg⟩, with the subgradient g = u₁v₁ᵀ of the spectral norm. Because
     the ball is convex, ⟨g, Ξ̂ − Ξ⟩ ≥ 0 for every Ξ in it, so this adds a term ≤ 0 to V'.
 
-    Args:
-        value: Ξ, shape (..., p, q).
-        rate: Γ Y, of the same shape.
-        Gamma: Γ, positive definite where Ξ is not 0, shape (..., p, p).
-        limits: ξ > 0 of each matrix, which fits the axes before p and q.
+    Ξ and Γ Y have the shape (..., p, q), Γ, positive definite where Ξ is not 0, (..., p, p), and
+    ξ > 0 fits the axes before.
     """
     edge = limits * (1.0 - _EDGE)
     # ‖Ξ‖² is at most Σ Ξᵢⱼ², which rarely reaches the bound.
@@ -129,11 +126,7 @@ def paper_observer(
 ) -> Estimator:
     """Return the method's observer for the arm of its Example 3, with the gains that it prints.
 
-    Args:
-        arm: The arm.
-        period: Nominal sampling period [s].
-        measurement_std: 1σ of a sample [rad], the only known part of an innovation's size.
-        torque: How torques reach the motor.
+    The period is in s, 1σ of a sample in rad: the only known part of an innovation's size.
 
     Raises:
         ModelError: The arm is another one; the method prints gains for this one only.
@@ -168,8 +161,7 @@ def paper_system_observer(request: TSRequest) -> Estimator:
     From this start e_y and Ξ̂ᵢ stay zero (Proposition 1 of docs/method.md), so neither gains nor the
     adaptive law enter the estimate: x̂ is the model, and ω̂ = y − Σ hᵢCᵢx̂ by (29).
 
-    Args:
-        request: Of the design; its disturbance model, noise and vertices are not used.
+    Disturbance model, noise and vertices of the request are not used.
 
     Raises:
         ModelError: The premise is not what the method measures, the first outputs.

@@ -90,9 +90,6 @@ def naming_file(path: Path) -> Iterator[None]:
 class CsvFile:
     """A file of lines of cells, read line by line; its first line has the titles.
 
-    Args:
-        path: The file.
-
     Attributes:
         columns: The columns.
         cut_off: Whether the last line that was read ends early, as of a logger that was killed.

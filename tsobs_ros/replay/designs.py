@@ -93,9 +93,6 @@ def choose_designs(
     """Return the designs to estimate with by the names of their files, each with one per joint.
 
     Args:
-        bag: For errors.
-        ran: What the recorded observer ran.
-        joints: Names of the joints.
         given: Files that the user names, each for all joints, or `JOINT=FILE` for one of them; if
             empty, those that the observer ran, else the one that is shipped.
         others_allowed: Whether the files that are given may be others than those that it ran.

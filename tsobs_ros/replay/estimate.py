@@ -468,9 +468,6 @@ def run_all(
     """Run observers over the measurements and write their messages into a new bag, if any.
 
     Args:
-        source: The measurements.
-        runs: From `make_runs`.
-        output: The new bag's folder.
         estimates_only: Leave out the measurements, and the truth of a simulation.
         progress: Called with the number of measurements that the observers have taken since.
 

@@ -189,8 +189,6 @@ def find_events(
     """Return the events that a node would have logged, in order.
 
     Args:
-        joint: The joint's name.
-        source: Where the measurements come from.
         health: Numbers of conditions, NaN without an estimate, with log times.
         restarted: Whether the observer was restarted before each; never if None.
         stale_after: Age of the newest measurement for STALE [s].

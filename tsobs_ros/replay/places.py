@@ -49,12 +49,8 @@ def places_of(
 ) -> Places:
     """Return the places of a joint's numbers, those of an estimate in the order of `ESTIMATES`.
 
-    Args:
-        joint: The joint's name.
-        signals: The places of its signals.
-        alone: Whether it is the only joint of its observer.
-        learnt: Names of the parameters that are learnt.
-        rated: Whether disturbances have rates.
+    The joint may be alone with its observer; some of its parameters are learnt by name, and its
+    disturbances may be rated, that is, have rates.
     """
     channels = positions(signals.disturbances)
     rates = (Place(name, "velocity") for name in signals.disturbances if rated)
@@ -97,9 +93,7 @@ class Layout:
     def encode(self, stamps: Stamps, values: Array) -> NDArray[np.uint8]:
         """Return messages, a row each; fields in which no column has a place are empty.
 
-        Args:
-            stamps: Of the headers [ns], shape (m,).
-            values: In the order of the places, NaN for none, shape (m, k).
+        Stamps [ns] have the shape (m,), values (m, k) in the order of the places, NaN for none.
         """
         # One more column, for entries without a place.
         numbers = np.append(values, np.full((len(values), 1), np.nan), axis=1)
@@ -132,12 +126,7 @@ def parts_of(topic: str, joints: Sequence[Places]) -> list[Sequence[Place]]:
 
 
 class EstimateEncoder:
-    """Makes the messages of one observer from arrays, byte for byte those of the node.
-
-    Args:
-        prefix: Of the topics' names, with a slash at its end.
-        joints: The places of each joint's numbers.
-    """
+    """Makes the messages of one observer from arrays, byte for byte those of the node."""
 
     def __init__(self, prefix: str, joints: Sequence[Places]) -> None:
         self._prefix = prefix

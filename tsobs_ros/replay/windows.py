@@ -281,11 +281,9 @@ def _in_order(samples: Records, known: Integers) -> Records:
 
 
 def digests(topic: str, data: NDArray[np.uint8]) -> Integers:
-    """Return a number for each message of a topic, the same of equal ones in this process only.
+    """Return a number for each of n messages of a topic, shape (n, size).
 
-    Args:
-        topic: One of `COMPARED`.
-        data: Messages of one size, shape (n, size).
+    Those of equal ones are the same, in this process only.
     """
     rows = np.ascontiguousarray(data).view(f"V{data.shape[1]}")[:, 0].tolist()
     return np.fromiter((hash((topic, row)) for row in rows), np.int64, len(rows))

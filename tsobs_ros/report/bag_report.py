@@ -62,7 +62,6 @@ def make_bag_report(
         BagReadError: The bag cannot be read or lacks what a report needs.
         DesignFileError: The design is none, or not that of the bag; or that is not known here.
         OutputError: A file exists already, or cannot be written.
-        OutputError: A file cannot be written.
         ModuleNotFoundError: matplotlib or plotly is not installed.
     """
     # Here, so that they are needed only for what they draw.

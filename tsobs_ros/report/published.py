@@ -66,14 +66,8 @@ def make_paper_report(
 ) -> tuple[dict[str, Any], str]:
     """Run the examples, judge the claims, draw the figures and write the page.
 
-    Args:
-        output: Folder to write to; made if missing.
-        seeds: Noisy runs of Example 3.
-        force: Whether to replace existing files.
-        advance: Called after each of the three examples, for progress.
-
-    Returns:
-        Claims, numbers and files as plain data, and the claims as text.
+    Example 3 has so many noisy runs. Returned are claims, numbers and files as plain data, and the
+    claims as text; `advance` is called after each of the three examples.
 
     Raises:
         OutputError: The folder has such files already, or a file cannot be written.

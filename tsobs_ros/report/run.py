@@ -164,10 +164,8 @@ class RecordedRun:
 def read_series(source: BagSource, asked: Mapping[Key, tuple[str, Wanted]]) -> dict[Key, Series]:
     """Read numbers of topics of JointStates, all in one pass and up to any damage.
 
-    Args:
-        source: The bag.
-        asked: Full names of topics, each with groups of places; of each message the last group is
-            read of which it has any entry. Messages without any do not count.
+    Asked for are full names of topics, each with groups of places; of each message the last group
+    is read of which it has any entry. Messages without any do not count.
 
     Raises:
         BagReadError: The bag has no such topic, or a topic is of another type.

@@ -59,9 +59,7 @@ class Signal(Numbers):
 def signal_of(kinds: Mapping[str, type[Signal]], entry: object) -> Any:
     """Return the signal that an entry describes: a kind, or a mapping of `kind` and its numbers.
 
-    Args:
-        kinds: `EXCITATIONS` or `KINDS`.
-        entry: Plain data, e.g. of a file. Numbers that are left out have their defaults.
+    Kinds are `EXCITATIONS` or `KINDS`. Numbers that are left out have their defaults.
 
     Raises:
         ModelError: The kind is unknown, or a number is out of range.

@@ -95,10 +95,8 @@ class TorqueDelay:
 class AngleDelay:
     """Measured states of an arm, angles as they were some time ago.
 
-    Args:
-        delays: By the place of what is measured in a state how late it is [s]. Only an angle may be
-            late; its velocity is the next state.
-        rate: Samples per second [Hz].
+    Delays say by the place of what is measured in a state how late it is [s]. Only an angle may be
+    late; its velocity is the next state.
     """
 
     def __init__(self, delays: Mapping[int, float], rate: float) -> None:

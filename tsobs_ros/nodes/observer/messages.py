@@ -78,12 +78,9 @@ class EstimatePublisher:
         return is_due
 
     def publish_innovations(self, stamps: Stamps, innovations: Array) -> None:
-        """Publish y − ŷ of messages, stamped as they are.
+        """Publish y − ŷ of N messages, stamped as they are [ns].
 
-        Args:
-            stamps: Of the messages [ns], shape (N,).
-            innovations: Of the outputs of all joints, one after the other, NaN of those that are
-                not used, shape (N, outputs).
+        They are of all joints' outputs in turn, NaN of those not used, shape (N, outputs).
         """
         if self._innovation.publisher.get_subscription_count():
             for stamp, values in zip(stamps.tolist(), innovations.tolist(), strict=True):
