@@ -157,7 +157,7 @@ def record(ros: Any, node: Any, bag: Path, source: tuple[str, dict[str, Any]], *
         clock = node.create_publisher(Clock, "/clock", 10)
         ros.spin_until(lambda: clock.get_subscription_count() == 2, what="the clock's match")
         clock.publish(Clock(clock=to_stamp(estimating.get_clock().now().nanoseconds + PERIOD)))
-    ros.spin_until(lambda: estimating.received == SAMPLES, TIMEOUT, "all samples' use")
+    ros.spin_until(lambda: estimating.joints[0].received == SAMPLES, TIMEOUT, "all samples' use")
     call(ros, node, SetBool, "observer/enable", SetBool.Request(data=False))
     for publisher in (*estimating.publishers, *publishing.publishers):
         assert publisher.wait_for_all_acked(Duration(seconds=10))

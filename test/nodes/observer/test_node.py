@@ -55,7 +55,7 @@ def test_every_reason_to_reject_is_counted_logged_once_and_estimates_go_on(
     repeats = 20
     messages = [dead.message, *messages * repeats]
     stage.step(now + PERIOD, [Event(now, message) for message in messages])
-    while observer.received < 10 + len(messages):  # some at each tick
+    while observer.joints[0].received < 10 + len(messages):  # some at each tick
         stage.step(stage.now + PERIOD)
 
     status = stage.statuses()["observer: measurements"]
@@ -110,16 +110,16 @@ def test_a_silenced_observer_discards_what_comes_and_then_restarts(
     message = "DISABLED" if how == "enable" else "INACTIVE"
     assert (status.message, status.level) == (message, DiagnosticStatus.WARN)
     stage.watcher.read()
-    assert (stage.watcher.published, observer.received) == ([], 20)
+    assert (stage.watcher.published, observer.joints[0].received) == ([], 20)
     work(True)
-    stage.wait_until(lambda: observer.received == 0, "the restart")
+    stage.wait_until(lambda: observer.joints[0].received == 0, "the restart")
     events = samples(60, 30)
     stage.play(events)
     assert observer.joints[0].tracker.used == 30
     assert replayed(stage.watcher, observer, events) >= 30
     if how == "enable":
         work(True)
-        assert observer.received == 30
+        assert observer.joints[0].received == 30
         assert values(stage.statuses()["observer: state"])["resets"] == "1"
 
 
@@ -196,7 +196,7 @@ def test_estimates_may_come_with_the_measurements_instead_of_the_ticks(stage: St
     events = samples(0, 40)
     for index, event in enumerate(events):
         stage.step(event.at, [event])
-        stage.wait_until(lambda n=index: observer.received > n, "the arrival")
+        stage.wait_until(lambda n=index: observer.joints[0].received > n, "the arrival")
     stage.watcher.read()
     # Long before the first tick.
     assert stage.watcher.stamps == [event.at for event in events]

@@ -144,11 +144,6 @@ class Observer(ManagedNode[ObserverParameters]):
         if self.active:
             self._publish_record()
 
-    @property
-    def received(self) -> int:
-        """Number of samples of all joints since the start: used + rejected, while enabled."""
-        return sum(joint.received for joint in self.joints)
-
     def _log(self, joint: ObservedJoint, news: Iterable[tuple[Level, str]]) -> None:
         for level, text in news:
             self.log(level, f"{joint.name}: {text}")
