@@ -161,7 +161,7 @@ class Run:
             for one in (tracker.estimator for tracker in self.trackers if keep)
         ]
         # Stamps of the last estimate, parameters and health that a node would have published.
-        self._last, self._parameters, self._health = 0, -topics.SLOW_PERIOD, -topics.SLOW_PERIOD
+        self._last, self._slow_since = 0, -topics.SLOW_PERIOD
         # Stamps and log times of published health, its numbers, and whether a restart is in front.
         self._slow: list[tuple[NDArray[Any], ...]] = []
         # Number of restarts, and of ticks since the last one.
@@ -226,12 +226,11 @@ class Run:
             made += messages
             for one in messages if live is not None else ():
                 self._made.add(digests(topic, one.data))
-        valid: Flags = np.array([own["parameters_valid"] == 1.0 for own in self.rows])
-        due, self._parameters = _due(ticks.stamps, np.asarray(valid.any(axis=0)), self._parameters)
-        for topic in topics.PARAMETER_TOPICS if encode and len(due) else ():
-            made += self._messages(topic, due, valid)
-        due, self._health = _due(ticks.stamps, self.done, self._health)
+        due, self._slow_since = _due(ticks.stamps, self.done, self._slow_since)
         if len(due):
+            valid: Flags = np.array([own["parameters_valid"] == 1.0 for own in self.rows])
+            for topic in topics.PARAMETER_TOPICS if encode else ():
+                made += self._messages(topic, due, valid)
             made += self._messages(topics.HEALTH, due) if encode else []
             restarted = np.arange(len(due)) < self._has_restarted
             self._has_restarted = False

@@ -49,7 +49,7 @@ class EstimatePublisher:
         )
         self._tick, self._taken = 0, list[bytes]()
         self._count = len(joints)
-        self._slow_since = dict.fromkeys((topics.PARAMETERS, topics.HEALTH), -topics.SLOW_PERIOD)
+        self._slow_since = -topics.SLOW_PERIOD
 
     def publish(self, stamp: int, estimates: Mapping[int, Estimate]) -> bool:
         """Publish estimates of joints, by index, at a stamp [ns]; what they lack is left out.
@@ -63,17 +63,18 @@ class EstimatePublisher:
             if self._ticks.get_subscription_count():
                 self._ticks.publish(encode_tick(stamp, self._tick, bool(fresh), self._taken))
             self._taken.clear()
-        valid = {joint: each for joint, each in estimates.items() if each.parameters_valid}
-        is_learnt = bool(valid) and self._is_due(topics.PARAMETERS, stamp)
-        is_due = bool(fresh) and self._is_due(topics.HEALTH, stamp)
+        # Stamps may have gone back.
+        is_due = bool(fresh) and not 0 <= stamp - self._slow_since < topics.SLOW_PERIOD
+        if is_due:
+            self._slow_since = stamp
+            health = {joint: each.health for joint, each in fresh.items()}
+            self._outputs[topics.HEALTH].publish(stamp, health)
+        valid = {joint: each for joint, each in fresh.items() if each.parameters_valid}
         for topic, output in self._outputs.items():
             if topic in topics.PARAMETER_TOPICS:
-                if is_learnt:
-                    output.publish(stamp, _rows(topic, valid))
-            elif topic == topics.HEALTH:
                 if is_due:
-                    output.publish(stamp, {joint: each.health for joint, each in fresh.items()})
-            elif output.publisher.get_subscription_count():
+                    output.publish(stamp, _rows(topic, valid))
+            elif topic != topics.HEALTH and output.publisher.get_subscription_count():
                 output.publish(stamp, _rows(topic, estimates))
         return is_due
 
@@ -95,13 +96,6 @@ class EstimatePublisher:
     def take(self, messages: Iterable[bytes]) -> None:
         """Note the measurement messages that the next tick includes."""
         self._taken += messages
-
-    def _is_due(self, topic: str, stamp: int) -> bool:
-        """Return whether what changes slowly is published at a stamp, which may have gone back."""
-        is_due = not 0 <= stamp - self._slow_since[topic] < topics.SLOW_PERIOD
-        if is_due:
-            self._slow_since[topic] = stamp
-        return is_due
 
 
 def _rows(topic: str, estimates: Mapping[int, Estimate]) -> dict[int, list[float]]:
