@@ -58,8 +58,7 @@ def test_streams_that_are_full_or_closed_are_errors(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("library", "advice"),
-    [("mcap", "-m pip install pyyaml"), ("rclpy", "source ROS 2 Jazzy, or ")],
+    ("library", "advice"), [("mcap", "-m pip install pyyaml"), ("rclpy", "source ROS 2 Jazzy, or ")]
 )
 def test_a_node_without_a_library_ends_with_the_command_that_installs_it(
     library: str, advice: str

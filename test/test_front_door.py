@@ -118,10 +118,7 @@ def test_a_ts_system_is_simulated_and_estimated_by_its_design(example_1: Design)
     ("options", "match"),
     [
         ({"disturbance": "bias"}, "disturbance kind: expected none or a sum of"),
-        (
-            {"disturbance": {"ramp": {"slope": 1.0}}},
-            "'slope': expected one of rate, start",
-        ),
+        ({"disturbance": {"ramp": {"slope": 1.0}}}, "'slope': expected one of rate, start"),
         ({"mismatch": {"mass": 0.1}}, "mismatch: expected some of link_inertia"),
         ({"torque": [1.0, 2.0]}, r"torque: expected shape \(201,\) or \(201, 1\).*got \(2,\)"),
         ({"torque_disturbance": {"elbow": "ramp"}}, "torque_disturbance: expected some of motor"),

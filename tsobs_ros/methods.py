@@ -210,9 +210,7 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
 
 
 def make_tracker(
-    design: Design,
-    settings: ObserverSettings | None = None,
-    estimator: Estimator | None = None,
+    design: Design, settings: ObserverSettings | None = None, estimator: Estimator | None = None
 ) -> Tracker:
     """Return a tracker: stamped measurements in any order in, estimates at any stamp out.
 
