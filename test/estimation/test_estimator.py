@@ -63,8 +63,8 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "0d3b62e2f9c38f9a",
-    "pendulum": "97a7fb23a4e28265",
+    "supervised arm": "6bb328e3ce0bcd20",
+    "pendulum": "22a950c37cb7e3d8",
     "proportional": "3bed2344d081223c",
     "proportional-integral": "6e7e29fca59d261d",
     "paper": "c76a1c01f51f83e5",

@@ -75,7 +75,7 @@ enum {
     C(TRIAL, 1.0, "age at which the best fork takes its parent's place [s]")                   \
     C(NOISE_FACTOR, 16.0, "variance of loud noise, by the design's")                           \
     C(IMPERFECTION, 100.0, "process noise of an imperfect model, by the design's")             \
-    C(FORCE_SHARE, 0.03, "1 sigma of the unknown torque, by the reference torque")             \
+    C(FORCE_SHARE, 0.015, "1 sigma of the unknown torque, by the reference torque")            \
     C(FORCE_TIME, 1.0, "its correlation time [s]")                                             \
     C(COLOUR_TIME, 0.05, "correlation time of coloured noise [s]")                             \
     C(COLOUR_SIZE, 1.5, "1 sigma of coloured noise, by the sensor's white noise")              \
@@ -94,7 +94,7 @@ enum {
     C(SLOW_TIME, 0.4, "time constant of slow innovations [s]")                                 \
     C(POWER_TIME, 2.5, "time constant of their power [s]")                                     \
     C(MOVING, 6.0, "motion, by bounds, from which on parameters are learnt")                   \
-    C(CURVED, 0.3, "share of a learnt distance by which regressors are wrong")                 \
+    C(CURVED, 0.5, "share of a learnt distance by which regressors are wrong")                 \
     C(QUIET, 0.22, "slow power that white noise leaves, by that of all innovations")           \
     C(VOID, 4.0, "power of innovations, by that expected, from which on nothing is claimed")
 
