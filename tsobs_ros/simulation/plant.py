@@ -9,7 +9,7 @@ same numbers, to the bit, for one plant and for a batch, sample by sample and ma
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -44,15 +44,6 @@ class Mismatch(Numbers, kind="mismatch"):
     gravity_torque: float = _change("torque that holds the link horizontal")
     link_damping: float = _change("link's damping")
     motor_damping: float = _change("motor's damping")
-
-    def apply(self, nominal: ElasticJointArm) -> ElasticJointArm:
-        """Return the true arm."""
-        return ElasticJointArm(
-            **{
-                item.name: getattr(nominal, item.name) * (1.0 + getattr(self, item.name))
-                for item in fields(self)
-            }
-        )
 
 
 class TorqueDisturbance(NamedTuple):
@@ -149,7 +140,7 @@ class Scenario(PlantScenario):
         non_negative("backlash", self.backlash)
         for name in ("initial_state", "initial_spread"):
             as_matrix(name, getattr(self, name), (4,))
-        self.mismatch.apply(self.arm)
+        _ = self.true_arm
         for side, torque in zip(SIDES, self.torque_disturbance, strict=True):
             if any(isinstance(each, StuckSensor) for each in torque):
                 raise ModelError(f"torque_disturbance {side}: expected torques, got a stuck sensor")
@@ -160,7 +151,9 @@ class Scenario(PlantScenario):
     @property
     def true_arm(self) -> ElasticJointArm:
         """The arm that really moves."""
-        return self.mismatch.apply(self.arm)
+        changes = asdict(self.mismatch)
+        own = {name: getattr(self.arm, name) * (1.0 + by) for name, by in changes.items()}
+        return ElasticJointArm(**own)
 
     def motion(self, seeds: Sequence[int]) -> Motion:
         return ArmMotion(self, seeds)
@@ -309,50 +302,40 @@ class Plant:
         Raises:
             ModelError: The torque is not finite, or of another shape.
         """
-        given = None if torque is None else self._checked_torque(torque, samples)
-        times = np.arange(self.index, self.index + samples) / self.scenario.rate
+        runs, scenario = len(self._seeds), self.scenario
+        times = np.arange(self.index, self.index + samples) / scenario.rate
+        inputs = np.empty((runs, samples, len(scenario.inputs)))
+        for place, signal in enumerate(scenario.inputs):
+            inputs[..., place] = signal.values(times)
+        if torque is not None:
+            commanded, given = inputs[..., : scenario.input_count], np.asarray(torque, np.float64)
+            shapes = [commanded.shape[1:]] + [commanded.shape] * self._is_batch
+            if given.shape not in ((), *shapes):
+                expected = " or ".join(map(str, shapes))
+                raise ModelError(f"torque: expected shape {expected}, got {given.shape}")
+            commanded[:] = given
+            wrong = ~np.isfinite(commanded).all(axis=(0, 2))
+            if wrong.any():
+                place = self.index + int(wrong.argmax())
+                raise ModelError(f"torque of sample {place}: expected finite numbers")
         n, p, t = self._motion.states.shape[1], len(self._outputs), len(self._torques)
-        widths = (n, p, p, len(self.scenario.inputs), t)
-        kept = [np.empty((len(self._seeds), samples, width)) for width in widths]
-        block = 1 if self._motion.fed_back else max(1, _BLOCK // len(self._seeds))
+        kept = [np.empty((runs, samples, width)) for width in (n, p, p, inputs.shape[2], t)]
+        block = 1 if self._motion.fed_back else max(1, _BLOCK // runs)
         for done in range(0, samples, block):
             now = np.s_[:, done : done + block]
-            parts = self._advance(times[now[1]], None if given is None else given[now])
-            for whole, part in zip(kept, parts, strict=True):
+            for whole, part in zip(kept, self._advance(inputs[now].copy()), strict=True):
                 whole[now] = part
-            self.index += parts[0].shape[1]
+            self.index += whole[now].shape[1]
         one = [each if self._is_batch else each[0] for each in kept]
-        design = self.scenario.to_design(one[0])
+        design = scenario.to_design(one[0])
         return Trajectories(times, design, one[1], one[2], one[3], one[0], one[4])
 
-    def _checked_torque(self, torque: ArrayLike, samples: int) -> Array:
-        """Return commands of all runs, shape (runs, samples, m)."""
-        given, runs, m = np.asarray(torque, np.float64), len(self._seeds), self.scenario.input_count
-        shapes = [(samples, m)] + [(runs, samples, m)] * self._is_batch
-        if given.shape not in ((), *shapes):
-            expected = " or ".join(map(str, shapes))
-            raise ModelError(f"torque: expected shape {expected}, got {given.shape}")
-        whole = np.broadcast_to(given, (runs, samples, m))
-        wrong = ~np.isfinite(whole).all(axis=(0, 2))
-        if wrong.any():
-            place = self.index + int(wrong.argmax())
-            raise ModelError(f"torque of sample {place}: expected finite numbers")
-        return whole
-
-    def _advance(self, times: Array, given: Array | None) -> tuple[Array, ...]:
+    def _advance(self, inputs: Array) -> tuple[Array, ...]:
         """Move on over samples; return states, disturbances, measurements, inputs and torques."""
-        motion, start = self._motion, self.index
-        shape = (len(self._seeds), len(times))
-        signals = self.scenario.inputs
-        inputs = np.empty((*shape, len(signals)))
-        for place, signal in enumerate(signals):
-            if given is not None and place < given.shape[2]:
-                inputs[..., place] = given[..., place]
-            else:
-                inputs[..., place] = signal.values(times)
+        motion, start, shape = self._motion, self.index, inputs.shape[:2]
         torques = np.empty((*shape, len(self._torques)))
         for side, disturbance in enumerate(self._torques):
-            torques[..., side] = disturbance.values(start, len(times))
+            torques[..., side] = disturbance.values(start, shape[1])
         measured = {}
         for place, number, row in motion.fed_back:
             # Term by term: a product of matrices has other last bits for another number of runs.
@@ -371,7 +354,7 @@ class Plant:
         pairs = [measured[number] for number in range(len(self._outputs))]
         disturbances, measurements = (np.stack(each, axis=-1) for each in zip(*pairs, strict=True))
         if self._torques:
-            error = self._error.values(start, len(times))
+            error = self._error.values(start, shape[1])
             inputs[..., 0] += error
             torques[..., 0] -= self._error_path.through(error)
         return states, disturbances, measurements, inputs, torques
