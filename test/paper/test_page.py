@@ -3,9 +3,11 @@
 """The paper's examples run again: what holds, what does not, and the page that says so."""
 
 import html
+import io
 import json
 import re
 from collections import Counter
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -27,16 +29,11 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 
 @pytest.fixture(scope="session")
-def output(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder that `tsobs paper` wrote."""
+def report(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("paper") / "new"
-    assert main(["paper", "--output", str(folder), "--seeds", "2"]) == 0
-    return folder
-
-
-@pytest.fixture(scope="session")
-def report(output: Path) -> dict[str, Any]:
-    return json.loads((output / "paper.json").read_text(encoding="utf-8"))
+    with redirect_stdout(io.StringIO()) as printed:
+        assert main(["paper", "--output", str(folder), "--seeds", "2", "--json"]) == 0
+    return json.loads(printed.getvalue())
 
 
 @pytest.fixture(scope="session")
@@ -117,7 +114,7 @@ def test_verdicts_are_as_documented(report: dict[str, Any]) -> None:
     assert min(counts[each] for each in VERDICTS) >= 2
 
 
-def test_the_page_has_every_claim_and_figure(report: dict[str, Any], output: Path) -> None:
+def test_the_page_has_every_claim_and_figure(report: dict[str, Any]) -> None:
     page = Path(report["page"]).read_text(encoding="utf-8")
     assert len(report["figures"]) == 3
     assert all(Path(each).read_bytes().startswith(PNG) for each in report["figures"])

@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The published method's examples run again: their figures, and a page of its claims, judged.
 
-Files written: `example_1.png` to `example_3.png`, `paper.html` (needs no other file) and
-`paper.json`.
+Files written: `example_1.png` to `example_3.png` and `paper.html`, which needs no other file.
 """
 
-import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -73,8 +71,8 @@ def make_paper_report(
         OutputError: The folder has such files already, or a file cannot be written.
     """
     figures = [output / f"example_{number}.png" for number in (1, 2, 3)]
-    page, data_file, started = output / "paper.html", output / "paper.json", time.perf_counter()
-    require_new([page, data_file, *figures], force=force)
+    page, started = output / "paper.html", time.perf_counter()
+    require_new([page, *figures], force=force)
     runs = {}
     for name, example in (("example_1", example_1()), ("example_2", example_2())):
         runs[name] = run_example(example)
@@ -112,9 +110,6 @@ def make_paper_report(
         for picture, path in zip(pictures, figures, strict=True):
             draw_run(picture, folder / path.name)
         write_html(whole, folder / page.name, [_table(arm)], first=first)
-        (folder / data_file.name).write_text(
-            json.dumps(data, indent=2, ensure_ascii=False) + "\n", encoding="utf-8"
-        )
     seconds = time.perf_counter() - started
     return data, "\n".join([*map(str, claims), "", f"3 figures and {page} ({seconds:.0f} s)"])
 
