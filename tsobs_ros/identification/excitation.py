@@ -61,9 +61,6 @@ _TONES, _KNOTS, _PERIODS, _BEYOND = 24, 6, 3.0, 2.5
 """Number of tones, and of frequencies at which their amplitudes are chosen; periods of the slowest
 in the motion; the fastest by the joint's resonance."""
 
-_SAMPLES_PER_PERIOD = 16.0
-"""Of the fastest tone, in the recordings that the search judges by."""
-
 _EDGE, _TAIL = 0.1, 2.0
 """Share of the motion in which its window rises, and falls; time after it with limits [s]."""
 
@@ -281,23 +278,23 @@ class _Motions:
         advance: Callable[[int], None],
     ) -> Array:
         """Return the genes of the motion that shows most, of so many within the arms' limits."""
-        steps = np.repeat([1.0, 2.0], [_TONES, _KNOTS])
-        cost, genes, scale, size = math.inf, np.zeros(len(steps)), 0.3, 0.5
+        steps, size, cost = np.repeat([1.0, 2.0], [_TONES, _KNOTS]), 0.5, math.inf
+
+        def start() -> Array:
+            return np.concatenate([rng.uniform(0.0, math.tau, _TONES), np.zeros(_KNOTS)])
+
+        genes = start()
+        torque, scale, _ = self.scaled(genes, arms[:1], 0.3, 3)
+        # The nominal arm and those that come closest to their limits, or beyond.
+        shares = (self.reached(torque, arms) / self.limits)[1:, 1:].max(axis=1)
+        order = 1 + np.argsort(-shares, kind="stable")[:_TRIED]
+        near = [arms[0], *(arms[at] for at in order.tolist())]
         for place in range(candidates):
-            if starting := place < _STARTS:
-                other = np.concatenate([rng.uniform(0.0, math.tau, _TONES), np.zeros(_KNOTS)])
-            else:
-                other = genes + steps * size * rng.standard_normal(len(steps))
-            if place in (0, _STARTS):
-                # The nominal arm and those that come closest to their limits, or beyond.
-                torque = self.torque(scale * self.angle(other))
-                shares = (self.reached(torque, arms) / self.limits)[1:, 1:].max(axis=1)
-                order = 1 + np.argsort(-shares, kind="stable")[:_TRIED]
-                near = [arms[0], *(arms[at] for at in order.tolist())]
-            torque, other_scale, _ = self.scaled(other, near, scale, 3 if starting else 1)
+            step = steps * size * rng.standard_normal(len(steps))
+            other = start() if place < _STARTS else genes + step
+            torque, other_scale, _ = self.scaled(other, near, scale, 1)
             new = float(np.log(self.std(torque)[self._wanted]).mean())
-            if not starting:
-                size = min(size * 1.5, 1.5) if new < cost else size * 0.9
+            size = min(size * 1.5, 1.5) if new < cost else size * 0.9
             if new < cost:
                 cost, genes, scale = new, other, other_scale
             advance(1)
@@ -363,10 +360,7 @@ def excite(
     inner = Limits(at_motor, *((1.0 - MARGIN) * each for each in limits[1:]))
     motions = _Motions(request, duration, inner, free, seed)
     arms = trial_arms(request, _DRAWS, seed)
-    thinned = _thinned(request, motions.frequencies[-1])
-    search = _Motions(thinned, duration, inner, free, seed)
-    rng = np.random.default_rng((seed, 0))
-    genes = search.best([replace(arm, rate=thinned.rate) for arm in arms], candidates, rng, advance)
+    genes = motions.best(arms, candidates, np.random.default_rng((seed, 0)), advance)
     torque, _, worst = motions.scaled(genes, arms, 0.3, 4)
     commands = (torque - path.offset) / path.gain
     pairs = zip(motions.unknowns.numbers, motions.std(torque).tolist(), strict=True)
@@ -451,18 +445,3 @@ def trial_arms(request: ArmRequest, draws: int, seed: int) -> list[Scenario]:
         friction = [_RUBBING * arm.reference_torque * each for each in (motor_rub, link_rub)]
         found.append(_scenario(replace(request, arm=replace(arm, **changes)), friction))
     return found
-
-
-def _thinned(request: ArmRequest, fastest: float) -> ArmRequest:
-    """Return a request of fewer samples that are as precise together."""
-    fewer = int(request.rate / (_SAMPLES_PER_PERIOD * fastest / math.tau))
-    if fewer < 2:
-        return request
-    outputs = [
-        replace(each, measurement_std=each.measurement_std / math.sqrt(fewer))
-        for each in request.sensors
-    ]
-    try:
-        return replace(request, outputs=outputs, rate=request.rate / fewer)
-    except ModelError:  # a disturbance would be too fast for the samples
-        return request
