@@ -73,8 +73,7 @@ def vertices_of(
     flow: ArmFlow, lowest: float, highest: float, known: Uncertainty | None = None
 ) -> list[VertexSystem]:
     known = known or arm_uncertainty(flow.arm, {})
-    bounds = known.limits.tolist()
-    return flow.vertices(flow.corners((lowest, highest), known, bounds, 0.5 * flow.period))
+    return flow.vertices(flow.corners((lowest, highest), known, 1.0, 0.5 * flow.period))
 
 
 def kick(flow: ArmFlow, slope: float, duration: float) -> Array:

@@ -103,8 +103,7 @@ def _decreases(design: Design) -> Iterator[tuple[str, Rational, Rational]]:
     kept = decay_below(2 * Fraction(request.decay_rate) * period)
     if isinstance(request, ArmRequest):
         slopes = cosine_below(Fraction(request.x_max)), Fraction(1)
-        bounds = [Fraction(bound) for bound in request.covered.limits.tolist()]
-        corners = request.flow.corners(slopes, request.covered, bounds, period / 2, rational)
+        corners = request.flow.corners(slopes, request.covered, 1, period / 2, rational)
     else:
         corners = request.corners(number=rational)
     pairs = product([inverted @ corner.matrix @ D for corner in corners], repeat=2)

@@ -324,8 +324,7 @@ class ArmRequest(Request):
     def corners(self, share: float = 1) -> Iterator[Corner]:
         lowest, highest = self.slope_range
         slopes = share * lowest + (1 - share) * highest, highest
-        bounds = [share * bound for bound in self.covered.limits.tolist()]
-        return self.flow.corners(slopes, self.covered, bounds, 0.5 * self.period)
+        return self.flow.corners(slopes, self.covered, share, 0.5 * self.period)
 
     def signals(self, joint: str, alone: bool, both_sides: bool = False) -> Signals:
         link, motor, names = f"{joint}_link", f"{joint}_motor", self.output_names

@@ -168,7 +168,7 @@ class ArmFlow(Flow):
         self,
         slopes: tuple[Any, Any],
         uncertainty: Uncertainty,
-        bounds: Sequence[Any],
+        share: float,
         half_step: Any,
         number: Callable[[Any], Any] = np.asarray,
     ) -> Iterator[Corner]:
@@ -182,12 +182,13 @@ class ArmFlow(Flow):
         Args:
             slopes: Smallest and largest cosine of the domain; without gravity there is none.
             uncertainty: The uncertain parameters that are covered.
-            bounds: How far each of them is covered.
+            share: How much of their bounds.
             half_step: T/2 [s].
             number: Makes an array of such numbers of one of floats.
         """
         places, torques = uncertainty.linear_places, (self.motor_torque, self.link_torque)
         changes = number(uncertainty.directions[places, 0])
+        bounds = [share * bound for bound in number(uncertainty.limits)]
         # A direction that scales gravity adds θ c to the slope; none kicks the motor by it.
         pulls = [bool(each.any()) for each in uncertainty.directions[..., SINE]]
         free = [bounds[k] for k, pulled in enumerate(pulls) if pulled and k not in places]
