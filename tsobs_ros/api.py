@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tsobs_ros.checks import Array, Flags, as_matrix, check_names, shown
+from tsobs_ros.checks import Array, Flags, as_matrix, check_names, numbers
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
@@ -265,7 +265,7 @@ def estimate(
     >>> estimates.used, estimates.rejected
     (401, {})
     """
-    times, request = _numbers("time", time), design.request
+    times, request = numbers("time", time), design.request
     y = _columns("angle", angle, len(times), len(request.output_names))
     u = _columns("torque", torque, len(times), len(request.input_names))
     stamps, tracker = _stamps(times), make_tracker(design, settings or ObserverSettings())
@@ -466,16 +466,9 @@ def _estimates(
     )
 
 
-def _numbers(name: str, value: ArrayLike) -> Array:
-    try:
-        return np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"{name}: expected real numbers, got {shown(value)}") from error
-
-
 def _columns(name: str, value: ArrayLike, rows: int, columns: int) -> Array:
     """Return shape (rows, columns) of a number, of (rows,) for one column, or of the same."""
-    array = _numbers(name, value)
+    array = numbers(name, value)
     if array.ndim == 0 or (array.ndim == 1 and columns == 1 and len(array) == rows):
         array = np.broadcast_to(array.reshape(-1, 1), (rows, columns))
     if array.shape != (rows, columns):

@@ -46,16 +46,21 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
+def numbers(name: str, value: ArrayLike) -> Array:
+    """Return a copy of `value` as a float array, or raise `ModelError` if it is not numeric."""
+    try:
+        return np.array(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"{name}: expected real numbers, got {shown(value)}") from error
+
+
 def as_matrix(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Return `value` as a read-only float array of exactly `shape`.
 
     Raises:
         ModelError: The value is not numeric, not finite, or of another shape.
     """
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"{name}: expected real numbers, got {shown(value)}") from error
+    array = numbers(name, value)
     if array.shape != shape:
         raise ModelError(f"{name}: expected shape {shape}, got {array.shape}")
     if not np.isfinite(array).all():
