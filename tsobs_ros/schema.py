@@ -16,7 +16,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from os import PathLike
 from types import MappingProxyType, NoneType, UnionType
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
@@ -74,29 +74,21 @@ def encode(value: Any) -> Any:
 
 
 @contextlib.contextmanager
-def within(place: str) -> Iterator[None]:
+def within(place: str | PathLike[str], *, is_file: bool = False) -> Iterator[None]:
     """Put the name of an entry, or its path, in front of what its values are refused for."""
     try:
         yield
     except _REFUSALS as problem:
-        raise DesignFileError(located(place, str(problem))) from problem
+        text, joint = str(problem), ": "
+        if not is_file and (text.startswith("[") or not place):
+            joint = ""
+        elif not is_file and re.match(r"\w+(\.\w+|\[\d+\])*: ", text):  # a path inside of it
+            joint = "."
+        raise DesignFileError(f"{place}{joint}{text}") from problem
 
 
-@contextlib.contextmanager
-def naming(path: str | PathLike[str]) -> Iterator[None]:
-    """Put a file in front of what its values are refused for."""
-    try:
-        yield
-    except _REFUSALS as problem:
-        raise DesignFileError(f"{path}: {problem}") from problem
-
-
-def located(place: str, message: str) -> str:
-    """Return a message that may begin with a path inside the entry at `place`."""
-    if message.startswith("[") or not place:
-        return f"{place}{message}"
-    joint = "." if re.match(r"\w+(\.\w+|\[\d+\])*: ", message) else ": "
-    return f"{place}{joint}{message}"
+naming = partial(within, is_file=True)
+"""Puts a file in front of what its values are refused for."""
 
 
 @lru_cache

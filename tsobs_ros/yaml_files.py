@@ -90,10 +90,12 @@ def load_yaml(text: str) -> object:
         _check_structure(text)
         return yaml.load(text, Loader=_LOADER)
     except yaml.YAMLError as error:
-        raise ValueError(_one_line(error)) from error
+        mark, problem = (getattr(error, name, None) for name in ("problem_mark", "problem"))
+        line = f"line {mark.line + 1}: " if mark else ""
+        raise ValueError(line + str(problem or error).partition("\n")[0]) from error
     except (ValueError, OverflowError, RecursionError) as error:
         # A date that does not exist, a number of five thousand digits.
-        raise ValueError(str(error).splitlines()[0]) from error
+        raise ValueError(str(error).partition("\n")[0]) from error
 
 
 def _check_structure(text: str) -> None:
@@ -119,10 +121,3 @@ def _check_structure(text: str) -> None:
                 problem = f"a number of {len(event.value)} digits"
         if problem:
             raise ValueError(f"line {event.start_mark.line + 1}: {problem}")
-
-
-def _one_line(error: yaml.YAMLError) -> str:
-    mark = getattr(error, "problem_mark", None)
-    problem = getattr(error, "problem", None) or str(error) or type(error).__name__
-    first = str(problem).splitlines()[0]
-    return first if mark is None else f"line {mark.line + 1}: {first}"
