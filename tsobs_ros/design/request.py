@@ -510,7 +510,7 @@ class TSRequest(Request):
 
     @property
     def domain(self) -> str:
-        return f"the hull of {', '.join(str(corner.place['']) for corner in self.corners())}"
+        return f"the hull of {', '.join(corner.place[''] for corner in self.corners())}"
 
     def corners(
         self, share: float = 1, number: Callable[[Any], Any] = np.asarray

@@ -201,7 +201,7 @@ class ArmFlow(Flow):
                 for column, torque in zip((TORQUE, EXTERNAL), torques, strict=True):
                     matrix[:4] += np.outer(change[:, column], number(torque))
             names = [uncertainty.names[k] for k in places]
-            at: dict[str, float | str] = dict(zip(names, map(float, theta), strict=True))
+            at = {name: f"{float(each):.4g}" for name, each in zip(names, theta, strict=True)}
             if not self.gravity_gain:
                 yield Corner({"no gravity": "", **at}, matrix)
                 continue
@@ -214,4 +214,4 @@ class ArmFlow(Flow):
             for slope in (min(ends), max(ends)):
                 kick = matrix.copy()
                 kick[LINK_VELOCITY, LINK_ANGLE] -= half_step * number(self.gravity_gain) * slope
-                yield Corner({"slopes": float(slope), **at}, kick)
+                yield Corner({"slopes": f"{float(slope):.4g}", **at}, kick)

@@ -115,7 +115,7 @@ class Corner(NamedTuple):
     """A corner of what a certificate covers: its numbers or names, by what they are of, and what an
     error system has of it, shape (n, n); see `Flow.error_map`."""
 
-    place: Mapping[str, float | str]
+    place: Mapping[str, str]
     matrix: Any
 
 
@@ -310,11 +310,8 @@ def _between(first: Corner, second: Corner) -> str:
     """Return the vertex of two corners in words."""
     words = []
     for name, one in first.place.items():
-        other = second.place[name]
-        if isinstance(one, float):
-            words.append(f"{name} ({one:.4g}, {other:.4g})")
-        else:
-            words += filter(None, (name, one, str(other)))
+        both = ", ".join(filter(None, (one, second.place[name])))
+        words.append(f"{name} ({both})" if name and both else name or both)
     return ", ".join(words)
 
 
