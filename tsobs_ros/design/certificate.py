@@ -114,21 +114,19 @@ def check_certificate(problem: AnyRequest, P: Array, K: Array) -> CertificateRep
         scale = np.sqrt(np.diag(P))
         correlation = P / scale / scale[:, np.newaxis]
         smallest = _smallest_eigenvalue(correlation) if (P == P.T).all() else math.nan
-        inequalities = [
-            Inequality("P symmetric and positive definite", "", smallest, rounding),
-        ]
-        if not all(inequality.holds for inequality in inequalities):
-            return CertificateReport(tuple(inequalities), math.nan)
+        definite = Inequality("P symmetric and positive definite", "", smallest, rounding)
+        if not definite.holds:
+            return CertificateReport((definite,), math.nan)
         root = scale[:, np.newaxis] * np.linalg.cholesky(correlation)
         # The trace of the correlation is n, which bounds its largest eigenvalue.
         required = rounding * P.shape[0] / smallest / problem.period
         steps = [_check_vertex(problem, root, K, vertex) for vertex in problem.vertices()]
-        inequalities += [
+        decreases = [
             Inequality("covariance decrease", where, margin / problem.period, required)
             for where, margin, _ in steps
         ]
-        growth = np.max([growth for _, _, growth in steps])
-        return CertificateReport(tuple(inequalities), float(-np.log(growth) / problem.period))
+        rate = -np.log(np.max([growth for _, _, growth in steps])) / problem.period
+        return CertificateReport((definite, *decreases), float(rate))
 
 
 def _check_vertex(

@@ -134,13 +134,10 @@ def _walk_to_domain(problem: AnyRequest, margin: float, smallest_step: float) ->
         if candidate is None:
             step = step / 2
             if step < smallest_step:
-                reached = f"the solver reached {100.0 * share:.3g} % of that range"
-                if solution is None:
-                    reached = "not a single solve succeeded"
                 raise DesignError(
                     "no common matrix P exists, or none the solver can find, for "
                     f"{problem.domain} at decay rate {problem.decay_rate:.4g} 1/s and "
-                    f"{1.0 / problem.period:.4g} Hz; {reached}"
+                    f"{problem.rate:.4g} Hz; it reached {100.0 * share:.3g} % of that range"
                 )
             if solution is None:
                 scaling = guesses[-1]
