@@ -92,7 +92,7 @@ def test_a_wrong_number_or_matrix_is_named() -> None:
         (lambda: term("sinusoid", frequency=0.0), "sinusoid frequency: expected .* above 0, got 0"),
         (lambda: term("ramp", rate_density=np.inf), "ramp rate_density: expected"),
         (lambda: term("bias", density="much"), "bias density: expected a finite number"),  # type: ignore[arg-type]
-        (lambda: term("bias", size=1.0), "size: no parameter of bias, expected some of density"),
+        (lambda: term("bias", size=1.0), "parameters of bias: expected some of density, .*'size'"),
         (lambda: term("sinusoid"), "frequency: missing, sinusoid has no default"),
         (lambda: term("wind"), "kind: expected one of clean, .* got 'wind'"),
     ]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, Fixed, as_matrix, non_negative, positive, shown
+from tsobs_ros.checks import Array, Fixed, as_matrix, check_names, non_negative, positive, shown
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.matrices import block_diagonal, product
 
@@ -95,11 +95,7 @@ class DisturbanceTerm(Fixed[Any]):
         if not isinstance(kind, str) or kind not in KINDS:
             raise ModelError(f"kind: expected one of {', '.join(KINDS)}, got {shown(kind)}")
         known, given = KINDS[kind], parameters or {}
-        for name in given:
-            if name not in known:
-                raise ModelError(
-                    f"{name}: no parameter of {kind}, expected some of {', '.join(known) or 'none'}"
-                )
+        check_names(f"parameters of {kind}", given, known)
         entries: dict[str, Any] = {"kind": kind}
         for name, default in known.items():
             value = given.get(name, default)
@@ -154,8 +150,6 @@ def sum_of(terms: Sequence[DisturbanceTerm]) -> DisturbanceModel:
 
 def per_channel(models: Sequence[DisturbanceModel]) -> DisturbanceModel:
     """Return independent one-channel models side by side, one per output channel."""
-    if not models:
-        raise ModelError("per_channel: expected at least one disturbance model")
     label = ", ".join(model.label for model in models)
     return _joined(label, block_diagonal(*(model.H for model in models)), models)
 
