@@ -46,9 +46,7 @@ MESSAGE = struct.Struct("<BQHIQQ")
 
 CHUNK_HEAD = struct.Struct("<BQQQQII")
 """The start of a chunk: opcode, length, first and last log time, size, checksum, size of a name."""
-
 CHUNK_HEAD_SIZE = 80
-"""Bytes that have all of a chunk's head."""
 
 INDEX_HEAD = struct.Struct("<BQHI")
 """The start of a message index: opcode, length, channel, size of its entries."""

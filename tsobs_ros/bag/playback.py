@@ -198,16 +198,16 @@ def read_passes(
 def _batches(
     messages: Iterator[BagMessage | None], max_size: int
 ) -> Iterator[list[BagMessage | None]]:
-    """Yield messages in batches of a size [bytes]; the first ones are small, to start soon."""
+    """Yield messages in batches of a size [bytes], each of one pass."""
     batch: list[BagMessage | None] = []
-    size, batch_size = 0, 1
+    size = 0
     try:
         for message in messages:
             batch.append(message)
             size += _OVERHEAD + (0 if message is None else len(message.data))
-            if size >= batch_size:
+            if message is None or size >= max_size:
                 yield batch
-                batch, size, batch_size = [], 0, min(4 * batch_size, max_size)
+                batch, size = [], 0
     except Exception:
         yield batch  # what is before the error is played
         raise
