@@ -9,6 +9,7 @@ millions of messages can be read as arrays.
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr
 from dataclasses import replace
+from heapq import heappop, heappush
 from io import StringIO
 from itertools import chain, pairwise
 from operator import attrgetter, itemgetter
@@ -172,26 +173,37 @@ class BagReader:
         spans = [span for span in spans if not names.isdisjoint(self.topics_of(span))]
         spans.sort(key=attrgetter("start", "rank", "offset"))
         numbers = self._numbers(topics)
-        by_place = attrgetter("rank", "offset")
-        order = np.argsort(sorted(range(len(spans)), key=lambda key: by_place(spans[key])))
-        waiting: list[Rows] = []
+        # Messages that are due after the start of the next span, in a heap by the first of them.
+        waiting: list[tuple[int, int, Rows]] = []
         records: dict[int, bytes] = {}
+        sizes: dict[int, int] = {}
+        held = 0
         for key, span in enumerate(spans):
             rows, data = self._load(span, numbers, start, end)
             if len(rows):
-                rows["chunk"], records[key] = key, data
-                waiting.append(rows)
+                rows["chunk"] = key
+                records[key], sizes[key] = data, len(data) + _OBJECT_SIZE * len(rows)
+                held += sizes[key]
+                heappush(waiting, (int(rows["log_time"][0]), key, rows))
             horizon = min(spans[key + 1].start, _LAST) if key + 1 < len(spans) else _LAST
-            if any(each["log_time"][0] < horizon for each in waiting):
-                merged = np.concatenate(waiting)
-                if len(waiting) > 1:  # equal times in order of recording
-                    merged = merged[np.lexsort((order[merged["chunk"]], merged["log_time"]))]
-                count = int(np.searchsorted(merged["log_time"], horizon))
-                yield merged[:count], records
-                waiting = [merged[count:]] if count < len(merged) else []
-                records = {each: records[each] for each in set(merged["chunk"][count:].tolist())}
+            due: list[tuple[int, int, Rows]] = []
+            spent = []
+            while waiting and waiting[0][0] < horizon:
+                _, one, rows = heappop(waiting)
+                count = int(np.searchsorted(rows["log_time"], horizon))
+                due.append((spans[one].rank, spans[one].offset, rows[:count]))
+                if count < len(rows):
+                    heappush(waiting, (int(rows["log_time"][count]), one, rows[count:]))
+                else:
+                    spent.append(one)
+            if due:
+                due.sort(key=itemgetter(0, 1))  # equal times in order of recording
+                found = np.concatenate([rows for *_, rows in due])
+                yield found[np.argsort(found["log_time"], kind="stable")], records
+            for one in spent:
+                del records[one]
+                held -= sizes.pop(one)
             del data
-            held = sum(map(len, records.values())) + _OBJECT_SIZE * sum(map(len, waiting))
             if held > _MAX_HELD:
                 raise self._error("too many chunks overlap in time to be read in order of log time")
 
