@@ -212,7 +212,11 @@ SYSTEM = [
     (("system", "rules"), [], "rules: expected at least one"),
     (("system", "premises", "angle"), {}, "system.premises.angle: expected at least one of state"),
     (("system", "rules", 1, "A"), [[1], [2]], r"system.rules\[1\].A: expected shape \(2, 2\), got"),
-    (("system", "rules", 0, "if"), {"speed": {"shape": "always"}}, r"\[0\].if: unknown entry 'sp"),
+    (
+        ("system", "rules", 0, "if"),
+        {"speed": {"shape": "always"}},
+        r"\[0\].if: expected some of angle, got 'speed'",
+    ),
     (("names",), {"states": ["a", "b/c"]}, r"names.states\[1\]: expected a letter, .* got 'b/c'"),
     (("names",), {"outputs": ["e", "u1"]}, "names of outputs and inputs: .* 'u1' twice"),
     (("units",), {"states": ["m", "m"], "inputs": ["N"]}, "units.outputs: expected 2, .* got 0"),

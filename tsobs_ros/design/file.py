@@ -9,14 +9,14 @@ about a T–S system given by its matrices has a top-level `system`, one about a
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from tsobs_ros.checks import Array, as_matrix, shown
+from tsobs_ros.checks import Array, as_matrix, check_names, shown
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import AnyRequest, ArmRequest, TorqueDisturbance, TSRequest
 from tsobs_ros.errors import DesignFileError
@@ -352,13 +352,9 @@ class _Rule:
     B: Array
     C: Array | None = None
 
-    def memberships(self, premises: Iterable[str]) -> Iterator[Membership]:
+    def memberships(self, premises: Collection[str]) -> Iterator[Membership]:
         """Yield the memberships of all premises; one that the rule leaves out is always met."""
-        for name in self.if_:
-            if name not in premises:
-                raise ValueError(
-                    f"if: unknown entry {shown(name)}, expected some of {', '.join(premises)}"
-                )
+        check_names("if", self.if_, premises)
         for name in premises:
             with within(f"if.{name}"):
                 parameters: dict[str, Any] = dict(self.if_.get(name, {"shape": "always"}))
