@@ -27,13 +27,6 @@ LITTLE = b"\x00\x01\x00\x00"
 """The header of messages: plain CDR in little-endian order, as all middlewares send it."""
 
 
-def require_header(data: bytes) -> None:
-    """Raise `MessageError` unless a message begins with the header of little-endian CDR."""
-    if len(data) < HEADER or data[:2] != LITTLE[:2]:
-        found = bytes(data[:HEADER]).hex()
-        raise MessageError(f"{len(data)} bytes, encoding 0x{found}: not plain little-endian CDR")
-
-
 class CdrReader:
     """A place in a message, which moves on as values are read, each inside of its bounds.
 
@@ -44,7 +37,11 @@ class CdrReader:
     """
 
     def __init__(self, data: bytes) -> None:
-        require_header(data)
+        if len(data) < HEADER or data[:2] != LITTLE[:2]:
+            found = bytes(data[:HEADER]).hex()
+            raise MessageError(
+                f"{len(data)} bytes, encoding 0x{found}: not plain little-endian CDR"
+            )
         self._data = data
         self.place = HEADER
 

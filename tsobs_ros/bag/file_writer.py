@@ -51,15 +51,10 @@ _NO_TIME = 2**63
 
 
 class FileWriter:
-    """Writes one file; every method may raise `OSError`.
+    """Writes one new file; every method may raise `OSError`.
 
-    Args:
-        path: The file, which must not exist.
-        library: Name of the writing library.
-        compression: Of the chunks: one of `COMPRESSIONS`.
-        chunk_size: Size beyond which a chunk is complete, before compression [bytes].
-
-    `ids` are the topics' channels. It `is_finished` once it has its summary.
+    A chunk is complete beyond the size [bytes], before compression. `ids` are the topics' channels.
+    It `is_finished` once it has its summary.
 
     Raises:
         ModuleNotFoundError: The library of the compression is not installed.

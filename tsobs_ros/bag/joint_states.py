@@ -40,15 +40,9 @@ Wanted = Sequence[Sequence[tuple[str, str]]]
 
 
 class JointState(NamedTuple):
-    """One message.
+    """One message: its stamp [ns since the epoch], and numbers of each joint, or none.
 
-    Attributes:
-        stamp: Of its header, ns since the epoch.
-        names: The joints.
-        position: Of each joint [rad or m], or empty.
-        velocity: Of each joint [rad/s or m/s], or empty.
-        effort: Of each joint [N m or N], or empty.
-        frame_id: Of its header.
+    Position is in rad or m, velocity in rad/s or m/s, effort in N m or N.
     """
 
     stamp: int

@@ -36,12 +36,7 @@ class Received(NamedTuple):
 
 
 class Recording(BagWriter):
-    """Writes and counts messages as they arrive; another thread syncs the disk.
-
-    Args:
-        path: The bag's folder, which must not exist.
-        sync_period: Pause between two syncs of the disk [s].
-        options: Those of `BagWriter`.
+    """Writes and counts messages as they arrive; another thread syncs the disk now and then.
 
     Attributes:
         counts: The messages recorded, by topic.

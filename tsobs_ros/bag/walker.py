@@ -97,10 +97,7 @@ class FileWalker:
     Chunks may decompress to 1 GiB and 100 bytes for each byte of the file, and have 524,288 records
     and one for each six bytes: else a file of some kilobytes can be hours of work.
 
-    Args:
-        stream: The file.
-        size: The number of bytes to read: the file may be growing.
-        is_trusted: Whether to lift these limits.
+    `size` bytes are read, as the file may be growing. `is_trusted` lifts these limits.
 
     Attributes:
         damage: The parts that are lost, as far as the file has been read.

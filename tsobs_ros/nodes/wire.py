@@ -60,15 +60,11 @@ class _DrainedGroup(CallbackGroup):
 
 
 class DrainedSubscription:
-    """A subscription whose messages wait in its queue for `drain`.
+    """A subscription whose messages wait in its queue for `drain`, as CDR bytes if `raw`.
 
     The queue is the one of the QoS profile: with `keep last`, the middleware drops what does not
-    fit into `depth` between two drains, oldest first.
-
-    Args:
-        qos: The requested QoS profile, whose depth covers the longest time between drains.
-        raw: Take CDR bytes as they came off the wire, instead of messages.
-        on_arrival: Called by an executor as soon as messages have come, to drain them.
+    fit into `depth` between two drains, oldest first. `on_arrival` is called by an executor as soon
+    as messages have come, to drain them.
     """
 
     def __init__(
