@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from mcap.records import Channel, Chunk, Header, McapRecord, Metadata, Schema
+from mcap.records import Channel, Header, McapRecord, Metadata, Schema
 
 from tsobs_ros.bag.container import Records, by_channel
 from tsobs_ros.bag.metadata import (
@@ -123,8 +123,7 @@ class DamagedFile:
                 first, last = int(times[0, own].min()), int(times[0, own].max())
                 start, end = self.times.get(topic.name, (first, last))
                 self.times[topic.name] = min(start, first), max(end, last)
-        is_checked = isinstance(part.record, Chunk) and part.record.uncompressed_crc
-        self.unchecked += 0 if is_checked else int(kept.sum())
+        self.unchecked += 0 if part.is_checked else int(kept.sum())
         return content if kept.all() else Records(content.data, rows[kept])
 
     def _describe(self, record: McapRecord | None) -> None:

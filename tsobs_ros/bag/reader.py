@@ -396,7 +396,7 @@ class BagReader:
             profile = f"its profile is '{summary.profile}', expected 'ros2'"
             raise ValueError(f"not a bag of ROS 2: {profile}")
         if statistics.message_count and not summary.spans:
-            raise ValueError("its messages are in no chunks: 'ros2 bag convert' makes some")
+            raise ValueError(f"its messages are in no chunks, and have no index; {RECOVER_HINT}")
         if statistics.channel_count > (count := len(summary.channels)):
             counts = f"{statistics.channel_count} channels, but {count} in the index"
             raise ValueError(f"the file is damaged: {counts}; {RECOVER_HINT}")

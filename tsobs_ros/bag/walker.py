@@ -23,7 +23,7 @@ from functools import cached_property
 from typing import IO, NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Chunk, McapRecord, Metadata
+from mcap.records import Channel, Chunk, McapRecord, Metadata
 
 from tsobs_ros.bag.container import (
     CHUNK_HEAD_SIZE,
@@ -32,6 +32,7 @@ from tsobs_ros.bag.container import (
     MAGIC,
     MAX_SIZE,
     MAX_SUMMARY_SIZE,
+    MESSAGE,
     RECORD,
     RecordError,
     Records,
@@ -41,6 +42,7 @@ from tsobs_ros.bag.container import (
     parse_record,
     parse_summary,
     read_chunk,
+    split_records,
 )
 
 Progress = Callable[[int], object]
@@ -49,22 +51,28 @@ Progress = Callable[[int], object]
 _MAX_OTHER_SIZE = 2**24
 _MAX_DAMAGES = 10_000
 _BLOCK_SIZE = 2**20
-# A chunk of less than 256 MiB; looking ahead finds those that overlap, too.
-_CANDIDATE = re.compile(rb"(?=\x06.{3}[\0-\x0f]\0{4})", re.DOTALL)
+# A message or a chunk of less than 256 MiB; looking ahead finds those that overlap, too.
+_CANDIDATE = re.compile(rb"(?=[\x05\x06].{3}[\0-\x0f]\0{4})", re.DOTALL)
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _UNPARSED = (Opcode.MESSAGE, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT)
 
 
 class Part(NamedTuple):
-    """The record at byte `at` of a file, of so many bytes; None for indexes and unknown ones.
+    """A part of a file: the record at byte `at`, or a run of messages outside of chunks.
 
-    A sound chunk has content: messages, schemas and channels.
+    Attributes:
+        at: Its first byte in the file.
+        size: Its size in the file, bytes.
+        record: None for messages, indexes and unknown records.
+        content: The messages, schemas and channels that were read of it.
+        is_checked: Whether a checksum covers them.
     """
 
     at: int
     size: int
     record: McapRecord | None = None
     content: Records | None = None
+    is_checked: bool = False
 
     def described(self) -> Iterator[McapRecord | None]:
         """Yield the record, or those between messages, each once; None for a malformed one."""
@@ -118,6 +126,9 @@ class FileWalker:
         # Times and size of the chunks that the summary states and that have not come yet.
         self._stated: Counter[tuple[int, int, int]] = Counter()
         self._seen: set[tuple[int, int, int, int]] = set()
+        # A file without chunks describes its channels before its messages.
+        self._bare_channels: set[int] = set()
+        self._has_chunks = False
         self._read_end()
 
     def _read_end(self) -> None:
@@ -175,18 +186,24 @@ class FileWalker:
         end = at + part.size
         if end > self._end or (length > MAX_SIZE and opcode != Opcode.ATTACHMENT):
             raise RecordError("not a record, or one that is cut off")
-        if opcode == Opcode.MESSAGE:
-            raise RecordError("a message outside of chunks, or of a damaged one")
+        if opcode == Opcode.MESSAGE and int.from_bytes(head[9:11], "little") in self._bare_channels:
+            return self._read_run(part)
         # Only the record that follows confirms the length of those that are not parsed. Metadata
         # that has lost bytes may take them from the chunk that follows.
         is_parsed = opcode < 0x80 and opcode not in _UNPARSED and length <= _MAX_OTHER_SIZE
         record = parse_record(self._bytes(at, part.size)) if is_parsed else None
-        if (record is None or isinstance(record, Metadata)) and not self._starts_record(end):
+        if opcode == Opcode.MESSAGE or (
+            (record is None or isinstance(record, Metadata)) and not self._starts_record(end)
+        ):
             raise RecordError("not a record")
+        # Behind damage it may be one of a chunk whose head is lost, and whose checksum with it.
+        if isinstance(record, Channel) and not (self._has_chunks or self.damage):
+            self._bare_channels.add(record.id)
         return part._replace(record=record)
 
     def _read_chunk(self, at: int, head: bytes) -> Part:
         chunk, data_at, size = self._own_head(head)
+        self._has_chunks = True
         key, end = (chunk.message_start_time, chunk.message_end_time, size), at + size
         chunk.data = self._bytes(at + data_at, size - data_at)
         part, is_checked = Part(at, size, chunk), chunk.uncompressed_crc != 0
@@ -212,7 +229,7 @@ class FileWalker:
             return part
         else:
             self._seen.add(again)
-        return part._replace(content=content)
+        return part._replace(content=content, is_checked=is_checked)
 
     def _own_head(self, head: bytes) -> tuple[Chunk, int, int]:
         """Return what `chunk_head` does of a chunk of the file itself."""
@@ -244,12 +261,29 @@ class FileWalker:
                 raise RecordError("the chunk holds bytes that are no record of its times")
         return content
 
+    def _read_run(self, first: Part) -> Part:
+        """Return a message outside of chunks and those behind it."""
+        block = self._bytes(first.at, max(first.size, _BLOCK_SIZE))[: self._end - first.at]
+        ends = [0]
+        while ends[-1] + MESSAGE.size <= len(block):
+            opcode, length, channel, _, _, _ = MESSAGE.unpack_from(block, ends[-1])
+            following = ends[-1] + RECORD.size + length
+            is_message = opcode == Opcode.MESSAGE and channel in self._bare_channels
+            if not is_message or length < MESSAGE.size - RECORD.size or following > len(block):
+                break
+            ends.append(following)
+        if not self._starts_record(first.at + ends[-1]):
+            ends.pop()
+        if len(ends) < 2:
+            raise RecordError("not a record")
+        return first._replace(size=ends[-1], content=split_records(block[: ends[-1]]))
+
     def _starts_record(self, at: int) -> bool:
         """Whether there may be a record, even one that is cut off, or the end."""
         head = self._bytes(at, CHUNK_HEAD_SIZE)
         if at >= self._end or len(head) < INDEX_HEAD.size:
             return True
-        opcode, length, _, size = INDEX_HEAD.unpack_from(head)
+        opcode, length, channel, size = INDEX_HEAD.unpack_from(head)
         if opcode == Opcode.CHUNK:
             with suppress(RecordError):
                 chunk_head(head)
@@ -260,17 +294,23 @@ class FileWalker:
         if opcode == Opcode.MESSAGE_INDEX:
             return bool(size == length - INDEX_HEAD.size + RECORD.size)
         if opcode == Opcode.MESSAGE:
-            return False
+            return channel in self._bare_channels
         return bool(opcode == Opcode.ATTACHMENT or (opcode > 0 and length <= _MAX_OTHER_SIZE))
 
     def _search(self, at: int) -> int:
-        """Return where the next chunk is; else the end."""
+        """Return where the next chunk, or message outside of chunks, is; else the end."""
         if self._vain_left < 0 or (self.summary is None and self._carries_files):
             return self._end
         for begin, block in self._blocks(at, RECORD.size - 1):
             for match in _CANDIDATE.finditer(block):
-                if self._is_chunk(begin + match.start()):
-                    return begin + match.start()
+                place = begin + match.start()
+                if block[match.start()] == Opcode.CHUNK:
+                    if self._is_chunk(place):
+                        return place
+                elif self._bare_channels:
+                    with suppress(RecordError):
+                        self._read(place)
+                        return place
         return self._end
 
     def _is_chunk(self, at: int) -> bool:
