@@ -11,7 +11,7 @@ makes the node. From there on a signal raises a flag.
 import os
 import sys
 
-from tsobs_ros.stop import StopFlag, end_at_once, ignore_signals
+from tsobs_ros.stop import StopFlag, end_at_once, end_with_parent, ignore_signals
 
 # Before anything else is imported, which takes a tenth of a second on a busy machine.
 _NAMES = ("observer", "plant_simulator", "recorder", "player", "visualizer", "tsobs")
@@ -36,6 +36,7 @@ def run(name: str) -> int:
     """
     end_at_once()
     _keep_standard_streams()
+    end_with_parent()
     try:
         module = import_module(f"tsobs_ros.nodes.{name}")
         runtime = import_module("tsobs_ros.nodes.runtime")

@@ -24,10 +24,26 @@ if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
     _SIGNALS.append(signal.SIGHUP)
 
 
+PARENT = "TSOBS_PARENT"
+"""Variable with the reading end of a pipe whose other end only the parent holds, such as a demo."""
+
+
 def end_at_once(exit_code: int = 0) -> None:
     """Let the signals end the process while nothing has started."""
     for number in _SIGNALS:
         signal.signal(number, lambda _number, _frame: os._exit(exit_code))
+
+
+def end_with_parent() -> None:
+    """Let the end of the process that holds the other end of `PARENT` interrupt this one."""
+    pipe = os.environ.pop(PARENT, "")
+
+    def wait() -> None:
+        os.read(int(pipe), 1)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    if pipe:
+        threading.Thread(target=wait, daemon=True).start()
 
 
 def interrupt() -> None:

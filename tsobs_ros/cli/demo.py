@@ -25,7 +25,7 @@ from tsobs_ros.bag.estimate_topics import (
 from tsobs_ros.cli.common import Commands, add_command, note, positive, show
 from tsobs_ros.errors import NodeError
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.stop import StopFlag, signal_came
+from tsobs_ros.stop import PARENT, StopFlag, signal_came
 
 MARKERS = "/visualizer/markers"
 RECORDED_TOPICS = (
@@ -157,13 +157,14 @@ class _Node(subprocess.Popen[bytes]):
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_LOG_DIR": str(folder),
             "PYTHONUNBUFFERED": "1",
+            PARENT: "0",  # a kill of the demo closes the pipe, which ends the node
         }
         environment.pop("ROS_LOCALHOST_ONLY", None)
         settings = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
         with self.log.open("wb") as output:
             super().__init__(
                 [sys.executable, "-m", "tsobs_ros.executables", name, "--ros-args", *settings],
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 env=environment,
@@ -177,6 +178,8 @@ class _Node(subprocess.Popen[bytes]):
     def end(self) -> None:
         """End the process cleanly, by force only if that fails."""
         self.send_signal(signal.SIGINT)
+        assert self.stdin is not None
+        self.stdin.close()
         try:
             self.wait(_STOP_TIMEOUT)
         except subprocess.TimeoutExpired:
