@@ -81,11 +81,7 @@ def run(options: argparse.Namespace) -> int:
     notes = {"seed of the simulator": str(options.seed)}
     show(*make_bag_report(bag, output, notes=notes), options.json)
     if not options.json:
-        print(
-            f"\nthe bag is {bag}: ros2 bag play, Foxglove and PlotJuggler open it\n"
-            f"the figure is {output / 'report.png'}; {output / 'report.html'} can be zoomed into, "
-            "in any browser"
-        )
+        print(f"\nthe bag is {bag}: ros2 bag play, Foxglove and PlotJuggler open it")
     return 0
 
 
