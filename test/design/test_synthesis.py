@@ -25,7 +25,6 @@ from tsobs_ros.design.request import (
 from tsobs_ros.design.synthesis import MARGINS, solve_gain, synthesise
 from tsobs_ros.errors import DesignError, DetectabilityError, ModelError
 from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
-from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 
@@ -191,8 +190,8 @@ def lorenz() -> TSRequest:
          id="two biases", marks=SLOW),
         pytest.param(of(("motor_angle", CLEAN), ("link_angle", (DisturbanceTerm("arbitrary"),))),
          ["a model of the disturbance"], id="arbitrary"),
-        pytest.param(ArmRequest(torque=TorquePath(delay=0.05), process_noise=ProcessNoise(0, 0)),
-         ["process_noise above 0"], id="no noise, and a delay too long for faster rates"),
+        pytest.param(ArmRequest(torque=TorquePath(delay=0.05), decay_rate=50.0),
+         ["a smaller decay_rate: 0 1/s"], id="decay, and a delay too long for faster rates"),
         pytest.param(lorenz(), ["a faster rate: ", "a smaller domain: rules 75 % as far"],
          id="Lorenz", marks=SLOW),
     ],

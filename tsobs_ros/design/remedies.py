@@ -16,7 +16,6 @@ from tsobs_ros.design.request import AnyRequest, ArmRequest, Output
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ANGLES
 from tsobs_ros.model.disturbance import CLEAN, DisturbanceTerm
-from tsobs_ros.model.flow import ProcessNoise
 
 _DECAYING = (DisturbanceTerm("gauss_markov"),)
 _SHARES = (0.75, 0.5, 0.25)
@@ -50,7 +49,14 @@ def remedies_of(request: AnyRequest) -> Iterator[Family]:
         if isinstance(request, ArmRequest) and len(slopes) == len(obstacles):
             yield _domain_above(request, max(slopes))
     else:
-        yield from _easier(request)
+        yield _faster(request)
+        smaller = [request.on_share(share) for share in _SHARES]
+        yield [Remedy(*each) for each in smaller if each is not None]
+        slower = [share * request.decay_rate for share in (0.25, 0.0) if request.decay_rate]
+        yield [
+            Remedy(f"a smaller decay_rate: {rate:.3g} 1/s", replace(request, decay_rate=rate))
+            for rate in slower
+        ]
     for terms, kept, text in (
         (_DECAYING, ("clean", "gauss_markov"), "whose decaying state need not be seen"),
         (CLEAN, ("clean",), "if it is not disturbed"),
@@ -65,26 +71,6 @@ def remedies_of(request: AnyRequest) -> Iterator[Family]:
             text = f"a further output without disturbance: {name} with 1σ of {std:.3g} rad"
             outputs = [*request.sensors, Output(name, std)]
             yield [Remedy(text, replace(request, outputs=outputs))]
-
-
-def _easier(request: AnyRequest) -> Iterator[Family]:
-    yield _faster(request)
-    smaller = [request.on_share(share) for share in _SHARES]
-    yield [Remedy(*each) for each in smaller if each is not None]
-    slower = [share * request.decay_rate for share in (0.25, 0.0) if request.decay_rate]
-    yield [
-        Remedy(f"a smaller decay_rate: {rate:.3g} 1/s", replace(request, decay_rate=rate))
-        for rate in slower
-    ]
-    if request.certify_uncertainty:
-        text = "no certify_uncertainty: the observer learns the parameters without a proof"
-        yield [Remedy(text, replace(request, certify_uncertainty=False))]
-    if isinstance(request, ArmRequest):
-        default, noise = ProcessNoise(), request.process_noise
-        if not (noise.link and noise.motor):
-            noise = ProcessNoise(noise.link or default.link, noise.motor or default.motor)
-            text = f"process_noise above 0: link {noise.link:g}, motor {noise.motor:g} rad²/s³"
-            yield [Remedy(text, replace(request, process_noise=noise))]
 
 
 def _modelled(request: AnyRequest, kind: str) -> Remedy:

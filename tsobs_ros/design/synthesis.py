@@ -125,7 +125,7 @@ def _walk_to_domain(problem: AnyRequest, margin: float, smallest_step: float) ->
     guesses = [guess for guess in found if guess is not None]
     if not guesses:
         where = starts[-1].where
-        raise DesignError(f"no stationary Kalman filter exists at {where}; check the noise")
+        raise DesignError(f"no stationary Kalman filter at {where}; process_noise may be too small")
     scaling, share, step = guesses[0], 0.0, 1.0
     solution: _Solution | None = None
     while share < 1.0 or solution is None:
