@@ -27,7 +27,7 @@ from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
-from tsobs_ros.replay.estimate import Observer, make_runs, run_all
+from tsobs_ros.replay.estimate import Observer, run_observers
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.simulation.plant import Plant
 from tsobs_ros.simulation.scenarios import SCENARIOS
@@ -67,9 +67,7 @@ def _record(path: Path, design: Design, seconds: float) -> None:
 def _estimate(bag: Path, design: Design, output: Path | None) -> None:
     source = BagSource(bag)
     observer = Observer("observer", ObserverSettings(), (DesignFile.of(design),))
-    runs = make_runs(source, [observer], rate=None, as_live=True)
-    run_all(source, runs, output)
-    done = runs[0].estimates
+    done = run_observers(source, [observer], output)[0].estimates
     assert done == source.count, f"{done} estimates of {source.count} samples"
 
 

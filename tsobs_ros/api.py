@@ -325,11 +325,11 @@ def estimate_bag(
     >>> estimates.joints["elastic_joint"].state.shape
     (600, 4)
     """
-    from tsobs_ros.replay.estimate import make_runs, run_all
+    from tsobs_ros.replay.estimate import run_observers
 
     source, observers = _observers(path, design, settings, (), joints)
-    (run,) = runs = make_runs(source, observers, rate=rate, as_live=rate is None, keep=True)
-    run_all(source, runs, None if output is None else Path(output))
+    bag = None if output is None else Path(output)
+    (run,) = run_observers(source, observers, bag, rate=rate, as_live=rate is None, keep=True)
     joints_of = {}
     for joint, name in enumerate(source.joints):
         made, innovations = run.kept(joint)
@@ -388,14 +388,14 @@ def compare(
     >>> [row.observer for row in rows]
     ['certified', 'high_gain']
     """
-    from tsobs_ros.replay.estimate import make_runs, run_all
+    from tsobs_ros.replay.estimate import run_observers
     from tsobs_ros.report.comparison import measure_runs
     from tsobs_ros.report.held_out import read_held_out
 
     source, observers = _observers(path, design, None, methods, joints, held_out)
-    runs = make_runs(source, observers, rate=None, as_live=True, keep=True)
+    source.observe([design.request for design in observers[0].designs])
     sensors = read_held_out(source, held_out_std)
-    run_all(source, runs, None)
+    runs = run_observers(source, observers, keep=True)
     return Comparison(errors for errors, _ in measure_runs(source, runs, sensors))
 
 

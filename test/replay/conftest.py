@@ -18,7 +18,7 @@ from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.designs import STRING
-from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
+from tsobs_ros.replay.estimate import Observer, Run, run_observers
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -85,20 +85,14 @@ def estimate(design: Design, tmp_path: Path) -> Callable[..., Run]:
     def run(
         source: Path | BagSource,
         output: str | None = None,
-        rate: float | None = None,
-        as_live: bool = True,
-        window: int = 2**31,
-        **settings: Any,
+        settings: ObserverSettings | None = None,
+        **options: Any,
     ) -> Run:
-        if isinstance(source, Path):
-            source = BagSource(source)
-        observer = Observer(
-            "observer",
-            ObserverSettings(**settings),
-            (DesignFile.of(design),) * len(source.joints),
-        )
-        (made,) = make_runs(source, [observer], rate=rate, as_live=as_live, window=window)
-        run_all(source, [made], None if output is None else tmp_path / output)
+        source = BagSource(source) if isinstance(source, Path) else source
+        files = (DesignFile.of(design),) * len(source.joints)
+        observer = Observer("observer", settings or ObserverSettings(), files)
+        path = None if output is None else tmp_path / output
+        (made,) = run_observers(source, [observer], path, **{"window": 2**31, **options})
         return made
 
     return run

@@ -60,18 +60,23 @@ def test_a_tick_includes_only_what_has_arrived(arms, design, write_bag, estimate
 
 
 @pytest.mark.parametrize(
-    ("lost", "settings", "reason", "counts"),
+    ("lost", "method", "reason", "counts"),
     [
-        ("measurements", {}, "used 2 measurements that the bag lacks", {"not_recorded": 2}),
-        ("ticks", {}, "its tick log lacks 2 ticks", {"lost_ticks": 2, "not_received": 2}),
-        ("", {"method": "high_gain"}, "it had another design, other parameters", {}),
+        (
+            "measurements",
+            "certified",
+            "used 2 measurements that the bag lacks",
+            {"not_recorded": 2},
+        ),
+        ("ticks", "certified", "its tick log lacks 2 ticks", {"lost_ticks": 2, "not_received": 2}),
+        ("", "high_gain", "it had another design, other parameters", {}),
     ],
 )
 def test_the_reason_of_a_difference_is_named(
-    arms, write_bag, estimate, tmp_path, lost, settings, reason, counts
+    arms, write_bag, estimate, tmp_path, lost, method, reason, counts
 ) -> None:
     messages = arms.messages(100)
-    estimate(write_bag(messages), output="live", **settings)
+    estimate(write_bag(messages), output="live", settings=ObserverSettings(method=method))
     made = observed(tmp_path / "live")
     gone = [one for one in (*messages, *made) if lost and one[0].endswith(lost)][40:42]
     both = [one for one in (*messages, *made) if one not in gone]

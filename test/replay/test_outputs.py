@@ -19,7 +19,7 @@ from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagReadError, LogError, ModelError
 from tsobs_ros.methods import ObserverSettings
-from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
+from tsobs_ros.replay.estimate import Observer, Run, run_observers
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.export import export_bag
@@ -97,8 +97,7 @@ def estimate(
     file = load_design_file(design)
     source.take_for_system([file.design.request])
     observer = Observer("observer", ObserverSettings(), (file,) * len(source.joints))
-    (run,) = make_runs(source, [observer], **{"rate": None, "as_live": True, **options})
-    run_all(source, [run], output)
+    (run,) = run_observers(source, [observer], output, **options)
     return run
 
 
@@ -198,7 +197,7 @@ def test_an_output_that_messages_never_have_is_named(arm, write_bag) -> None:
     link_only = Observer("link", ObserverSettings(), (DesignFile.of(ts.load_design()),))
     both = Observer("both", ObserverSettings(), (load_design_file(BOTH),))
     with pytest.raises(ModelError, match="designs that are run together must measure the same"):
-        make_runs(BagSource(bag), [link_only, both], rate=None, as_live=True)
+        run_observers(BagSource(bag), [link_only, both])
 
 
 def opened(path: Path, design: Design, **options: Any) -> LogSource:

@@ -11,7 +11,7 @@ from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.methods import ObserverSettings
-from tsobs_ros.replay.estimate import Observer, make_runs, run_all
+from tsobs_ros.replay.estimate import Observer, run_observers
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.comparison import measure_runs
@@ -127,8 +127,7 @@ def test_memory_does_not_grow_with_the_recording(arms, write_bag, design, tmp_pa
             Observer(name, ObserverSettings(method=method), files)
             for name, method in (("observer", "certified"), ("other", "high_gain"))
         ]
-        runs = make_runs(source, observers, rate=None, as_live=True, window=200, keep=True)
-        run_all(source, runs, output)
+        runs = run_observers(source, observers, output, window=200, keep=True)
         assert len(measure_runs(source, runs)) == 2
 
     peaks = []

@@ -9,7 +9,7 @@ from tsobs_ros.cli.main import main
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.replay.estimate import Observer, make_runs, run_all
+from tsobs_ros.replay.estimate import Observer, run_observers
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.comparison import (
     measure_runs,
@@ -26,8 +26,8 @@ def test_each_is_measured_as_if_it_had_been_recorded(
     settings = [ObserverSettings(method=method) for method in ("certified", "ekf", "high_gain")]
     observers = [Observer(one.method, one, (DesignFile.of(design),)) for one in settings]
     # Of windows, the errors are those of the whole.
-    runs = make_runs(source, observers, rate=None, as_live=False, window=400, keep=True)
-    run_all(source, runs, tmp_path / "new")
+    options = {"as_live": False, "window": 400, "keep": True}
+    runs = run_observers(source, observers, tmp_path / "new", **options)
 
     errors = [one for one, _ in measure_runs(source, runs)]
 

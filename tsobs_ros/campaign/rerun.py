@@ -16,7 +16,7 @@ from tsobs_ros.campaign.batches import stamps_of
 from tsobs_ros.campaign.definition import Campaign, CampaignError
 from tsobs_ros.campaign.drawing import draw_group
 from tsobs_ros.design.signals import Place, positions
-from tsobs_ros.replay.estimate import Observer, make_runs, open_source, run_all
+from tsobs_ros.replay.estimate import Observer, open_source, run_observers
 from tsobs_ros.replay.places import Layout
 from tsobs_ros.replay.source import MEASUREMENTS
 from tsobs_ros.simulation.plant import Plant, Trajectories
@@ -39,7 +39,7 @@ def rerun(campaign: Campaign, run: int, output: Path) -> Path:
     with TemporaryDirectory() as folder:
         source = open_source(_recorded(campaign, runs, Path(folder, f"run_{run}")))
         observer = Observer("observer", campaign.settings, (campaign.file,))
-        run_all(source, make_runs(source, [observer], rate=None, as_live=False), output / "bag")
+        run_observers(source, [observer], output / "bag", as_live=False)
     return output / "bag"
 
 

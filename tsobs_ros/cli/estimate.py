@@ -109,9 +109,8 @@ def estimate(
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.replay.estimate import (
         make_observers,
-        make_runs,
         open_source,
-        run_all,
+        run_observers,
         without_misfits,
     )
     from tsobs_ros.report.comparison import measure_runs
@@ -140,10 +139,18 @@ def estimate(
         remarks += misfits
     as_live = options.rate is None and options.at != "measurements"
     keep = len(observers) > 1 or source.held_out is not None
-    runs = make_runs(source, observers, rate=options.rate, as_live=as_live, keep=keep)
     sensors = read_held_out(source, getattr(options, "held_out_std", None))
-    with progress(source.count * len(runs), " samples", quiet=options.json) as advance:
-        run_all(source, runs, output, estimates_only=estimates_only, progress=advance)
+    with progress(source.count * len(observers), " samples", quiet=options.json) as advance:
+        runs = run_observers(
+            source,
+            observers,
+            output,
+            rate=options.rate,
+            as_live=as_live,
+            keep=keep,
+            estimates_only=estimates_only,
+            progress=advance,
+        )
     errors = [one for one, _ in measure_runs(source, runs, sensors)] if keep else []
     remarks += dict.fromkeys(text for run in runs for text in run.warnings())
     mapping, text = _result(source, runs, errors, output, time.monotonic() - begin, remarks)

@@ -431,48 +431,39 @@ def open_source(
     return BagSource(path, topic, joints, assume_zero_torque=zero, held_out=held_out)
 
 
-def make_runs(
+def run_observers(
     source: BagSource,
-    observers: Iterable[Observer],
+    observers: Sequence[Observer],
+    output: Path | None = None,
     *,
-    rate: float | None,
-    as_live: bool,
+    rate: float | None = None,
+    as_live: bool = True,
     window: int = WINDOW,
     keep: bool = False,
+    estimates_only: bool = False,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> list[Run]:
-    """Return a run of every observer over the same measurements; options as for `Windows`.
+    """Run observers over the same measurements, and write their messages into a new bag, if any.
 
-    Those that are to `keep` their estimates do so in temporary files.
+    Args:
+        source: The measurements.
+        observers: Of designs that measure the same.
+        output: The new bag's folder.
+        rate: As for `Windows`, like `as_live` and `window`.
+        keep: Let the runs keep their estimates, in temporary files.
+        estimates_only: Leave out the measurements, and the truth of a simulation.
+        progress: Called with the number of measurements that the observers have taken since.
 
     Raises:
         BagReadError: The bag does not have what the designs measure.
         LogError: The log does not.
         ModelError: The designs do not measure the same.
+        BagWriteError: The folder exists, or the bag cannot be written.
     """
-    observers = list(observers)
     for observer in observers:
         source.observe([design.request for design in observer.designs])
     windows = Windows(source, rate, as_live, window)
-    return [Run(observer, source, windows, keep=keep) for observer in observers]
-
-
-def run_all(
-    source: BagSource,
-    runs: Sequence[Run],
-    output: Path | None,
-    *,
-    estimates_only: bool = False,
-    progress: Callable[[int], None] = lambda _: None,
-) -> None:
-    """Run observers over the measurements and write their messages into a new bag, if any.
-
-    Args:
-        estimates_only: Leave out the measurements, and the truth of a simulation.
-        progress: Called with the number of measurements that the observers have taken since.
-
-    Raises:
-        BagWriteError: The folder exists, or the bag cannot be written.
-    """
+    runs = [Run(observer, source, windows, keep=keep) for observer in observers]
     with ExitStack() as stack:
         # The core runs for several observers at once.
         pool = stack.enter_context(ThreadPoolExecutor(min(len(runs), os.cpu_count() or 1)))
@@ -481,13 +472,13 @@ def run_all(
             note = {"estimated from": str(source.path)}
             writer = stack.enter_context(whole_bag(output, custom_data=note))
             _begin_bag(writer, source, runs, copy=not estimates_only)
-        for window in runs[0].windows:
-            work = partial(Run.run, window=window, encode=writer is not None)
-            each = pool.map(work, runs) if len(runs) > 1 else map(work, runs)
-            made = list(chain.from_iterable(each))
+        for part in windows:
+            work = partial(Run.run, window=part, encode=writer is not None)
+            made = list(chain.from_iterable(pool.map(work, runs)))
             if writer is not None:
                 writer.write_series(made)
-            progress(len(window.samples) * len(runs))
+            progress(len(part.samples) * len(runs))
+    return runs
 
 
 def _begin_bag(writer: BagWriter, source: BagSource, runs: Sequence[Run], *, copy: bool) -> None:

@@ -19,7 +19,7 @@ from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import EKFS, ObserverSettings
-from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
+from tsobs_ros.replay.estimate import Observer, Run, run_observers, without_misfits
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.held_out import HeldOutErrors, HeldOutSensor
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics, innovation_std, measure, root_mean
@@ -86,8 +86,7 @@ def best_ekf(
     methods = EKFS if settings.learnt(file.design) else EKFS[:1]
     observers = [Observer(name, replace(settings, method=name), (file,)) for name in methods]
     fitting, _ = without_misfits(observers)
-    runs = make_runs(source, fitting, rate=None, as_live=True, keep=True)
-    run_all(source, runs, None)
+    runs = run_observers(source, fitting, keep=True)
     best, run = min(measure_runs(source, runs), key=lambda one: one[0].normalised_rmse)
     if best.metrics is None or run is None:
         raise BagReadError(f"{source.path}: no EKF could be run over the measurements")

@@ -16,7 +16,7 @@ from tsobs_ros.bag import BagReader
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
-from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
+from tsobs_ros.replay.estimate import Observer, Run, run_observers
 from tsobs_ros.replay.source import BagSource
 
 
@@ -83,8 +83,7 @@ def estimated_again(bag: Path, output: Path, design: Design, **settings: Any) ->
     source = BagSource(bag)
     designs = (DesignFile.of(design),) * len(source.joints)
     observer = Observer("observer", ObserverSettings(**settings), designs)
-    (run,) = make_runs(source, [observer], rate=None, as_live=True, window=2**31)
-    run_all(source, [run], output)
+    (run,) = run_observers(source, [observer], output, window=2**31)
     return run
 
 
