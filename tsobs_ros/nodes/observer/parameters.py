@@ -8,7 +8,7 @@ from tsobs_ros.errors import ParameterError
 from tsobs_ros.estimation.events import COAST_AFTER
 from tsobs_ros.estimation.health import DisturbanceLimits
 from tsobs_ros.methods import ObserverSettings
-from tsobs_ros.nodes.parameters import JointParameters
+from tsobs_ros.nodes.parameters import MIN_RATE, JointParameters
 from tsobs_ros.settings import live_setting, setting
 
 
@@ -57,6 +57,8 @@ class ObserverParameters(ObserverSettings, JointParameters):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if 0.0 < self.rate < MIN_RATE:
+            raise ParameterError(f"rate: expected 0 or at least {MIN_RATE} Hz, got {self.rate}")
         if self.coast_after > self.stale_after:
             raise ParameterError(
                 f"coast_after: expected at most stale_after = {self.stale_after}, "

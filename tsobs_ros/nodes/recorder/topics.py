@@ -43,7 +43,11 @@ class RecorderParameters(SelectingParameters):
         0, "Size at which a file is followed by another; 0: never", unit="bytes", minimum=0
     )
     max_bag_duration: float = setting(
-        0.0, "Time after which a file is followed by another; 0: never", unit="s", minimum=0
+        0.0,
+        "Time after which a file is followed by another; 0: never",
+        unit="s",
+        minimum=0.0,
+        maximum=1e9,
     )
     flush_period: float = setting(
         0.5, "Age from which messages survive a kill", unit="s", minimum=0.01, maximum=10
