@@ -54,9 +54,9 @@ def _player(lags: Path) -> int:
             kept.extend(lags)
             return lags
 
-        def cleanup(self) -> None:
+        def deactivate(self) -> None:
+            super().deactivate()
             self.take_lags()
-            super().cleanup()
 
     player.create = Measured  # type: ignore[assignment]
     exit_code = executables.player()

@@ -54,6 +54,7 @@ class Probe(ManagedNode[ManagedParameters]):
         self.create_timer(0.01, lambda: self.calls.append("tick") if self.active else None)
         self.at_cleanup(self._note, "release")
         self._note("configure")
+        self.at_cleanup(self._note, "cleanup")
 
     def activate(self) -> None:
         assert not self.active
@@ -62,10 +63,6 @@ class Probe(ManagedNode[ManagedParameters]):
     def deactivate(self) -> None:
         assert not self.active
         self._note("deactivate")
-
-    def cleanup(self) -> None:
-        assert not self.active
-        self._note("cleanup")
 
 
 @pytest.fixture

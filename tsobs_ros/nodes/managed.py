@@ -60,8 +60,8 @@ P = TypeVar("P", bound=ManagedParameters)
 class ManagedNode(LifecycleNode, Generic[P]):
     """A lifecycle node; with the parameter `autostart` it configures and activates itself.
 
-    Subclasses override `configure`, `activate`, `deactivate`, `cleanup` and `retune` as they
-    need them, and call `start` at the end of their constructor.
+    Subclasses override `configure`, `activate`, `deactivate` and `retune` as they need them, and
+    call `start` at the end of their constructor.
 
     Args:
         schema: The dataclass of its parameters.
@@ -109,9 +109,6 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
     def deactivate(self) -> None:
         """Stop working and keep everything; `active` is already false."""
-
-    def cleanup(self) -> None:
-        """Finish what `configure` began; called before anything is released."""
 
     def retune(self, parameters: P) -> None:
         """Take over parameters of which some were set, while the node is configured."""
@@ -287,10 +284,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
     def _clean_up(self) -> None:
         if self._acquired is not None:
             with self._acquired:
-                try:
-                    self.cleanup()
-                finally:
-                    self._acquired = self.ticker = None
+                self._acquired = self.ticker = None
 
     def _entities(self) -> set[tuple[str, Any]]:
         """Return the kind of each of the node's entities in ROS, and the entity."""

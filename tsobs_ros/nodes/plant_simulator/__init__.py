@@ -71,6 +71,8 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         """Make the arm at t = 0 with its topics and services."""
         parameters = self.parameters
         self._publish_sample = SamplePublisher(self, parameters)
+        # The last truth reaches its subscribers.
+        self.at_cleanup(self._publish_sample.wait_for_acknowledgement)
         self._commands = TorqueCommands(self)
         self.offer_triggers({"reset": self._reset})
         self._schedule = Ticks(parameters.sample_rate)
@@ -104,10 +106,6 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         """Stop sampling."""
         self.destroy_timer(self._start_timer)
         self._ticker.stop()
-
-    def cleanup(self) -> None:
-        """Let the last truth reach its subscribers."""
-        self._publish_sample.wait_for_acknowledgement()
 
     @property
     def finished(self) -> bool:

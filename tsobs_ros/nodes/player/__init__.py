@@ -169,6 +169,7 @@ class Player(ManagedNode[PlayerParameters]):
         acts = {"pause": partial(self._pause, True), "resume": partial(self._pause, False)}
         self.offer_triggers(acts)
         self.ticker = self._ticker = Ticker(self, _MAX_WAIT, self._play, executor_clock=self.steady)
+        self.at_cleanup(self._log_end)
         self.log(
             Level.OK,
             f"opened {reader.path}: {sum(t.count for t in selected)} messages of "
@@ -195,7 +196,7 @@ class Player(ManagedNode[PlayerParameters]):
         self._ticker.stop()
         self._playback.pause(time.monotonic_ns())
 
-    def cleanup(self) -> None:
+    def _log_end(self) -> None:
         """Log what has been played."""
         if self._reader.unchecked:
             self.log(Level.WARN, f"{self._reader.path}: {UNCHECKED}")

@@ -82,6 +82,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         # Not the node's clock: simulated time may be slow, stop or never start.
         self.ticker = Ticker(self, _DRAIN_PERIOD, self._tick, executor_clock=self.steady)
         self.ticker.start()
+        self.at_cleanup(self._log_end)
         self.log(Level.OK, f"recording to {path}")
 
     def activate(self) -> None:
@@ -93,7 +94,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         if not (self._paused or self._failed):
             self._take(is_recording=True)
 
-    def cleanup(self) -> None:
+    def _log_end(self) -> None:
         """Log what the bag holds before it is closed."""
         unknown = len(self.loss_unknown)
         self.log(
