@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from tsobs_ros.replay.source import BagSource
     from tsobs_ros.report.comparison import ObserverErrors
 
+_MAX_SAMPLES = 10**8
+
 Disturbance = str | Mapping[str, Mapping[str, float]] | Iterable[Signal]
 
 
@@ -212,6 +214,8 @@ def simulate(
     scenario = scenario_of(
         request, mismatch, initial_state=initial_state, signals=signals, **others
     )
+    if scenario.sample_count > _MAX_SAMPLES:
+        raise ModelError(f"duration: expected at most {_MAX_SAMPLES:,} samples, got {duration!r} s")
     if torque is not None:
         values: Any = torque
         if callable(torque):
@@ -266,9 +270,9 @@ def estimate(
     (401, {})
     """
     times, request = numbers("time", time), design.request
+    stamps, tracker = _stamps(times), make_tracker(design, settings or ObserverSettings())
     y = _columns("angle", angle, len(times), len(request.output_names))
     u = _columns("torque", torque, len(times), len(request.input_names))
-    stamps, tracker = _stamps(times), make_tracker(design, settings or ObserverSettings())
     count = len(stamps)
     ticks = stamps, np.maximum.accumulate(stamps), np.arange(1, count + 1)
     made = tracker.run(stamps, y, u, ticks)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, numbers
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import LogError, ModelError
 from tsobs_ros.estimation.records import USED
@@ -109,7 +109,7 @@ def _zeros(request: ArmRequest, y: Array) -> Array:
 def _samples(request: ArmRequest, log: str | Path | Samples, options: dict[str, Any]) -> _Raw:
     """Return the samples of a log, a bag or arrays."""
     if not isinstance(log, str | Path):
-        times, y, u = (np.asarray(each, np.float64) for each in log)
+        times, y, u = (numbers("logs", each) for each in log)
         y = y.reshape(len(times), -1) if times.ndim == 1 and len(times) else y
         p = len(request.sensors)
         if times.ndim != 1 or y.shape != (len(times), p) or u.shape != times.shape:

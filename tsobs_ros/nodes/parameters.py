@@ -74,10 +74,6 @@ class SelectingParameters(ManagedParameters):
         )
 
 
-MIN_RATE = 0.01
-"""Least rate of an observer or a plant [Hz]."""
-
-
 @dataclass(frozen=True)
 class JointParameters(ManagedParameters):
     """The parameters that say which joints there are, and what each of them is."""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, non_negative, positive
+from tsobs_ros.checks import Array, as_matrix, non_negative
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import DIRECT, SIDES, ElasticJointArm, TorquePath
 from tsobs_ros.model.flow import ProcessNoise
@@ -25,6 +25,9 @@ from tsobs_ros.simulation.motion import ArmMotion, Friction, Motion, Payload, Sy
 from tsobs_ros.simulation.sensor import Disturbance, Output, SimulatedOutput
 from tsobs_ros.simulation.signals import Numbers, Signal, Sine, StuckSensor
 from tsobs_ros.simulation.streams import Source, TorqueDelay
+
+MIN_RATE = 0.01
+"""Least rate of samples [Hz]."""
 
 _BLOCK = 2**16
 """Samples of all runs that are moved at a time, so that the memory stays bounded."""
@@ -84,7 +87,8 @@ class PlantScenario:
     torque: TorquePath = DIRECT
 
     def __post_init__(self) -> None:
-        positive("rate", self.rate)
+        if not MIN_RATE <= self.rate < math.inf:
+            raise ModelError(f"rate: expected at least {MIN_RATE} Hz, got {self.rate!r}")
         non_negative("duration", self.duration)
 
     def motion(self, seeds: Sequence[int]) -> Motion:

@@ -8,8 +8,9 @@ from tsobs_ros.errors import ParameterError
 from tsobs_ros.estimation.events import COAST_AFTER
 from tsobs_ros.estimation.health import DisturbanceLimits
 from tsobs_ros.methods import ObserverSettings
-from tsobs_ros.nodes.parameters import MIN_RATE, JointParameters
+from tsobs_ros.nodes.parameters import JointParameters
 from tsobs_ros.settings import live_setting, setting
+from tsobs_ros.simulation.plant import MIN_RATE
 
 
 @dataclass(frozen=True)

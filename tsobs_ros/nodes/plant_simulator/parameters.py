@@ -17,7 +17,7 @@ import numpy as np
 from tsobs_ros.checks import Array, finite, shown
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError, ParameterError, TsobsError
-from tsobs_ros.nodes.parameters import MIN_RATE, JointParameters
+from tsobs_ros.nodes.parameters import JointParameters
 from tsobs_ros.plants import EFFORT_ERROR, TORQUES, request_in, scenario_of
 from tsobs_ros.replay.csv_file import read_torques
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -180,8 +180,6 @@ class PlantSimulatorParameters(JointParameters):
     sensor: Sensor = field(default_factory=Sensor)
 
     def __post_init__(self) -> None:
-        if self.sample_rate < MIN_RATE:
-            raise ModelError(f"rate: expected at least {MIN_RATE} Hz, got {self.sample_rate}")
         _ = self.scenarios
 
     @cached_property
