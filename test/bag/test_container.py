@@ -12,24 +12,9 @@ import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Statistics,
-)
+from mcap.records import Chunk, ChunkIndex, DataEnd, Footer, Header, McapRecord, Statistics
 
-from tsobs_ros.bag.container import (
-    MAGIC,
-    MAX_SIZE,
-    MESSAGE,
-    RecordError,
-    read_chunk,
-    read_summary,
-)
+from tsobs_ros.bag.container import MAGIC, MAX_SIZE, MESSAGE, RecordError, read_chunk, read_summary
 from tsobs_ros.errors import BagReadError
 
 

@@ -14,13 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tsobs_ros.bag import BagReader, BagWriter
-from tsobs_ros.bag.playback import (
-    MAX_LAG,
-    NEVER,
-    Event,
-    Playback,
-    read_passes,
-)
+from tsobs_ros.bag.playback import MAX_LAG, NEVER, Event, Playback, read_passes
 from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.errors import BagReadError
 

@@ -10,12 +10,7 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tsobs_ros.bag import BagReader, BagWriter
-from tsobs_ros.bag.cdr import (
-    TICK_LOG,
-    TICK_LOG_TEXT,
-    decode_ticks,
-    encode_tick,
-)
+from tsobs_ros.bag.cdr import TICK_LOG, TICK_LOG_TEXT, decode_ticks, encode_tick
 from tsobs_ros.bag.estimate_topics import parameter_names, sides
 from tsobs_ros.bag.joint_states import (
     JOINT_STATE,

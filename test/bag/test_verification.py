@@ -189,10 +189,7 @@ def overwritten(opcode: Opcode, place: int, new: bytes) -> Callable[[bytes], byt
             rewritten(Opcode.CHUNK_INDEX, message_index_offsets={1: 5, 2: 6}),
             "channel 1 at byte 5 is not that of its chunk",
         ),
-        (
-            rewritten(Opcode.CHUNK_INDEX, chunk_start_offset=1),
-            "chunks .* is stated as None",
-        ),
+        (rewritten(Opcode.CHUNK_INDEX, chunk_start_offset=1), "chunks .* is stated as None"),
         (rewritten(Opcode.MESSAGE_INDEX, channel_id=3), "channel 1 at .* is not that of"),
         (
             overwritten(Opcode.MESSAGE_INDEX, 15, b"\x07"),
@@ -240,10 +237,7 @@ def file_with(
         ({"schema": ("String", "ros2msg", b"string data\n")}, "'String' is not named as"),
         ({"schema": (STRING, "ros2xyz", b"")}, "is defined in 'ros2xyz', not in ros2msg"),
         ({"channels": [("/a", "json", 1, CHANNEL)]}, "/a: is encoded in 'json', not in cdr"),
-        (
-            {"channels": [("/a", "cdr", 7, CHANNEL)]},
-            "/a: has no type",
-        ),
+        ({"channels": [("/a", "cdr", 7, CHANNEL)]}, "/a: has no type"),
         ({"channels": [("/a", "cdr", 1, {"offered_qos_profiles": "["})]}, "/a: not a list of QoS"),
         ({"channel_id": 7}, "channel 7 is not described before"),
         ({"log_time": 2**63}, "/a: times do not fit 63 bits"),

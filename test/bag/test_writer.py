@@ -115,10 +115,7 @@ def test_arrays_of_messages_are_in_order_of_log_time(drawn: list[tuple[str, int,
     st.integers(1, 400),
 )
 def test_topics_that_others_recorded_are_copied_in_the_same_order(
-    written: list[tuple[str, int]],
-    compression: CompressionType,
-    topics: set[str],
-    chunk_size: int,
+    written: list[tuple[str, int]], compression: CompressionType, topics: set[str], chunk_size: int
 ) -> None:
     calls = [(1 + "abc".index(name), t, cdr(f"{k}"), 9 + k) for k, (name, t) in enumerate(written)]
     channels = [(f"/{name}", "cdr", 1, {}) for name in "abc"]
@@ -178,9 +175,7 @@ def test_a_closed_bag_stays_as_it_is_after_an_error_too(tmp_path: Path) -> None:
     assert BagReader(tmp_path / "bag").message_count == 1
 
 
-def test_a_bag_on_a_full_disk_takes_no_more_and_gives_back_what_was_flushed(
-    tmp_path: Path,
-) -> None:
+def test_a_bag_on_a_full_disk_takes_no_more_and_gives_back_what_was_flushed(tmp_path: Path) -> None:
     data, refusal = bytes(100_000), r"bag_0\.mcap: cannot write it: .* too large"
     writer = BagWriter(tmp_path / "bag", compression="none")
     writer.add_topic("/a", STRING)

@@ -144,10 +144,7 @@ def test_the_certified_bound_holds_if_its_premises_do(write: Callable[..., Path]
         duration=15.0,
         settle_time=5.0,
         initial_state=[[-0.1, 0.1], 0.0, [-0.1, 0.1], 0.0],
-        scenarios={
-            "as_designed": {"as_designed": True},
-            "stiff": {"mismatch": {"stiffness": 0.3}},
-        },
+        scenarios={"as_designed": {"as_designed": True}, "stiff": {"mismatch": {"stiffness": 0.3}}},
     )
     asked = load_campaign(path)
     summary = summarise(asked, compute(asked, 0, 60))

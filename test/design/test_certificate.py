@@ -17,20 +17,9 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from tsobs_ros.design.certificate import check_certificate
-from tsobs_ros.design.exact import (
-    cosine_below,
-    decay_below,
-    exponential,
-    rational,
-    verify_exactly,
-)
+from tsobs_ros.design.exact import cosine_below, decay_below, exponential, rational, verify_exactly
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.request import (
-    ArmRequest,
-    DisturbanceTerm,
-    Output,
-    TorqueDisturbance,
-)
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import CertificateError, ModelError
 from tsobs_ros.estimation.records import Basis

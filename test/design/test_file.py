@@ -17,12 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from tsobs_ros.design.file import (
-    load_design,
-    load_request,
-    parse_design,
-    save_design,
-)
+from tsobs_ros.design.file import load_design, load_request, parse_design, save_design
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import (
     ArmRequest,
@@ -248,10 +243,7 @@ def test_a_wrong_entry_is_named_with_the_file(
 
 @pytest.mark.parametrize(
     ("name", "place", "value"),
-    [
-        ("arm", ("gain", "K", 0), 0.0),
-        ("system", ("system", "slope_vertices", 1, 1, 0), 1.0),
-    ],
+    [("arm", ("gain", "K", 0), 0.0), ("system", ("system", "slope_vertices", 1, 1, 0), 1.0)],
 )
 def test_an_edited_design_is_refused_by_its_certificate(
     name: str, place: Any, value: Any, tmp_path: Path

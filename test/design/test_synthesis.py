@@ -64,10 +64,7 @@ def test_on_a_single_slope_the_bound_is_the_riccati_solution() -> None:
     margin = MARGINS[0] * request.period * design.covariance_bound
     for noise, tolerance in ((vertex.noise, 1e-3), (vertex.noise + margin, 1e-6)):
         kalman = solve_discrete_are(
-            vertex.transition.T,
-            request.flow.output_matrix.T,
-            noise,
-            request.measurement_covariance,
+            vertex.transition.T, request.flow.output_matrix.T, noise, request.measurement_covariance
         )
         root = np.linalg.cholesky(design.P)
         np.testing.assert_allclose(root.T @ kalman @ root, np.eye(5), atol=tolerance)
@@ -217,10 +214,7 @@ FOUR = ("stiffness", "link_damping", "motor_damping", "link_inverse_inertia")
     ("make", "message"),
     [
         (lambda: of(("elbow", CLEAN)), r"outputs\[0\]: expected one of link_angle, .*got 'elbow'"),
-        (
-            lambda: of(("link_angle", BIAS), motor=tone(629.0)),
-            "half the.* 628.*, got 629",
-        ),
+        (lambda: of(("link_angle", BIAS), motor=tone(629.0)), "half the.* 628.*, got 629"),
         (
             lambda: ArmRequest(certify_uncertainty=True, uncertainty=dict.fromkeys(FOUR, 0.1)),
             "expected at most 3 uncertain parameters beside gravity",

@@ -12,13 +12,7 @@ import pytest
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.records import (
-    Basis,
-    Hypothesis,
-    Innovation,
-    Measurement,
-    RejectReason,
-)
+from tsobs_ros.estimation.records import Basis, Hypothesis, Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
@@ -280,10 +274,7 @@ def test_a_late_sample_widens_the_bound_by_its_factor_and_a_missing_one_voids_it
 
 
 @both
-@pytest.mark.parametrize(
-    ("torque", "seconds"),
-    [(1e5, 0.005), (-math.inf, 0.5), (math.nan, 8.0)],
-)
+@pytest.mark.parametrize(("torque", "seconds"), [(1e5, 0.005), (-math.inf, 0.5), (math.nan, 8.0)])
 def test_an_implausible_torque_is_a_gap_and_its_angle_is_used(
     name: str, torque: float, seconds: float
 ) -> None:

@@ -10,11 +10,7 @@ from scipy.linalg import block_diag
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.baselines import (
-    THETA_STD,
-    THETA_WANDER,
-    high_gain_matrix,
-)
+from tsobs_ros.estimation.baselines import THETA_STD, THETA_WANDER, high_gain_matrix
 from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.methods import ObserverSettings, make_tracker

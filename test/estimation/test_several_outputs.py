@@ -110,12 +110,7 @@ def test_a_sample_without_any_output_is_not_finite() -> None:
 
 
 @pytest.mark.parametrize(
-    ("output", "spoil"),
-    [
-        (MOTOR, "outliers"),
-        (LINK, "stuck"),
-        (LINK, "far off"),
-    ],
+    ("output", "spoil"), [(MOTOR, "outliers"), (LINK, "stuck"), (LINK, "far off")]
 )
 def test_what_is_wrong_with_one_output_is_no_reason_to_refuse_the_other(
     output: int, spoil: str

@@ -162,10 +162,7 @@ def test_a_lifecycle_manager_drives_a_process_and_its_shutdown_ends_it(
 # What a process has mapped shows how far its start-up is: imports, or the middleware's start.
 @pytest.mark.parametrize(
     ("name", "library", "number"),
-    [
-        ("observer", "_rclpy_pybind11", signal.SIGTERM),
-        ("recorder", "libfastrtps", signal.SIGINT),
-    ],
+    [("observer", "_rclpy_pybind11", signal.SIGTERM), ("recorder", "libfastrtps", signal.SIGINT)],
 )
 def test_a_signal_during_the_start_ends_cleanly(
     ros_process: Process, tmp_path: Path, name: str, library: str, number: int

@@ -97,10 +97,7 @@ def topics_of(run: RecordedRun, namespace: str = "") -> dict[str, list[Row]]:
         return Row(stamp, own, x)
 
     kinds = {
-        "joint_measurements": (
-            "measurements",
-            lambda stamp, x: Row(stamp, own, x[:1], (), x[1:]),
-        ),
+        "joint_measurements": ("measurements", lambda stamp, x: Row(stamp, own, x[:1], (), x[1:])),
         "observer/joint_states": ("state", motion),
         "observer/error_bound": ("state_bound", motion),
         "observer/disturbance": ("disturbance", scalar),

@@ -11,10 +11,7 @@ from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.replay.estimate import Observer, run_observers
 from tsobs_ros.replay.source import BagSource
-from tsobs_ros.report.comparison import (
-    measure_runs,
-    render_comparison,
-)
+from tsobs_ros.report.comparison import measure_runs, render_comparison
 from tsobs_ros.report.metrics import innovation_std, measure
 from tsobs_ros.report.run import read_run
 

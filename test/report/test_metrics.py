@@ -9,11 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tsobs_ros.report.comparison import (
-    ObserverErrors,
-    metrics_cells,
-    render_comparison,
-)
+from tsobs_ros.report.comparison import ObserverErrors, metrics_cells, render_comparison
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.run import RecordedRun
 from tsobs_ros.series import Series

@@ -11,12 +11,7 @@ import numpy as np
 from mcap.records import Channel, Header, McapRecord, Metadata, Schema
 
 from tsobs_ros.bag.container import Records, by_channel
-from tsobs_ros.bag.metadata import (
-    EMPTY_START_NS,
-    BagMetadata,
-    Descriptions,
-    TopicInfo,
-)
+from tsobs_ros.bag.metadata import EMPTY_START_NS, BagMetadata, Descriptions, TopicInfo
 from tsobs_ros.bag.walker import Damage, FileWalker, Part, Progress
 from tsobs_ros.files import open_regular
 from tsobs_ros.yaml_files import MAX_BYTES, load_yaml

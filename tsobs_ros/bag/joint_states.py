@@ -247,10 +247,7 @@ class JointStateDecoder:
         return found
 
     def read_places(
-        self,
-        count: int,
-        groups: Iterable[tuple[Places, NDArray[np.uint8]]],
-        wanted: Wanted,
+        self, count: int, groups: Iterable[tuple[Places, NDArray[np.uint8]]], wanted: Wanted
     ) -> tuple[Flags, Stamps, Array]:
         """Read numbers of messages, with whether there are any, shape (count,), and the stamps.
 

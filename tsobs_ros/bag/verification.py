@@ -264,11 +264,7 @@ class _Check(DamagedFile):
             ("number of channels", found.channel_count, len(own.channels)),
             ("number of messages", found.message_count, self.counts.total()),
             ("messages by channel", counts, dict(self.counts)),
-            (
-                "log times",
-                (found.message_start_time, found.message_end_time),
-                self.span or (0, 0),
-            ),
+            ("log times", (found.message_start_time, found.message_end_time), self.span or (0, 0)),
         ):
             for text in _compared(stated, actual, what):
                 self._error(f"in the summary, {text}")

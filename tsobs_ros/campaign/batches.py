@@ -87,10 +87,7 @@ def stamps_of(times: Array) -> NDArray[np.int64]:
 
 
 def recorded(
-    runs: Trajectories,
-    run: int,
-    estimates: Mapping[str, Array],
-    request: ArmRequest | None = None,
+    runs: Trajectories, run: int, estimates: Mapping[str, Array], request: ArmRequest | None = None
 ) -> RecordedRun:
     """Return one run of a batch as if it had been recorded, with estimates by their names.
 

@@ -29,13 +29,7 @@ from tsobs_ros.identification.joint import (
     require_arm,
     with_values,
 )
-from tsobs_ros.identification.likelihood import (
-    GATE,
-    Evaluation,
-    Likelihood,
-    Recording,
-    innovations,
-)
+from tsobs_ros.identification.likelihood import GATE, Evaluation, Likelihood, Recording, innovations
 from tsobs_ros.identification.recordings import Samples, read, require_torque
 from tsobs_ros.identification.result import Fit
 from tsobs_ros.model.arm import SIDES

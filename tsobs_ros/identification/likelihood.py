@@ -25,14 +25,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.estimation.estimator import riccati_estimator
 from tsobs_ros.estimation.state import numbers_of
-from tsobs_ros.identification.joint import (
-    DELAY,
-    OFFSET,
-    TORQUE_GAIN,
-    Joint,
-    Unknowns,
-    delayed,
-)
+from tsobs_ros.identification.joint import DELAY, OFFSET, TORQUE_GAIN, Joint, Unknowns, delayed
 from tsobs_ros.model.arm import QUANTITIES
 
 WORKERS = 2

@@ -146,11 +146,7 @@ class TSFlow(Flow):
     kind, linear_share = native.KIND_SYSTEM, 0.5
 
     def __init__(
-        self,
-        model: TSModel,
-        disturbance: DisturbanceModel,
-        process_noise: ArrayLike,
-        period: float,
+        self, model: TSModel, disturbance: DisturbanceModel, process_noise: ArrayLike, period: float
     ) -> None:
         self.model, n = model, model.state_count
         densities = as_matrix("process_noise", process_noise, (n,))

@@ -119,10 +119,7 @@ def clip(value: Array, limits: Array) -> Array:
 
 
 def paper_observer(
-    arm: ElasticJointArm,
-    period: float,
-    measurement_std: float,
-    torque: TorquePath = DIRECT,
+    arm: ElasticJointArm, period: float, measurement_std: float, torque: TorquePath = DIRECT
 ) -> Estimator:
     """Return the method's observer for the arm of its Example 3, with the gains that it prints.
 

@@ -10,13 +10,7 @@ from pathlib import Path
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import CdrReader
 from tsobs_ros.bag.reader import BagReader
-from tsobs_ros.design.file import (
-    DesignFile,
-    PublishedDesign,
-    Value,
-    load_design_file,
-    read_record,
-)
+from tsobs_ros.design.file import DesignFile, PublishedDesign, Value, load_design_file, read_record
 from tsobs_ros.errors import BagReadError, DesignFileError, MessageError, TsobsError
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path

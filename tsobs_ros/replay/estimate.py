@@ -22,13 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.cdr import (
-    TICK_LOG,
-    TICK_LOG_TEXT,
-    MessageSeries,
-    encode_text,
-    encode_ticks,
-)
+from tsobs_ros.bag.cdr import TICK_LOG, TICK_LOG_TEXT, MessageSeries, encode_text, encode_ticks
 from tsobs_ros.bag.container import MAGIC
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.joint_states import JOINT_STATE

@@ -9,13 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from tsobs_ros.checks import Array, Flags
-from tsobs_ros.estimation.events import (
-    COAST_AFTER,
-    NOISY,
-    STALE_AFTER,
-    Event,
-    EventLog,
-)
+from tsobs_ros.estimation.events import COAST_AFTER, NOISY, STALE_AFTER, Event, EventLog
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.replay.places import CONDITIONS
 from tsobs_ros.series import NANOSECONDS, Series

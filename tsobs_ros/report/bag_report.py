@@ -13,13 +13,7 @@ from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.files import require_new, written_whole
-from tsobs_ros.replay.health import (
-    JointEvent,
-    find_events,
-    health_of,
-    list_events,
-    map_events,
-)
+from tsobs_ros.replay.health import JointEvent, find_events, health_of, list_events, map_events
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.comparison import about_ekfs, aligned, best_ekf, metrics_cells, ratio
 from tsobs_ros.report.diagnosed import Diagnosed, diagnose

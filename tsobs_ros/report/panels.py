@@ -385,10 +385,7 @@ def _faults(faults: Sequence[FaultSpan]) -> Plot:
 
 
 def _innovations(
-    run: RecordedRun,
-    metrics: RunMetrics,
-    stds: Sequence[float],
-    outputs: Sequence[tuple[str, str]],
+    run: RecordedRun, metrics: RunMetrics, stds: Sequence[float], outputs: Sequence[tuple[str, str]]
 ) -> Iterator[Plot]:
     innovation = run.part("innovation")
     times, columns = innovation.seconds(run.origin), innovation.values.T

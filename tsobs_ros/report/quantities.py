@@ -38,10 +38,7 @@ _ARM = (
     Quantity("motor_velocity", "motor velocity", "rad/s", column=3),
 )
 
-QUANTITIES = (
-    *_ARM,
-    Quantity("disturbance", "sensor disturbance", "rad", "disturbance", 0, None),
-)
+QUANTITIES = (*_ARM, Quantity("disturbance", "sensor disturbance", "rad", "disturbance", 0, None))
 """Those of an arm with an encoder on its link."""
 
 

@@ -29,12 +29,7 @@ from tsobs_ros.series import NANOSECONDS, Stamps
 FAILURES = "numerical failures"
 """Name of the count of them."""
 
-_ACCEPTED = (
-    USED,
-    RejectReason.GATED,
-    RejectReason.IMPLAUSIBLE_TORQUE,
-    RejectReason.UNKNOWN_INPUT,
-)
+_ACCEPTED = (USED, RejectReason.GATED, RejectReason.IMPLAUSIBLE_TORQUE, RejectReason.UNKNOWN_INPUT)
 # For how many seconds measurements must come at another rate before that is worth a word.
 _LASTING = 3.0
 # Bounds beyond which a torque is no chance.

@@ -137,10 +137,7 @@ class PlantSimulatorParameters(JointParameters):
     )
     publish_clock: bool = setting(False, "Drive /clock with the simulated time")
     real_time_factor: float = setting(
-        1.0,
-        "Pace of the simulated time when publish_clock is set",
-        minimum=0.001,
-        maximum=1000.0,
+        1.0, "Pace of the simulated time when publish_clock is set", minimum=0.001, maximum=1000.0
     )
     command_timeout: float = live_setting(
         0.5, "How long a torque command holds; 0: until the next one", unit="s", minimum=0.0
