@@ -2,13 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every file, the manifest and the documents have to agree on."""
 
-import ast
 import re
-from importlib import import_module
 from pathlib import Path
 from xml.etree import ElementTree
-
-import pytest
 
 import tsobs_ros
 
@@ -30,14 +26,6 @@ def text(name: str | Path) -> str:
 
 def manifest() -> ElementTree.Element:
     return ElementTree.parse(ROOT / "package.xml").getroot()
-
-
-def executables() -> dict[str, str]:
-    """Read the table of executables that setup.py installs."""
-    for statement in ast.parse(text("setup.py")).body:
-        if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "EXECUTABLES":
-            return ast.literal_eval(statement.value)
-    raise AssertionError("setup.py has no table EXECUTABLES")
 
 
 def test_every_source_has_the_licence_header() -> None:
@@ -66,15 +54,6 @@ def test_all_versions_are_the_same() -> None:
     assert newest is not None, "CHANGELOG.rst has no section such as '0.1.0 (2026-01-31)'"
     assert manifest().findtext("version") == tsobs_ros.__version__ == newest[1]
     assert f"version: {tsobs_ros.__version__}\n" in text("CITATION.cff")
-
-
-@pytest.mark.parametrize(("name", "target"), executables().items())
-def test_an_executable_exists_and_is_documented(name: str, target: str) -> None:
-    module, _, function = target.partition(":")
-
-    assert callable(getattr(import_module(module), function))
-    pages = text("README.md") + text("docs/nodes.md")
-    assert re.search(rf"\b{name}\b", pages), f"README.md and docs/nodes.md do not mention {name}"
 
 
 def test_what_the_architecture_names_exists() -> None:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `tsobs` command: text for people, JSON for programs, exit codes for scripts."""
 
-import io
 import json
 import subprocess
 import sys
@@ -14,7 +13,6 @@ import pytest
 import yaml
 
 import tsobs_ros
-from tsobs_ros.cli.common import progress
 from tsobs_ros.cli.main import main
 from tsobs_ros.design.file import load_design
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -164,14 +162,3 @@ def test_a_missing_library_is_one_line_with_the_command_that_installs_it(
     err = capsys.readouterr().err
     assert err.startswith(f"error: cvxpy is not installed: {sys.executable} -m pip install ")
     assert "cvxpy-base clarabel scipy" in err
-
-
-def test_progress_is_shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("tqdm")
-    monkeypatch.setattr(sys, "stderr", stream := io.StringIO())
-    monkeypatch.setattr(stream, "isatty", lambda: True)
-    for quiet in (True, False):
-        assert not stream.getvalue()
-        with progress(10, " samples", quiet=quiet) as advance:
-            advance(10)
-    assert "/10" in stream.getvalue()
