@@ -16,7 +16,7 @@ import numpy as np
 
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import NOISY
-from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level, Status, duration_text
+from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level, Status, lasting
 from tsobs_ros.estimation.records import Estimate, Hypothesis
 from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.model.prediction import Record
@@ -82,8 +82,7 @@ class Fault(NamedTuple):
             f"magnitude{of_unit}": f"{self.magnitude:.4g}",
             f"bound{of_unit}": f"{self.bound:.4g}",
         }
-        if self.since is not None:
-            values["since"] = duration_text(now - self.since)
+        values |= lasting(self.since, now)
         if self.frequency is not None:
             values["frequency [rad/s]"] = f"{self.frequency:.4g}"
         return Status("sensor fault", self.level, self.kind.value, values)

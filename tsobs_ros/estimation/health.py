@@ -145,9 +145,9 @@ class Debounce(Generic[T]):
         return self.value
 
 
-def duration_text(nanoseconds: int) -> str:
-    """Return for how long something has lasted, such as "for 12.3 s"."""
-    return f"for {max(0, nanoseconds) * 1e-9:.1f} s"
+def lasting(since: int | None, now: int) -> dict[str, str]:
+    """Return for how long something has been as it is, for a status; nothing if it always was."""
+    return {} if since is None else {"since": f"for {max(0, now - since) * 1e-9:.1f} s"}
 
 
 class LastMinute:

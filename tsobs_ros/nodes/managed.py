@@ -44,15 +44,12 @@ from tsobs_ros.series import NANOSECONDS
 _FAREWELL = 0.5
 # Between two lines on the same subject [s].
 _QUIET = 5.0
-DIAGNOSTICS_PERIOD = 1.0
-"""Time between two messages on /diagnostics [s]."""
+# Between two messages on /diagnostics [s].
+_DIAGNOSTICS_PERIOD = 1.0
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 _ERROR = TransitionCallbackReturn.ERROR
 # What rclpy's own services raise of requests that they do not expect.
 _REFUSED = (ParameterException, RuntimeError, TypeError, ValueError)
-
-Answer = Callable[[], tuple[bool, str]]
-"""The work of a Trigger service; returns its success and a message."""
 
 P = TypeVar("P", bound=ManagedParameters)
 
@@ -170,12 +167,13 @@ class ManagedNode(LifecycleNode, Generic[P]):
             ]
             publisher.publish(message)
 
-        self.create_timer(DIAGNOSTICS_PERIOD, publish, clock=self.steady)
+        self.create_timer(_DIAGNOSTICS_PERIOD, publish, clock=self.steady)
 
-    def offer_triggers(self, answers: Mapping[str, Answer]) -> None:
-        """Offer std_srvs/Trigger services below the node's name, each with its work."""
+    def offer_triggers(self, answers: Mapping[str, Callable[[], tuple[bool, str]]]) -> None:
+        """Offer std_srvs/Trigger services below the node's name, each with its work, which returns
+        its success and a message."""
 
-        def serve(answer: Answer, _: Trigger.Request, response: Trigger.Response) -> Any:
+        def serve(answer: Any, _: Trigger.Request, response: Trigger.Response) -> Any:
             response.success, response.message = answer()
             return response
 

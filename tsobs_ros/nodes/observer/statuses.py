@@ -10,7 +10,7 @@ import numpy as np
 
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.estimation.events import NOISY, EventKind
-from tsobs_ros.estimation.health import LastMinute, Level, Status, duration_text
+from tsobs_ros.estimation.health import LastMinute, Level, Status, lasting
 from tsobs_ros.estimation.records import Learning, RejectReason
 from tsobs_ros.methods import CERTIFIED
 from tsobs_ros.nodes.observer.joints import FAILURES, ObservedJoint
@@ -54,12 +54,13 @@ def _joint_statuses(joint: ObservedJoint, now: int) -> list[Status]:
     estimate = joint.latest
     if estimate is not None and isinstance(joint.request, ArmRequest):
         values = {"hypothesis": estimate.hypothesis.words}
-        values |= _since(joint, EventKind.HYPOTHESIS, now)
+        values |= lasting(joint.events.since(EventKind.HYPOTHESIS), now)
         statuses.append(Status("hypothesis", *estimate.hypothesis.judged, values))
     if estimate is not None and joint.learnt:
         learnt = zip(joint.learnt, estimate.parameters, estimate.parameter_bound, strict=True)
         values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
-        values |= {"learning": estimate.learning.words, **_since(joint, EventKind.LEARNING, now)}
+        values["learning"] = estimate.learning.words
+        values |= lasting(joint.events.since(EventKind.LEARNING), now)
         message = estimate.learning.text
         if estimate.learning is Learning.ACTIVE:
             valid = estimate.parameters_valid
@@ -109,12 +110,6 @@ def _measurement_status(joint: ObservedJoint) -> Status:
     message = f"rejected in the last minute: {count} of {recent['received']}, most: {most.text}"
     level = Level.WARN if count > _MANY_REJECTED * recent["received"] else Level.OK
     return Status("measurements", level, message, values)
-
-
-def _since(joint: ObservedJoint, kind: EventKind, now: int) -> dict[str, str]:
-    """Return for how long something has been as it is, if it has changed."""
-    since = joint.events.since(kind)
-    return {} if since is None else {"since": duration_text(now - since)}
 
 
 def _innovation_status(joint: ObservedJoint) -> Status:
@@ -194,7 +189,7 @@ def _certificate_status(joint: ObservedJoint, now: int) -> Status:
         return Status("certificate", Level.OK, "no estimate yet", values)
     values["claimed"] = "yes" if estimate.claimed else "no"
     values["basis"] = estimate.basis.words
-    values |= _since(joint, EventKind.BOUND, now)
+    values |= lasting(joint.events.since(EventKind.BOUND), now)
     return Status("certificate", *estimate.basis.judged, values)
 
 
