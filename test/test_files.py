@@ -22,7 +22,6 @@ from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.cli.main import main
 from tsobs_ros.errors import OutputError
 from tsobs_ros.files import written_whole
-from tsobs_ros.resources import ResourceError, config_path
 from tsobs_ros.yaml_files import load_yaml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -128,11 +127,6 @@ def test_files_are_those_nearest_to_the_code(tmp_path: Path, site: str) -> None:
         (code.parent / "package.xml").touch()
         path = config(folder)
         assert found() == f"{path}\n"
-
-
-def test_a_missing_file_is_an_error_that_names_the_others() -> None:
-    with pytest.raises(ResourceError, match=r"no config file 'none\.yaml' in .*observer\.yaml"):
-        config_path("none.yaml")
 
 
 PLAIN = st.recursive(

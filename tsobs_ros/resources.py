@@ -38,9 +38,7 @@ def config_path(name: str) -> Path:
     for folder in folders:
         if (folder / name).is_file():
             return folder / name
-    known = sorted(path.name for folder in folders for path in folder.glob("*.yaml"))
-    searched = ", ".join(map(str, folders))
-    raise ResourceError(f"no config file '{name}' in {searched}; there are {', '.join(known)}")
+    raise ResourceError(f"no config file '{name}' in {', '.join(map(str, folders))}")
 
 
 def _config_folders() -> Iterator[Path]:
