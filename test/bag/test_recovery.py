@@ -11,10 +11,9 @@ import zlib
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
 from io import BytesIO
 from pathlib import Path
-from tempfile import TemporaryDirectory, TemporaryFile
+from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
 import pytest
@@ -33,35 +32,7 @@ from tsobs_ros.bag.verification import verify
 from tsobs_ros.bag.walker import FileWalker
 from tsobs_ros.errors import BagReadError, BagWriteError
 
-CHUNKS, PER_CHUNK = 3, 5
 BOMB = zstandard.compress(bytes(2**28))
-
-
-def entry(number: int) -> Entry:
-    # Text that hardly compresses, of several lengths, and log times out of order.
-    text = random.Random(number).randbytes(8 + number % 5).hex()
-    return Entry("/ab"[: 1 + number % 2] + "a", cdr(text), 10**18 + (number ^ 1), number)
-
-
-def write_bag(path: Path, **options: object) -> list[Entry]:
-    entries = [entry(number) for number in range(CHUNKS * PER_CHUNK)]
-    with BagWriter(path, custom_data={"why": "a test"}, **options) as writer:
-        for topic in sorted({e.topic for e in entries}):
-            writer.add_topic(topic, STRING, [QosProfile(durability="transient_local")])
-        for number, each in enumerate(entries):
-            if number % PER_CHUNK == 0:
-                writer.flush()
-            writer.write(*each)
-    return entries
-
-
-@cache
-def sample(compression: str) -> tuple[bytes, list[Entry], list[tuple[int, int]]]:
-    """Return a finished file, what it holds, and where its chunks are."""
-    with TemporaryDirectory() as folder:
-        entries = write_bag(Path(folder) / "bag", compression=compression)
-        data = (Path(folder) / "bag" / "bag_0.mcap").read_bytes()
-    return data, entries, places(data, Opcode.CHUNK)
 
 
 def scanned(data: bytes) -> list[tuple[bytes, int, int]]:
@@ -95,13 +66,13 @@ def zero(data: bytes, start: int, end: int) -> bytes:
 
 
 def test_a_damaged_chunk_is_dropped_and_what_it_held_is_missing(tmp_path: Path) -> None:
-    data, entries, chunks = sample("none")
-    start = chunks[1][1] - 12
-    result, found = recovered(tmp_path, zero(data, start, start + 4))
+    made = make(random.Random(1))
+    (start, end), (first, lost, *rest) = made.chunks[1], made.entries
+    result, found = recovered(tmp_path, zero(made.data, end - 12, end - 8))
     (part,) = result.files[0].damage
-    assert (part.offset, part.size) == (chunks[1][0], chunks[1][1] - chunks[1][0])
-    assert found == entries[:PER_CHUNK] + entries[2 * PER_CHUNK :]
-    assert result.files[0].missing.total() == PER_CHUNK
+    assert (part.offset, part.size) == (start, end - start)
+    assert found == [*first, *(entry for entries in rest for entry in entries)]
+    assert result.files[0].missing.total() == len(lost)
     assert re.search(rf"bytes {part.offset} to .*: .*checksum", result.text())
     assert "NOT EVERYTHING" in result.text()
     assert result.as_mapping()["files"][0]["damage"] == [vars(part)]
@@ -123,7 +94,13 @@ def test_messages_outside_of_chunks_are_recovered_up_to_any_cut(tmp_path: Path) 
 
 
 def make_split(path: Path) -> list[Entry]:
-    entries = write_bag(path, max_duration_ns=PER_CHUNK - 1)
+    """Write a bag of several files, with log times out of order."""
+    entries = [Entry("/ab"[: 2 + n % 2], cdr("x" * n), 10**18 + (n ^ 1), n) for n in range(15)]
+    with BagWriter(path, custom_data={"why": "a test"}, max_duration_ns=4) as writer:
+        for topic in ("/a", "/ab"):
+            writer.add_topic(topic, STRING, [QosProfile(durability="transient_local")])
+        for each in entries:
+            writer.write(*each)
     assert len(list(path.glob("*.mcap"))) > 2
     return entries
 
@@ -229,11 +206,13 @@ def hostile_chunk(length: int, size: int, data: bytes) -> bytes:
     [(2**62, 100), (2**27, 2**62), (44 + len(BOMB), 100), (44 + len(BOMB), 2**40), (2**20, 1_000)],
 )
 def test_a_stated_length_costs_no_memory(tmp_path: Path, length: int, size: int) -> None:
-    data, entries, chunks = sample("zstd")
+    made = make(random.Random(1))
     tracemalloc.start()
     try:
-        _, found = recovered(tmp_path, data[: chunks[0][1]] + hostile_chunk(length, size, BOMB))
-        assert found == entries[:PER_CHUNK]
+        _, found = recovered(
+            tmp_path, made.data[: made.chunks[0][1]] + hostile_chunk(length, size, BOMB)
+        )
+        assert found == made.entries[0]
         assert tracemalloc.get_traced_memory()[1] < 50_000_000
     finally:
         tracemalloc.stop()
