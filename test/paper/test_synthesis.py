@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tsobs_ros.errors import DetectabilityError
-from tsobs_ros.paper.augmentation import check_conditions, failing
 from tsobs_ros.paper.examples import PaperExample, example_1, example_2, example_3
 from tsobs_ros.paper.synthesis import INNOVATION_RATE, check_stability, design_adaptive_observer
 
@@ -28,15 +27,6 @@ def test_examples_are_designed_and_hold_on_rechecking(example: PaperExample) -> 
     rates = np.linalg.eigvals(np.eye(3) + aug.C_bar @ design.H1).real
     assert INNOVATION_RATE / np.linalg.cond(P) < rates.min()
     assert 0.9 * INNOVATION_RATE < rates.max() < 1.5 * INNOVATION_RATE
-
-
-@pytest.mark.parametrize("factor", [1e-3, 1e3])
-def test_scaling_meets_any_epsilon(factor: float) -> None:
-    example = example_1()
-    design = design_adaptive_observer(example.system, example.alpha, example.xi)
-    aug, P, M = design.augmentation, design.P / factor, factor * design.M
-    alpha_1, epsilon = aug.alpha_1(example.alpha), factor * design.epsilon
-    assert not failing(check_conditions(aug, P, alpha_1, H1=design.H1, M=M, epsilon=epsilon))
 
 
 def test_undamped_arm_is_refused_with_its_mode() -> None:

@@ -41,11 +41,9 @@ from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.motion import ArmMotion, Friction
 from tsobs_ros.simulation.plant import Scenario
 
-MARGIN = 0.15
-"""Share of the limits of angle and velocity that the arms that are tried leave free."""
-
-_ANGLE_SHARE = 0.9
-"""Largest angle by the request's domain."""
+_MARGIN, _ANGLE_SHARE = 0.15, 0.9
+"""Share of the limits of angle and velocity that the arms that are tried leave free, and largest
+angle by the request's domain."""
 
 _DRAWS, _TRIED = 64, 4
 """Random arms within the uncertainty, and those that candidates are simulated with."""
@@ -357,7 +355,7 @@ def excite(
         raise ModelError(f"candidates: expected at least 1, got {candidates}")
     # What a fit would find of delays, gain and offset does not depend on theirs.
     known, request = request, request.at_rate(request.rate)
-    inner = Limits(at_motor, *((1.0 - MARGIN) * each for each in limits[1:]))
+    inner = Limits(at_motor, *((1.0 - _MARGIN) * each for each in limits[1:]))
     motions = _Motions(request, duration, inner, free, seed)
     arms = trial_arms(request, _DRAWS, seed)
     genes = motions.best(arms, candidates, np.random.default_rng((seed, 0)), advance)
