@@ -74,9 +74,9 @@ class Fault(NamedTuple):
     since: int | None = None
     frequency: float | None = None
 
-    def status(self, now: int, unit: str = "rad") -> Status:
-        """Return it for diagnostics, at a time of the stamps' clock [ns]."""
-        of_unit = f" [{unit}]" if unit else ""
+    def status(self, now: int, unit: str = "rad", output: str = "") -> Status:
+        """Return it for diagnostics, of one of several outputs, at a time of the stamps [ns]."""
+        of_unit, of_output = f" [{unit}]" * bool(unit), f" of {output}" * bool(output)
         values = {
             "kind": self.kind.value,
             f"magnitude{of_unit}": f"{self.magnitude:.4g}",
@@ -85,7 +85,7 @@ class Fault(NamedTuple):
         values |= lasting(self.since, now)
         if self.frequency is not None:
             values["frequency [rad/s]"] = f"{self.frequency:.4g}"
-        return Status("sensor fault", self.level, self.kind.value, values)
+        return Status(f"sensor fault{of_output}", self.level, self.kind.value, values)
 
 
 class FaultMonitor:

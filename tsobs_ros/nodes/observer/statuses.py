@@ -127,12 +127,9 @@ def _innovation_status(joint: ObservedJoint) -> Status:
 
 
 def _fault_statuses(joint: ObservedJoint, now: int) -> list[Status]:
-    each = zip(joint.faults.faults, joint.signals.units, strict=True)
-    found = [fault.status(now, unit) for fault, unit in each]
-    if len(found) == 1:
-        return found
     names = joint.request.output_names
-    return [one._replace(name=f"{one.name} of {n}") for one, n in zip(found, names, strict=True)]
+    each = zip(joint.faults.faults, joint.signals.units, names, strict=True)
+    return [fault.status(now, unit, name * (len(names) > 1)) for fault, unit, name in each]
 
 
 def _torque_statuses(joint: ObservedJoint) -> list[Status]:
