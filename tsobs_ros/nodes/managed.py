@@ -75,9 +75,10 @@ class ManagedNode(LifecycleNode, Generic[P]):
     """
 
     ticker: Ticker | None = None
+    _overrides: dict[str, Any] | None = None
 
     def __init__(self, name: str, schema: type[P], **node_kwargs: Any) -> None:
-        super().__init__(name, **node_kwargs)
+        super().__init__(name, automatically_declare_parameters_from_overrides=True, **node_kwargs)
         self.steady = SteadyClock(clock_type=ClockType.STEADY_TIME)
         self._acquired: ExitStack | None = None
         self.active = False
@@ -88,9 +89,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         for service in self.services:
             service.callback = partial(self._answer, service.callback)
         try:
-            # rclpy would declare them without descriptors, and has no other access to them.
-            given = {name: each.value for name, each in self._parameter_overrides.items()}
-            self.parameters = declare(self, schema, given)
+            self.parameters = declare(self, schema, self._overrides or {})
             self.add_pre_set_parameters_callback(partial(converted, schema))
             self.add_on_set_parameters_callback(self._check_set)
             self.add_post_set_parameters_callback(self._take_set)
@@ -223,6 +222,16 @@ class ManagedNode(LifecycleNode, Generic[P]):
                 release = getattr(held, "destroy_when_not_in_use", None)
                 if release is not None:
                     release()
+
+    def declare_parameters(
+        self, namespace: str, parameters: list[Any], ignore_override: bool = False
+    ) -> list[Any]:
+        """Declare parameters; keep the overrides, which rclpy's constructor would declare first."""
+        if self._overrides is None:
+            self._overrides = {name: value for name, value, _ in parameters}
+            return []
+        declared: list[Any] = super().declare_parameters(namespace, parameters, ignore_override)
+        return declared
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Any, *args: Any, **kwargs: Any
