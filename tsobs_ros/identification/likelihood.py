@@ -74,7 +74,8 @@ class Recording:
     @classmethod
     def joined(cls, recordings: Sequence["Recording"]) -> "Recording":
         """Return recordings as one, with gaps between them."""
-        whole = cls(*map(np.concatenate, zip(*(vars(e).values() for e in recordings), strict=True)))
+        columns = zip(*(vars(each).values() for each in recordings), strict=True)
+        whole = cls(*(np.concatenate(column) for column in columns))
         whole.durations[np.cumsum([each.count for each in recordings]) - 1] = -1.0
         return whole
 
