@@ -35,11 +35,13 @@ class Probe(ManagedNode[ManagedParameters]):
     """Notes what is called, and fails where it is told to."""
 
     def __init__(self, fails: dict[str, Exception], **node_kwargs: Any) -> None:
-        super().__init__("probe", ManagedParameters, **node_kwargs)
         self.fails = fails
         self.calls: list[str] = []
+        super().__init__("probe", ManagedParameters, **node_kwargs)
+
+    def start(self) -> None:
         self.create_publisher(String, "~/lasting", 10)
-        self.start()
+        super().start()
 
     def _note(self, call: str) -> None:
         self.calls.append(call)

@@ -57,8 +57,8 @@ P = TypeVar("P", bound=ManagedParameters)
 class ManagedNode(LifecycleNode, Generic[P]):
     """A lifecycle node; with the parameter `autostart` it configures and activates itself.
 
-    Subclasses override `configure`, `activate`, `deactivate` and `retune` as they need them, and
-    call `start` at the end of their constructor.
+    Subclasses override `configure`, `activate`, `deactivate` and `retune` as they need them. The
+    constructor ends with `start`.
 
     Args:
         schema: The dataclass of its parameters.
@@ -67,11 +67,13 @@ class ManagedNode(LifecycleNode, Generic[P]):
     Attributes:
         parameters: The current parameters; the same object until a set is accepted.
         active: Whether the node works.
+        done: Whether its work has ended, until it is configured again.
         steady: A clock that is never set, for timers.
         ticker: Ticks for `runtime.run` to make, set by `configure`; None after the clean-up.
 
     Raises:
         ParameterError: A parameter has a wrong type or value.
+        Exception: Whatever `configure` or `activate` raised; the node is destroyed.
     """
 
     ticker: Ticker | None = None
@@ -81,7 +83,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **node_kwargs)
         self.steady = SteadyClock(clock_type=ClockType.STEADY_TIME)
         self._acquired: ExitStack | None = None
-        self.active = False
+        self.active = self.done = False
         self._finalized_at = math.inf
         self._failure: Exception | None = None
         self._starting = False
@@ -93,6 +95,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
             self.add_pre_set_parameters_callback(partial(converted, schema))
             self.add_on_set_parameters_callback(self._check_set)
             self.add_post_set_parameters_callback(self._take_set)
+            self.start()
         except BaseException:
             self.destroy_node()
             raise
@@ -117,7 +120,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
     @property
     def finished(self) -> bool:
         """Whether the process may end: a node that was shut down never works again."""
-        return time.monotonic() > self._finalized_at + _FAREWELL
+        return self.done or time.monotonic() > self._finalized_at + _FAREWELL
 
     def at_cleanup(self, callback: Callable[..., object], *args: Any) -> None:
         """Call back at the clean-up, latest first, before entities are destroyed."""
@@ -180,11 +183,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
             self.create_service(Trigger, f"~/{name}", partial(serve, answer))
 
     def start(self) -> None:
-        """Configure and activate if `autostart` is true; last in a subclass's constructor.
-
-        Raises:
-            Exception: Whatever `configure` or `activate` raised; the node is destroyed.
-        """
+        """Configure and activate if `autostart` is true."""
         if not self.parameters.autostart:
             self.get_logger().info("unconfigured: waiting for lifecycle transitions")
             return
@@ -193,9 +192,6 @@ class ManagedNode(LifecycleNode, Generic[P]):
             for trigger in (self.trigger_configure, self.trigger_activate):
                 if trigger() is not _SUCCESS:
                     raise self._failure or AssertionError(trigger)
-        except BaseException:
-            self.destroy_node()
-            raise
         finally:
             self._starting = False
 
@@ -272,7 +268,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         return _SUCCESS
 
     def _configure(self) -> None:
-        lasting = self._entities()
+        lasting, self.done = self._entities(), False
         with ExitStack() as acquired:
             acquired.callback(self._destroy_all_but, lasting)
             self._acquired = acquired

@@ -63,7 +63,7 @@ _HELP = {"-h", "--help"}
 
 
 class Ticker:
-    """Calls back at a fixed rate or when the callback asks for it, from `start` until `stop`.
+    """Calls back at a fixed rate or when the callback asks for it, until its node is cleaned up.
 
     An rclpy timer costs two rebuilt wait sets a tick, which at 200 Hz is more than all that an
     observer does. So `run` makes a node's ticks itself: it sleeps until the next one on the
@@ -85,23 +85,12 @@ class Ticker:
         callback: Callable[[], int | None],
         executor_clock: Clock | None = None,
     ) -> None:
-        self.running = False
         self._clock = node.get_clock()
         self._callback = callback
         self._period_ns = self._scheduled = round(period * 1e9)
-        # On the monotonic clock [ns]; None as long as ticks are an executor's.
+        # On the monotonic clock [ns]; None as long as ticks are an executor's, as at first.
         self._due: int | None = None
-        self._timer = node.create_timer(period, self._tick, clock=executor_clock, autostart=False)
-
-    def start(self) -> None:
-        """Start to tick, by an executor at first."""
-        self.running, self._due = True, None
-        self._schedule(self._period_ns)
-
-    def stop(self) -> None:
-        """Stop ticking, until the next `start`."""
-        self.running, self._due = False, None
-        self._timer.cancel()
+        self._timer = node.create_timer(period, self._tick, clock=executor_clock)
 
     def skip_next(self) -> None:
         """Leave an executor's next tick out, as its work has just been done."""
@@ -110,38 +99,36 @@ class Ticker:
     def run_for(self, seconds: float, stop: Callable[[], bool]) -> bool:
         """Tick and sleep for some time instead of the executor, until something stops it; return
         whether there are ticks that a sleep can make."""
-        if not self.running or self._clock.ros_time_is_active:
+        if self._clock.ros_time_is_active:
             if self._due is not None:
-                self.start()
+                self._due = None
+                self._schedule(self._period_ns)
             return False
         now = time.monotonic_ns()
         end = now + round(seconds * 1e9)
         if self._due is None:
             self._timer.cancel()
             self._due = now
-        while self._due is not None and now < end and not stop():
+        while now < end and not stop():
             if now >= self._due:
-                self._run()
+                self._due = self._next(self._due)
             elif (left := min(self._due, end) - now) > 0:
                 time.sleep(left * 1e-9)
             now = time.monotonic_ns()
         return True
 
-    def _run(self) -> None:
-        wait = self._callback()
-        if self._due is None:
-            return
-        now = time.monotonic_ns()
+    def _next(self, due: int) -> int:
+        """Make the tick that is due, and return when the next one is [ns]."""
+        wait, now = self._callback(), time.monotonic_ns()
         if wait is not None:
-            self._due = now + min(wait, self._period_ns)
-        else:
-            # On the grid of the first tick. One that is late by less than a period is made good;
-            # what fell out before that, while the process was held up, is gone.
-            self._due += self._period_ns * max(1, (now - self._due) // self._period_ns)
+            return now + min(wait, self._period_ns)
+        # On the grid of the first tick. One that is late by less than a period is made good;
+        # what fell out before that, while the process was held up, is gone.
+        return due + self._period_ns * max(1, (now - due) // self._period_ns)
 
     def _tick(self) -> None:
         wait = self._callback()
-        if self.running and (wait is not None or self._scheduled != self._period_ns):
+        if wait is not None or self._scheduled != self._period_ns:
             self._schedule(self._period_ns if wait is None else min(wait, self._period_ns))
 
     def _schedule(self, wait: int) -> None:

@@ -138,7 +138,6 @@ class Watcher(Node):
         self._show = show
         self._feed = ObserverFeed(self, name, chain.from_iterable(_TABLES.values()))
         self.ticker = Ticker(self, _PERIOD, self._tick)
-        self.ticker.start()
 
     def _tick(self) -> None:
         self._feed.read()

@@ -36,7 +36,6 @@ import time
 from collections import deque
 from collections.abc import Iterable, Iterator
 from functools import partial
-from typing import Any
 
 import numpy as np
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -80,10 +79,6 @@ class Observer(ManagedNode[ObserverParameters]):
     Attributes:
         joints: The joints with their trackers and counts.
     """
-
-    def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("observer", ObserverParameters, **node_kwargs)
-        self.start()
 
     def configure(self) -> None:
         """Load the designs and make everything."""
@@ -131,11 +126,6 @@ class Observer(ManagedNode[ObserverParameters]):
         self._publish_record()
         self._restart("activated again" if self._resets >= 0 else "")
         self._meter.restart()
-        self._ticker.start()
-
-    def deactivate(self) -> None:
-        """Stop estimating and publishing."""
-        self._ticker.stop()
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
@@ -273,4 +263,5 @@ class Observer(ManagedNode[ObserverParameters]):
                 yield Level.WARN, f"{text}{newest}; estimation goes on without it"
 
 
-Parameters, create = ObserverParameters, Observer
+Parameters = ObserverParameters
+create = partial(Observer, "observer", Parameters)

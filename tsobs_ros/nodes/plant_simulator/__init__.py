@@ -21,6 +21,7 @@ services:
 
 import math
 import time
+from functools import partial
 from typing import Any
 
 from rclpy.clock import JumpThreshold
@@ -63,10 +64,6 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
     which then publishes /clock (publish_clock) ahead of each sample.
     """
 
-    def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("plant_simulator", PlantSimulatorParameters, **node_kwargs)
-        self.start()
-
     def configure(self) -> None:
         """Make the arm at t = 0 with its topics and services."""
         parameters = self.parameters
@@ -86,10 +83,10 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             jumps = self.get_clock().create_jump_callback(_BACKWARD, post_callback=self._tick)
             self.at_cleanup(jumps.unregister)
         self._new_plant()
-        self._latest = 0
+        self._latest, self._runs = 0, False
         # A timer on the node's clock wakes up with each /clock message; only then does it serve,
         # since a system clock that is set back would stop it.
-        self.ticker = self._ticker = Ticker(
+        self.ticker = Ticker(
             self,
             1.0 / parameters.sample_rate,
             self._tick,
@@ -105,12 +102,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
     def deactivate(self) -> None:
         """Stop sampling."""
         self.destroy_timer(self._start_timer)
-        self._ticker.stop()
-
-    @property
-    def finished(self) -> bool:
-        """Whether the duration has been simulated; a process then ends."""
-        return super().finished or (self.configured and self._is_over)
+        self._runs = False
 
     @property
     def _is_over(self) -> bool:
@@ -151,7 +143,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         what = "going on" if self._index else "started"
         subscribers = self._publish_sample.subscribers
         self.log(Level.OK, f"{what}: {subscribers} subscriptions of joint_measurements")
-        self._ticker.start()
+        self._runs = True
         self._tick()
 
     def _is_subscribed(self, waited: int) -> bool:
@@ -164,7 +156,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
     def _tick(self, _jump: Any = None) -> int | None:
         """Publish every sample that is due; return the time until the next one is [ns]."""
         now = self._now_ns()
-        if not self._ticker.running or now == 0:
+        if not self._runs or now == 0:
             return None
         back = self._latest - now
         if back > (0 if self._follows_clock else _SLEW_MARGIN):
@@ -180,7 +172,8 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             samples = [plant.step(u) for plant, u in zip(self._plants, torques, strict=True)]
             self._publish_sample(self._schedule.take(), samples)
         if self._is_over:
-            self._ticker.stop()
+            self.done, self._runs = True, False
+            return None
         return math.ceil((self._schedule.due - self._now_ns()) / self._pace)
 
     def _limit_lag(self, now: int) -> int:
@@ -210,11 +203,11 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
     def _reset(self) -> tuple[bool, str]:
         """Restart the plant at the next sample; the stamps go on."""
-        was_over = self._is_over
         self._new_plant()
-        if was_over and self.active:
+        if self.done and self.active:
             self._schedule.start(self._now_ns())
-            self._ticker.start()
+            self._runs = True
+        self.done = False
         message = f"restarted with seed {self.parameters.seed}"
         self.log(Level.OK, message)
         return True, message
@@ -228,4 +221,5 @@ def plants_of(parameters: PlantSimulatorParameters) -> list[Plant]:
     ]
 
 
-Parameters, create = PlantSimulatorParameters, PlantSimulatorNode
+Parameters = PlantSimulatorParameters
+create = partial(PlantSimulatorNode, "plant_simulator", Parameters)

@@ -118,11 +118,6 @@ class Player(ManagedNode[PlayerParameters]):
     user's means: services named as those of rosbag2's player, and live parameters.
     """
 
-    def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("player", PlayerParameters, **node_kwargs)
-        self._finished = False
-        self.start()
-
     def configure(self) -> None:
         """Open the bag, offer its topics and read ahead."""
         parameters = self.parameters
@@ -164,11 +159,11 @@ class Player(ManagedNode[PlayerParameters]):
             clock_rate=parameters.clock,
             loop=parameters.loop,
         )
-        self._paused, self._is_awaited, self._finished = parameters.start_paused, True, False
+        self._paused, self._is_awaited = parameters.start_paused, True
         self.offer_diagnostics(str(reader.path), self._statuses)
         acts = {"pause": partial(self._pause, True), "resume": partial(self._pause, False)}
         self.offer_triggers(acts)
-        self.ticker = self._ticker = Ticker(self, _MAX_WAIT, self._play, executor_clock=self.steady)
+        self.ticker = Ticker(self, _MAX_WAIT, self._play, executor_clock=self.steady)
         self.at_cleanup(self._log_end)
         self.log(
             Level.OK,
@@ -189,11 +184,9 @@ class Player(ManagedNode[PlayerParameters]):
         self._is_awaited = True
         self._activated = self._since = time.monotonic_ns()
         self._there = 0
-        self._ticker.start()
 
     def deactivate(self) -> None:
         """Stand still."""
-        self._ticker.stop()
         self._playback.pause(time.monotonic_ns())
 
     def _log_end(self) -> None:
@@ -206,11 +199,6 @@ class Player(ManagedNode[PlayerParameters]):
         """Play at another rate, with or without a loop."""
         self._playback.set_rate(parameters.rate, time.monotonic_ns())
         self._playback.loop = parameters.loop
-
-    @property
-    def finished(self) -> bool:
-        """Whether all has been played and has arrived; a process then ends."""
-        return super().finished or self._finished
 
     @property
     def messages(self) -> int:
@@ -236,6 +224,8 @@ class Player(ManagedNode[PlayerParameters]):
     def _play(self) -> int:
         """Publish what is due; return the time until more is [ns]."""
         playback, now = self._playback, time.monotonic_ns()
+        if not self.active:
+            return _WAIT_POLL
         if playback.paused and not (self._paused or playback.ended):
             if not self._may_start(now):
                 return _WAIT_POLL
@@ -259,9 +249,9 @@ class Player(ManagedNode[PlayerParameters]):
                 f"{(playback.held_back - held_back) * 1e-9:.3f} s behind: continuing from here, "
                 "with nothing left out",
             )
-        if playback.ended and not self._finished:
+        if playback.ended and not self.done:
             self._wait_for_acknowledgement()
-            self._finished = True
+            self.done = True
         return playback.wait(now)
 
     def _may_start(self, now: int) -> bool:
@@ -362,4 +352,5 @@ def _duration(time: QosTime) -> Duration:
     return Duration(nanoseconds=min(time.sec * 10**9 + time.nsec, _FOREVER))
 
 
-Parameters, create = PlayerParameters, Player
+Parameters = PlayerParameters
+create = partial(Player, "player", Parameters)

@@ -20,7 +20,6 @@ from functools import partial
 from itertools import chain, count
 from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
 from tsobs_ros.bag.recording import Recording
 from tsobs_ros.errors import BagWriteError, NodeError
@@ -46,11 +45,6 @@ class Recorder(ManagedNode[RecorderParameters]):
     Attributes:
         recording: The bag with its counts.
     """
-
-    def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("recorder", RecorderParameters, **node_kwargs)
-        self._full = False
-        self.start()
 
     def configure(self) -> None:
         """Create the bag and look for the topics."""
@@ -81,7 +75,6 @@ class Recorder(ManagedNode[RecorderParameters]):
         self._due = dict.fromkeys(self._chores, 0.0)
         # Not the node's clock: simulated time may be slow, stop or never start.
         self.ticker = Ticker(self, _DRAIN_PERIOD, self._tick, executor_clock=self.steady)
-        self.ticker.start()
         self.at_cleanup(self._log_end)
         self.log(Level.OK, f"recording to {path}")
 
@@ -113,11 +106,6 @@ class Recorder(ManagedNode[RecorderParameters]):
     def ready(self) -> bool:
         """Whether every listed topic has a publisher that the subscription is matched with."""
         return not self._finder.missing
-
-    @property
-    def finished(self) -> bool:
-        """Whether the disk is full, or the node was shut down; a process then ends."""
-        return super().finished or self._full
 
     @property
     def messages(self) -> int:
@@ -220,7 +208,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         if free < minimum:
             self.log(Level.ERROR, f"disk almost full ({free:.0f} MiB free): recording ends here")
             self.close()
-            self._full = True
+            self.done = True
         elif free < _FREE_DISK_WARNING * minimum and not self._free_disk_warned:
             self._free_disk_warned = True
             self.log(
@@ -275,4 +263,5 @@ def _free_disk(path: Path) -> float:
     return shutil.disk_usage(existing).free / _MIB
 
 
-Parameters, create = RecorderParameters, Recorder
+Parameters = RecorderParameters
+create = partial(Recorder, "recorder", Parameters)

@@ -15,7 +15,7 @@ topics, sensor_msgs/msg/JointState without another type:
 """
 
 import math
-from typing import Any
+from functools import partial
 
 from rclpy.qos import QoSProfile
 from visualization_msgs.msg import MarkerArray
@@ -35,27 +35,17 @@ _LINK, _ = topics.sides("")
 class Visualizer(ManagedNode[VisualizerParameters]):
     """Draws what an observer publishes of arms, and the truth of a simulator."""
 
-    def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("visualizer", VisualizerParameters, **node_kwargs)
-        self.start()
-
     def configure(self) -> None:
         """Make everything."""
         self._feed = ObserverFeed(self, self.parameters.observer, _WANTED)
         self._markers = self.create_publisher(MarkerArray, "~/markers", QoSProfile(depth=10))
-        self.ticker = self._ticker = Ticker(self, 1.0 / self.parameters.rate, self._draw)
-
-    def activate(self) -> None:
-        """Start to draw."""
-        self._ticker.start()
-
-    def deactivate(self) -> None:
-        """Stop drawing; what is drawn goes when its lifetime is over."""
-        self._ticker.stop()
+        self.ticker = Ticker(self, 1.0 / self.parameters.rate, self._draw)
 
     def _draw(self) -> None:
         self._feed.read()
-        if self._markers.get_subscription_count() and (arms := self.arms()):
+        # What is drawn goes when its lifetime is over.
+        wanted = self.active and self._markers.get_subscription_count()
+        if wanted and (arms := self.arms()):
             self._markers.publish(scene(arms, self.parameters, self.get_clock().now().to_msg()))
 
     def arms(self) -> list[Arm]:
@@ -85,4 +75,5 @@ def _angles(positions: dict[str, float], joint: str) -> Angles | None:
     return Angles(*sides) if all(map(math.isfinite, sides)) else None
 
 
-Parameters, create = VisualizerParameters, Visualizer
+Parameters = VisualizerParameters
+create = partial(Visualizer, "visualizer", Parameters)
