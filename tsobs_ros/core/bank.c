@@ -56,8 +56,6 @@ static int state_is_sound(const model *m, const state *at)
 const char *model_view(double *memory, size_t length, model *view)
 {
     estimator_sizes *s = &view->s;
-    flow_sizes sizes;
-    state initial;
     if (length < ESTIMATOR_SIZES || !sizes_are_sound((const int64_t *)(void *)memory)) {
         return "expected a model's record";
     }
@@ -69,14 +67,14 @@ const char *model_view(double *memory, size_t length, model *view)
     if (!flow_is_sound(view->flow, (size_t)s->flow_size)) {
         return "expected a model's record with a flow";
     }
-    sizes = flow_sizes_of(view->flow);
+    const flow_sizes sizes = flow_sizes_of(view->flow);
     if (sizes.n != s->n || sizes.k != s->k
         || sizes.m != s->m + (*view->gain_mode == GAIN_OPEN ? 2 * s->p : 0)
         || flow_step_size(&sizes) > (size_t)s->scratch) {
         return "expected a model's record with a flow of its sizes";
     }
-    view->design_flow = flow_view(view->flow);
-    state_bind(&initial, s, view->initial);
+    view->design_flow = flow_view(&sizes, view->flow);
+    const state initial = state_view(s, view->initial);
     if (!(*view->period >= SHORTEST) || (*view->supervised != 0 && s->hypotheses == 1)
         || !state_is_sound(view, &initial)) {
         return "expected a model's record of numbers that belong together";
@@ -731,16 +729,14 @@ static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, c
     const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
     const double elapsed = minimum(larger(*at->since, *m->period), *m->longest);
     double there = 0.0, used = 0.0;
-    state initial;
-    hypothesis first;
     for (long i = 0; i < m->s.p; i++) {
         there = maximum(there, effect->weight[i]);
         used = maximum(used, (double)effect->used[i]);
     }
     *h->inlier += there * share_of(elapsed, m->constants[PATIENCE]) * (used - *h->inlier);
     if (*h->inlier < m->constants[REJECTING] && *h->age >= m->constants[PATIENCE]) {
-        state_bind(&initial, &m->s, m->initial);
-        first = hypothesis_of(m, &initial, 0);
+        const state initial = state_view(&m->s, m->initial);
+        const hypothesis first = hypothesis_of(m, &initial, 0);
         copy_matrix(first.covariance, width, h->covariance, width, n, n);
         copy_matrix(first.gamma, k, h->gamma, k, k, k);
         copy_matrix(first.upsilon, width, h->upsilon, width, k, n);

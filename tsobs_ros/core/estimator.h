@@ -15,8 +15,6 @@
 #ifndef TSOBS_ESTIMATOR_H
 #define TSOBS_ESTIMATOR_H
 
-#include <string.h>
-
 #include "flow.h"
 
 /* Gains: none, as the observer is integrated, that of Riccati, or the certified one. */
@@ -337,16 +335,12 @@ void copy_state(const model *m, const double *from, double *to);
 /* Return what is remembered of an output, and a hypothesis. */
 static inline sensor sensor_of(const model *m, const state *at, long output)
 {
-    sensor found;
-    sensor_bind(&found, &m->s, at->sensors + (size_t)output * sensor_size(&m->s));
-    return found;
+    return sensor_view(&m->s, at->sensors + (size_t)output * sensor_size(&m->s));
 }
 
 static inline hypothesis hypothesis_of(const model *m, const state *at, long place)
 {
-    hypothesis found;
-    hypothesis_bind(&found, &m->s, at->hypotheses + (size_t)place * hypothesis_size(&m->s));
-    return found;
+    return hypothesis_view(&m->s, at->hypotheses + (size_t)place * hypothesis_size(&m->s));
 }
 
 /* Accept the inputs of a measurement, or hold those before; the state is predicted to the

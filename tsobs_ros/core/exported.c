@@ -62,9 +62,6 @@ void exported_seal(void *words, size_t bytes)
 const char *exported_open(exported *view, const void *words, size_t bytes)
 {
     const exported_head *head = words;
-    const char *wrong;
-    history start;
-    rewind_sizes sizes;
     model m;
     if ((uintptr_t)words % 8 != 0) {
         return "expected words that are aligned to 8 bytes";
@@ -84,18 +81,17 @@ const char *exported_open(exported *view, const void *words, size_t bytes)
     view->model = (const double *)words + HEAD;
     view->model_length = (size_t)head->model_length;
     view->memory = view->model + view->model_length;
-    wrong = model_view((double *)view->model, view->model_length, &m);
+    const char *wrong = model_view((double *)view->model, view->model_length, &m);
     if (wrong != NULL) {
         return wrong;
     }
-    history_bind(&start, NULL, (double *)view->memory);
+    const history start = history_view(NULL, (double *)view->memory);
     if (*start.max_steps > MOST_STEPS || *start.first != 0 || *start.length != 0
         || !history_is_sound(&start, *start.max_steps + 2 + SPARE)) {
         return "no tracker that is new";
     }
     view->sizes = m.s;
-    sizes.s = &view->sizes;
-    sizes.slots = *start.max_steps + 2 + SPARE;
+    const rewind_sizes sizes = {&view->sizes, *start.max_steps + 2 + SPARE};
     view->ring_length = (size_t)sizes.slots * state_size(&m.s);
     view->scratch_length = rewind_scratch_size(&sizes);
     view->room = history_size(NULL) + view->ring_length + view->scratch_length;

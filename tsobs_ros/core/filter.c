@@ -495,8 +495,7 @@ static void move(
     double *u = scratch->inputs, rest;
     const int64_t whole = cut_into_steps(duration, *m->period, &rest);
     linear_step over = {*m->period, f->phi, f->gamma, f->noise};
-    flow_step step;
-    flow_step_bind(&step, &sizes, scratch->flow);
+    const flow_step step = flow_step_view(&sizes, scratch->flow);
     for (int64_t taken = 0; taken < whole + (rest > 0.0); taken++) {
         if (taken == whole) {
             over = other_step(f, rest, &step);

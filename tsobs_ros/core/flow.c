@@ -10,42 +10,23 @@
 #include "flow.h"
 
 #include <math.h>
-#include <string.h>
 
 #include "matrices.h"
 #include "trigonometry.h"
 
-flow_sizes flow_sizes_of(const double *memory)
+int flow_is_sound(double *memory, size_t length)
 {
-    const int64_t *c = (const int64_t *)(const void *)memory;
-    const flow_sizes s = {(long)c[1], (long)c[2], (long)c[3], (long)c[4],
-                          (long)c[5], (long)c[6], (long)c[7]};
-    return s;
-}
-
-flow flow_view(const double *memory)
-{
-    const flow_sizes s = flow_sizes_of(memory);
-    flow view;
-    flow_bind(&view, &s, (double *)memory);
-    return view;
-}
-
-int flow_is_sound(const double *memory, size_t length)
-{
-    const long most = 1000;
-    flow_sizes s;
-    flow f;
+    const int64_t most = 1000;
     if (length < 8) { /* the kind and the sizes */
         return 0;
     }
-    s = flow_sizes_of(memory);
+    const flow_sizes s = flow_sizes_of(memory);
     if (s.n < 1 || s.n > most || s.m < 0 || s.m > most || s.inputs < 0 || s.inputs > s.m || s.k < 0
         || s.k > most || s.plant < 1 || s.plant > s.n || s.rules < 0 || s.rules > most
         || s.premises < 0 || s.premises > most || flow_size(&s) != length) {
         return 0;
     }
-    f = flow_view(memory);
+    const flow f = flow_view(&s, memory);
     return (*f.kind == KIND_ARM ? s.plant >= 4 && s.inputs >= 1
                                 : *f.kind == KIND_SYSTEM && s.rules >= 1 && s.premises >= 1)
            && *f.period >= SHORTEST && *f.terms >= 0 && *f.terms <= SERIES_TERMS;

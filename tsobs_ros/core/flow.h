@@ -6,6 +6,8 @@
 #ifndef TSOBS_FLOW_H
 #define TSOBS_FLOW_H
 
+#include <string.h>
+
 #include "layout.h"
 
 /* --- memberships: a rule base is a code of the shape for each rule and premise, (r, q), and four
@@ -78,7 +80,7 @@ enum {
 /* Sizes of a model: n augmented states, m signals, the inputs and then the scheduled ones, k
  * parameters, the plant's own states, rules and premise variables. */
 typedef struct {
-    long n, m, inputs, k, plant, rules, premises;
+    int64_t n, m, inputs, k, plant, rules, premises;
 } flow_sizes;
 
 /* Numbers of a model. deviations: [A B] of each rule of a T-S system less the mean; directions: their
@@ -138,12 +140,16 @@ typedef struct {
     const double *phi, *gamma, *noise;
 } linear_step;
 
-/* Return the sizes and the view of a record. */
-flow_sizes flow_sizes_of(const double *memory);
+/* Return the sizes that stand in a record, behind its kind. */
+static inline flow_sizes flow_sizes_of(const double *memory)
+{
+    flow_sizes s;
+    memcpy(&s, memory + 1, sizeof s);
+    return s;
+}
 
 /* Return whether some numbers are a record whose sizes and counts belong together. */
-int flow_is_sound(const double *memory, size_t length);
-flow flow_view(const double *memory);
+int flow_is_sound(double *memory, size_t length);
 
 /* Return the linear flow over a step of another length than the nominal one, kept in `work`. */
 linear_step other_step(const flow *f, double duration, const flow_step *work);

@@ -22,9 +22,7 @@ static double *numbers_at(const tracker *t, int64_t place)
 /* Return the state at a place from the oldest on. */
 static state state_at(const tracker *t, int64_t place)
 {
-    state found;
-    state_bind(&found, &t->m.s, numbers_at(t, place));
-    return found;
+    return state_view(&t->m.s, numbers_at(t, place));
 }
 
 /* Return the stamp of a state at a place from the oldest on [ns]; it is its first number. */
@@ -71,7 +69,6 @@ int history_is_sound(const history *h, int64_t slots)
 
 const char *tracker_bind(tracker *view, const tracker_memory *given)
 {
-    rewind_sizes sizes;
     const char *wrong = model_view(given->model, given->model_length, &view->m);
     if (wrong != NULL) {
         return wrong;
@@ -80,20 +77,19 @@ const char *tracker_bind(tracker *view, const tracker_memory *given)
     view->ring = given->ring;
     view->state_size = state_size(&view->m.s);
     view->slots = (int64_t)(given->ring_length / view->state_size);
-    sizes.s = &view->m.s;
-    sizes.slots = view->slots;
+    const rewind_sizes sizes = {&view->m.s, view->slots};
     if (given->memory_length != history_size(NULL)
         || given->ring_length % view->state_size != 0
         || given->scratch_length < rewind_scratch_size(&sizes)) {
         return "expected memories of a tracker of this model";
     }
-    history_bind(&view->h, NULL, given->memory);
+    view->h = history_view(NULL, given->memory);
     if (!history_is_sound(&view->h, view->slots)) {
         return "max_steps: expected as many as the ring has states for";
     }
-    rewind_scratch_bind(&view->later, &sizes, given->scratch);
-    correction_bind(&view->effect, &view->m.s, view->later.effect);
-    work_bind(&view->scratch, &view->m.s, view->later.work);
+    view->later = rewind_scratch_view(&sizes, given->scratch);
+    view->effect = correction_view(&view->m.s, view->later.effect);
+    view->scratch = work_view(&view->m.s, view->later.work);
     return NULL;
 }
 
@@ -291,9 +287,7 @@ static void coast(tracker *t, int64_t place, double duration)
     const int is_memorable = place == *h->length - 1;
     int64_t taken = 0;
     double *numbers = spare_numbers(t, SHOWN);
-    double rest;
-    state shown;
-    state_bind(&shown, &t->m.s, numbers);
+    state shown = state_view(&t->m.s, numbers);
     if (is_memorable && *h->coasted_generation == *h->generation && *h->coasted_periods > 0 &&
         *h->coasted_periods <= whole) {
         copy_state(&t->m, spare_numbers(t, COASTED), numbers);
@@ -312,7 +306,7 @@ static void coast(tracker *t, int64_t place, double duration)
         *h->coasted_periods = whole;
         *h->coasted_generation = *h->generation;
     }
-    rest = duration - (double)whole * period;
+    const double rest = duration - (double)whole * period;
     if (rest > 0.0) {
         predict(&t->m, &shown, rest, 1, &t->scratch);
     }
@@ -320,34 +314,29 @@ static void coast(tracker *t, int64_t place, double duration)
 
 int estimate_at(tracker *t, int64_t stamp, double *row)
 {
-    int64_t place = *t->h.length - 1, elapsed;
-    double remaining;
-    int is_inside;
-    estimate said;
-    state shown;
+    int64_t place = *t->h.length - 1;
     if (*t->h.length > 0 && stamp < newest_stamp(t)) {
         place = count_before(t, stamp + 1) - 1;
     }
     if (place < 0) {
         return 0;
     }
-    elapsed = stamp - stamp_at(t, place);
+    const int64_t elapsed = stamp - stamp_at(t, place);
+    const double remaining = (double)elapsed / NANOSECONDS;
     if (elapsed > *t->h.restart_after) {
         return 0;
     }
-    remaining = (double)elapsed / NANOSECONDS;
     if (elapsed > 0) {
         coast(t, place, remaining);
-        state_bind(&shown, &t->m.s, spare_numbers(t, SHOWN));
-    } else {
-        shown = state_at(t, place);
     }
-    estimate_bind(&said, &t->m.s, row);
+    const state shown
+        = elapsed > 0 ? state_view(&t->m.s, spare_numbers(t, SHOWN)) : state_at(t, place);
+    const estimate said = estimate_view(&t->m.s, row);
     if (!read_out(&t->m, &shown, &said, &t->scratch)) {
         *t->h.bad_outputs += 1;
         return 0;
     }
-    is_inside = fabs(said.state[0]) <= *t->h.x_max;
+    const int is_inside = fabs(said.state[0]) <= *t->h.x_max;
     if (!is_inside && *said.basis <= BASIS_LEARNT) {
         *said.basis = BASIS_OUTSIDE;
         *said.claimed = 0.0;

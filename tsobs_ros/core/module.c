@@ -160,6 +160,8 @@ static int is_duration(const signature *of, const argument *t)
 
 /* --- layouts of records, and constants --- */
 
+enum { FLOW_SIZES = sizeof(flow_sizes) / 8, SYSTEM_SIZES = sizeof(system_sizes) / 8 };
+
 /* Append a new row to a list, or end it: it is NULL if that failed before, or fails. */
 static void append(PyObject **list, PyObject *row)
 {
@@ -178,36 +180,30 @@ static PyObject *fields_as_list(const layout_field *fields, size_t count)
     return list;
 }
 
-#define RECORD(name, FIELDS, count, s)                             \
+#define RECORD(name, FIELDS, count, sizes)                         \
     if (strcmp(t[0].text, name) == 0 && t[1].length == (count)) {  \
-        const layout_field rows[] = {FIELDS(LAYOUT_ROW, (s))};     \
+        const sizes *s = t[1].bytes;                               \
+        const layout_field rows[] = {FIELDS(LAYOUT_ROW, s)};       \
+        (void)s;                                                   \
         return fields_as_list(rows, sizeof rows / sizeof rows[0]); \
     }
 
 BIND(layout, "sd")
 {
-    const int64_t *numbers = t[1].counts;
-    long n[7] = {0};
-    if (t[1].length == ESTIMATOR_SIZES && sizes_are_sound(numbers)) {
-        const estimator_sizes s = sizes_of(numbers);
-        RECORD("sensor", SENSOR_FIELDS, ESTIMATOR_SIZES, &s)
-        RECORD("hypothesis", HYPOTHESIS_FIELDS, ESTIMATOR_SIZES, &s)
-        RECORD("state", STATE_FIELDS, ESTIMATOR_SIZES, &s)
-        RECORD("correction", CORRECTION_FIELDS, ESTIMATOR_SIZES, &s)
-        RECORD("estimate", ESTIMATE_FIELDS, ESTIMATOR_SIZES, &s)
-        RECORD("work", WORK_FIELDS, ESTIMATOR_SIZES, &s)
-        RECORD("model", MODEL_FIELDS, ESTIMATOR_SIZES, &s)
-    } else if (t[1].length <= 7 && are_sizes(of, numbers, t[1].length, 0)) {
-        for (int64_t i = 0; i < t[1].length; i++) {
-            n[i] = (long)numbers[i];
-        }
-        const flow_sizes model = {n[0], n[1], n[2], n[3], n[4], n[5], n[6]};
-        const system_sizes plant = {n[0], n[1], n[2], n[3], n[4], n[5]};
-        RECORD("history", HISTORY_FIELDS, 0, NULL)
-        RECORD("simulated_arm", SIMULATED_ARM_FIELDS, 0, NULL)
-        RECORD("simulated_system", SIMULATED_SYSTEM_FIELDS, 6, &plant)
-        RECORD("flow", FLOW_FIELDS, 7, &model)
-        RECORD("flow_step", STEP_FIELDS, 7, &model)
+    const int64_t count = t[1].length, *numbers = t[1].counts;
+    if (count == ESTIMATOR_SIZES ? sizes_are_sound(numbers) : are_sizes(of, numbers, count, 0)) {
+        RECORD("sensor", SENSOR_FIELDS, ESTIMATOR_SIZES, estimator_sizes)
+        RECORD("hypothesis", HYPOTHESIS_FIELDS, ESTIMATOR_SIZES, estimator_sizes)
+        RECORD("state", STATE_FIELDS, ESTIMATOR_SIZES, estimator_sizes)
+        RECORD("correction", CORRECTION_FIELDS, ESTIMATOR_SIZES, estimator_sizes)
+        RECORD("estimate", ESTIMATE_FIELDS, ESTIMATOR_SIZES, estimator_sizes)
+        RECORD("work", WORK_FIELDS, ESTIMATOR_SIZES, estimator_sizes)
+        RECORD("model", MODEL_FIELDS, ESTIMATOR_SIZES, estimator_sizes)
+        RECORD("flow", FLOW_FIELDS, FLOW_SIZES, flow_sizes)
+        RECORD("flow_step", STEP_FIELDS, FLOW_SIZES, flow_sizes)
+        RECORD("simulated_system", SIMULATED_SYSTEM_FIELDS, SYSTEM_SIZES, system_sizes)
+        RECORD("simulated_arm", SIMULATED_ARM_FIELDS, 0, void)
+        RECORD("history", HISTORY_FIELDS, 0, void)
     }
     return PyErr_Occurred() ? NULL : refuse(of, "expected a record and its sizes");
 }
@@ -280,12 +276,11 @@ BIND(simulate_arms, "ddddDDD")
 {
     const int64_t runs = t[4].length / 4, samples = t[1].length, all = runs * samples;
     const int64_t size = (int64_t)simulated_arm_size(NULL);
-    simulated_arm arms[2];
     if (!HAVE(0, 2 * size) || !HAVE(2, all) || !HAVE(5, 4 * all, 2 * all)) {
         return NULL;
     }
-    simulated_arm_bind(&arms[0], NULL, t[0].numbers);
-    simulated_arm_bind(&arms[1], NULL, t[0].numbers + size);
+    const simulated_arm arms[2] = {simulated_arm_view(NULL, t[0].numbers),
+                                   simulated_arm_view(NULL, t[0].numbers + size)};
     for (int64_t k = 0; k < samples; k++) {
         if (t[1].counts[k] != 0 && t[1].counts[k] != 1) {
             return refuse(of, "carried: expected 0 or 1");
@@ -306,28 +301,24 @@ BIND(simulate_arms, "ddddDDD")
 
 BIND(simulate_systems, "dDddDDD")
 {
-    const int64_t *sizes = t[0].counts;
-    simulated_system system;
-    if (!HAVE(0, 6) || !are_sizes(of, sizes, 1, 1) || !are_sizes(of, sizes, 6, 0)) {
+    const system_sizes *s = t[0].bytes;
+    if (!HAVE(0, SYSTEM_SIZES) || !are_sizes(of, &s->n, 1, 1) ||
+        !are_sizes(of, t[0].counts, SYSTEM_SIZES, 0) ||
+        !HAVE(1, (int64_t)simulated_system_size(s))) {
         return NULL;
     }
-    const system_sizes s = {(long)sizes[0], (long)sizes[1], (long)sizes[2],
-                            (long)sizes[3], (long)sizes[4], (long)sizes[5]};
-    if (!HAVE(1, (int64_t)simulated_system_size(&s))) {
+    const simulated_system system = simulated_system_view(s, t[1].numbers);
+    const int64_t runs = t[4].length / s->n;
+    const int64_t samples = runs > 0 ? t[5].length / (s->n * runs) : 0, all = runs * samples;
+    if (!HAVE(2, all * (s->m + s->scheduled)) || !HAVE(6, all * s->p)) {
         return NULL;
     }
-    simulated_system_bind(&system, &s, t[1].numbers);
-    const int64_t runs = t[4].length / s.n;
-    const int64_t samples = runs > 0 ? t[5].length / (s.n * runs) : 0, all = runs * samples;
-    if (!HAVE(2, all * (s.m + s.scheduled)) || !HAVE(6, all * s.p)) {
-        return NULL;
-    }
-    if (t[3].length > 0 && all > 0 && *system.substeps > t[3].length / (s.n * all)) {
+    if (t[3].length > 0 && all > 0 && *system.substeps > t[3].length / (s->n * all)) {
         return refuse(of, "expected noise of each substep");
     }
     Py_BEGIN_ALLOW_THREADS
     simulate_systems(
-        &system, &s, t[2].numbers, t[3].length > 0 ? t[3].numbers : NULL, t[4].numbers,
+        &system, s, t[2].numbers, t[3].length > 0 ? t[3].numbers : NULL, t[4].numbers,
         t[5].numbers, t[6].numbers, (long)runs, (long)samples);
     Py_END_ALLOW_THREADS
     Py_RETURN_NONE;
@@ -343,7 +334,7 @@ static int take_state(const signature *of, const argument *t, model *m, state *a
         wrong = "expected a state of the model";
     }
     if (wrong == NULL) {
-        state_bind(at, &m->s, t[1].numbers);
+        *at = state_view(&m->s, t[1].numbers);
     }
     return wrong == NULL || refuse(of, wrong) != NULL;
 }
@@ -352,11 +343,10 @@ BIND(estimator_correct, "dDdD")
 {
     model m;
     state at;
-    correction effect;
     if (!take_state(of, t, &m, &at) || !HAVE(2, m.s.p, (int64_t)correction_size(&m.s))) {
         return NULL;
     }
-    correction_bind(&effect, &m.s, t[3].numbers);
+    correction effect = correction_view(&m.s, t[3].numbers);
     correct(&m, &at, t[2].numbers, &effect);
     Py_RETURN_NONE;
 }
@@ -365,12 +355,11 @@ BIND(estimator_predict, "dDdfiD")
 {
     model m;
     state at;
-    work scratch;
     if (!take_state(of, t, &m, &at) || !HAVE(2, m.s.m) || !HAVE(5, (int64_t)work_size(&m.s)) ||
         !is_duration(of, &t[3])) {
         return NULL;
     }
-    work_bind(&scratch, &m.s, t[5].numbers);
+    work scratch = work_view(&m.s, t[5].numbers);
     hold_inputs(&m, &at, t[2].numbers);
     predict(&m, &at, t[3].number, t[4].integer != 0, &scratch);
     Py_RETURN_NONE;
@@ -380,14 +369,12 @@ BIND(estimator_read, "ddDD")
 {
     model m;
     state at;
-    work scratch;
-    estimate said;
     if (!take_state(of, t, &m, &at) ||
         !HAVE(2, (int64_t)estimate_size(&m.s), (int64_t)work_size(&m.s))) {
         return NULL;
     }
-    work_bind(&scratch, &m.s, t[3].numbers);
-    estimate_bind(&said, &m.s, t[2].numbers);
+    const estimate said = estimate_view(&m.s, t[2].numbers);
+    work scratch = work_view(&m.s, t[3].numbers);
     read_out(&m, &at, &said, &scratch);
     Py_RETURN_NONE;
 }
@@ -396,8 +383,6 @@ BIND(estimator_innovations, "dDdddfffiDDDDD")
 {
     model m;
     state at;
-    correction effect;
-    work scratch;
     const int64_t count = t[2].length;
     if (!take_state(of, t, &m, &at)) {
         return NULL;
@@ -417,8 +402,8 @@ BIND(estimator_innovations, "dDdddfffiDDDDD")
               (int64_t)work_size(&m.s))) {
         return NULL;
     }
-    correction_bind(&effect, &m.s, t[12].numbers);
-    work_bind(&scratch, &m.s, t[13].numbers);
+    correction effect = correction_view(&m.s, t[12].numbers);
+    work scratch = work_view(&m.s, t[13].numbers);
     Py_BEGIN_ALLOW_THREADS
     write_innovations(
         &m, &at, &log, &options, t[8].integer, t[9].numbers, t[10].numbers, t[11].numbers,

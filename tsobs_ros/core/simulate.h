@@ -38,7 +38,7 @@ LAYOUT_DECLARE(simulated_arm, SIMULATED_ARM_FIELDS, void)
 
 /* Sizes of a T-S system: states, inputs, scheduled signals, outputs, rules and premises. */
 typedef struct {
-    long n, m, scheduled, p, rules, premises;
+    int64_t n, m, scheduled, p, rules, premises;
 } system_sizes;
 
 /* A T-S system: x' = sum h_i (A_i x + B_i u), y = sum h_i C_i x, with h of z = Z [x; u; s].
