@@ -129,17 +129,14 @@ double mean_torque(const model *m, const state *at, double ahead, double duratio
 void hold_inputs(const model *m, state *at, const double *u)
 {
     const long past = (long)m->s.past;
-    double torque;
-    for (long i = 0; i < m->s.m; i++) {
-        at->held[i] = u[i];
-    }
+    memcpy(at->held, u, (size_t)m->s.m * sizeof *u);
     if (m->s.m > 0) {
         at->held[0] = at_motor(m, u[0]);
     }
     if (past == 0) {
         return;
     }
-    torque = at->held[0];
+    const double torque = at->held[0];
     if (isinf(at->past[1])) { /* the first one always was */
         for (long i = 0; i < past; i++) {
             at->past[2 * i] = torque;
@@ -192,18 +189,10 @@ static void open_torque(const model *m, const state *at, hypothesis *h, int unkn
 
 /* --- copies --- */
 
-static double *numbers_of(const model *m, const state *at, long place)
-{
-    return at->hypotheses + (size_t)place * hypothesis_size(&m->s);
-}
-
 static void copy_hypothesis(const model *m, state *at, long from, long to)
 {
-    if (from != to) {
-        memcpy(
-            numbers_of(m, at, to), numbers_of(m, at, from),
-            hypothesis_size(&m->s) * sizeof(double));
-    }
+    const size_t size = hypothesis_size(&m->s);
+    memmove(at->hypotheses + to * size, at->hypotheses + from * size, size * sizeof(double));
 }
 
 /* Return the first auxiliary state that another kind of hypothesis does not take over: a torque that
@@ -216,19 +205,18 @@ static long first_of_its_own(const model *m, const state *at, int64_t kind)
 /* Consider a hypothesis no longer. */
 static void drop(const model *m, state *at, long place)
 {
-    memset(numbers_of(m, at, place), 0, hypothesis_size(&m->s) * sizeof(double));
+    const size_t size = hypothesis_size(&m->s);
+    memset(at->hypotheses + place * size, 0, size * sizeof(double));
 }
 
 /* Begin a standing hypothesis from the best one. */
 static void renew(const model *m, state *at, long kind)
 {
     const long n = (long)m->s.n, p = (long)m->s.p, width = (long)m->s.width;
-    const double frequency = *hypothesis_of(m, at, kind).frequency;
-    const double size = *hypothesis_of(m, at, kind).size;
-    const int64_t output = *hypothesis_of(m, at, kind).output;
-    hypothesis h;
+    hypothesis h = hypothesis_of(m, at, kind);
+    const double frequency = *h.frequency, size = *h.size;
+    const int64_t output = *h.output;
     copy_hypothesis(m, at, (long)*at->best, kind);
-    h = hypothesis_of(m, at, kind);
     leave_certified(m, at, &h, BASIS_STARTING);
     *h.live = 1;
     *h.kind = kind;
@@ -387,17 +375,22 @@ static void distrust_stuck(
     }
 }
 
+/* The frequencies at which tones are looked for, and which of them a tone of a sensor may have. */
+typedef struct {
+    double rate[TONES]; /* [rad/s] */
+    int candidate[TONES];
+} tone_table;
+
 /* Turn what a signal has of each frequency over a sample, and add the newest. */
-static void listen_to(const model *m, double *tones, double r, double elapsed, double share)
+static void listen_to(
+    const tone_table *table, double *tones, double r, double elapsed, double share)
 {
-    double rate = m->constants[FIRST_TONE];
     for (long j = 0; j < TONES; j++) {
         double *z = tones + 2 * j, sin, cos;
         const double first = z[0];
-        sine_and_cosine(rate * elapsed, &sin, &cos);
+        sine_and_cosine(table->rate[j] * elapsed, &sin, &cos);
         z[0] = (1.0 - share) * (cos * first - sin * z[1]) + r;
         z[1] = (1.0 - share) * (cos * z[1] + sin * first);
-        rate *= m->constants[TONE_RATIO];
     }
 }
 
@@ -415,27 +408,32 @@ static int is_near(const model *m, double one, double other)
     return one * one < ratio * other * other && other * other < ratio * one * one;
 }
 
-/* Listen to the torque of an arm, and write which frequencies a tone of a sensor may have: neither
+/* Listen to the torque of an arm, and return which frequencies a tone of a sensor may have: neither
  * those of the torque nor the arm's own, at which a wrong model of the arm looks the same. */
-static void find_candidates(const model *m, state *at, int *candidates)
+static tone_table find_candidates(const model *m, state *at)
 {
     const int is_arm = *m->design_flow.kind == KIND_ARM && m->s.m > 0 && m->s.plant > 1;
     const double own = m->domain[1] / m->domain[0];
     const double elapsed = larger(*at->since, *m->period);
     const double share = share_of(minimum(elapsed, *m->longest), m->constants[AWAKE]);
-    double *moments = at->torque_moments, rate = m->constants[FIRST_TONE], most;
+    double *moments = at->torque_moments;
+    tone_table table = {{m->constants[FIRST_TONE]}, {0}};
+    for (long j = 1; j < TONES; j++) {
+        table.rate[j] = table.rate[j - 1] * m->constants[TONE_RATIO];
+    }
     if (is_arm) {
         const double u = at->held[0];
-        listen_to(m, at->torque_tones, u, elapsed, share);
+        listen_to(&table, at->torque_tones, u, elapsed, share);
         moments[0] += share * (u - moments[0]);
         moments[1] += share * (u * u - moments[1]);
     }
-    most = m->constants[TONE_DRIVEN] * (moments[1] - moments[0] * moments[0]);
+    const double most = m->constants[TONE_DRIVEN] * (moments[1] - moments[0] * moments[0]);
     for (long j = 0; j < TONES; j++) {
         const double power = share * loudness(at->torque_tones, j);
-        candidates[j] = !is_arm || !(2.0 * power * power > most || is_near(m, rate, own));
-        rate *= m->constants[TONE_RATIO];
+        const int is_driven = 2.0 * power * power > most;
+        table.candidate[j] = !is_arm || !(is_driven || is_near(m, table.rate[j], own));
     }
+    return table;
 }
 
 /* Listen for a tone in the design's innovations, and propose the loudest: where it stands between
@@ -446,42 +444,37 @@ static void listen(const model *m, state *at, const correction *effect)
     const double step = m->constants[TONE_RATIO];
     double most = m->constants[TONE_SIGN], size = 0.0, frequency = 0.0;
     int64_t output = 0;
-    int candidates[TONES];
-    find_candidates(m, at, candidates);
+    const tone_table table = find_candidates(m, at);
     for (long i = 0; i < m->s.p; i++) {
         const sensor of = sensor_of(m, at, i);
         const double elapsed = larger(*of.since, *m->period);
         const double share = share_of(minimum(elapsed, *m->longest), m->constants[AWAKE]);
         const double r = effect->innovations[i] / sqrt(effect->variances[i]);
-        double rate = m->constants[FIRST_TONE];
+        double loud[TONES + 2] = {0.0}; /* of the candidates, and 0 beyond both ends */
         if (!(effect->weight[i] > 0.0)) {
             continue;
         }
-        listen_to(m, of.tones, minimum(maximum(r, -3.0), 3.0), elapsed, share);
+        listen_to(&table, of.tones, minimum(maximum(r, -3.0), 3.0), elapsed, share);
         for (long j = 0; j < TONES; j++) {
-            const double here = loudness(of.tones, j), power = here * here * (2.0 - share) * share;
-            if (candidates[j] && power > most) {
-                const double below = j > 0 && candidates[j - 1] ? loudness(of.tones, j - 1) : 0.0;
-                const double above
-                    = j < TONES - 1 && candidates[j + 1] ? loudness(of.tones, j + 1) : 0.0;
+            loud[j + 1] = table.candidate[j] ? loudness(of.tones, j) : 0.0;
+        }
+        for (long j = 0; j < TONES; j++) {
+            const double below = loud[j], here = loud[j + 1], above = loud[j + 2];
+            const double power = here * here * (2.0 - share) * share;
+            if (power > most) {
                 const double other = maximum(below, above);
                 const double ratio = above > below ? step : 1.0 / step;
                 most = power;
-                frequency = rate * (here + ratio * other) / (here + other);
+                frequency = table.rate[j] * (here + ratio * other) / (here + other);
                 output = i;
                 /* The filter follows a slow tone in part. */
                 size = 6.0 * share * here * sqrt(effect->variances[i]);
             }
-            rate *= step;
         }
     }
-    if (*tone.live != 0) { /* one that has come to where a wrong model looks the same */
-        double rate = m->constants[FIRST_TONE];
-        for (long j = 0; j < TONES; j++) {
-            if (!candidates[j] && is_near(m, *tone.frequency, rate)) {
-                *tone.score = -INFINITY;
-            }
-            rate *= step;
+    for (long j = 0; j < TONES && *tone.live != 0; j++) {
+        if (!table.candidate[j] && is_near(m, *tone.frequency, table.rate[j])) {
+            *tone.score = -INFINITY; /* it has come to where a wrong model looks the same */
         }
     }
     if (frequency > 0.0 && *at->best != TONE
@@ -564,17 +557,16 @@ static void suppose(
     const model *m, state *at, long parent, int64_t fork, long output, correction *effect)
 {
     const double price = m->constants[fork == MOVED ? LOST_PRICE : FORK_PRICE];
-    const double score = *hypothesis_of(m, at, parent).score - price;
-    const double innovation = effect->innovation[output];
+    const hypothesis from = hypothesis_of(m, at, parent);
+    const double score = *from.score - price, innovation = effect->innovation[output];
     const long place = place_for(m, at, score);
-    hypothesis h = hypothesis_of(m, at, parent);
     const double disturbance
-        = dot(m->disturbance_map + output * m->s.width, h.x, (long)m->s.n) + innovation;
+        = dot(m->disturbance_map + output * m->s.width, from.x, (long)m->s.n) + innovation;
     if (place < 0 || (fork == JUMPED && !(fabs(disturbance) <= m->disturbance_limit[output]))) {
         return;
     }
     copy_hypothesis(m, at, parent, place);
-    h = hypothesis_of(m, at, place);
+    hypothesis h = hypothesis_of(m, at, place);
     leave_certified(m, at, &h, BASIS_STARTING);
     *h.cause = fork == JUMPED ? BASIS_JUMP : BASIS_STARTING;
     *h.fork = fork;
@@ -598,11 +590,8 @@ static void suppose(
 /* Let the best fork take its parent's place once it is sure, and let the others end. */
 static void select_forks(const model *m, state *at)
 {
-    for (long i = STANDING; i < m->s.hypotheses; i++) {
-        const hypothesis h = hypothesis_of(m, at, i);
-        if (*h.live == 0) {
-            continue;
-        }
+    hypothesis h;
+    for (long i = STANDING; find_live(m, at, &i, &h); i++) {
         if (i == *at->best) {
             const long kind = (long)*h.kind;
             const hypothesis parent = hypothesis_of(m, at, kind);
@@ -628,20 +617,17 @@ static void select_forks(const model *m, state *at)
 static void compare(const model *m, state *at)
 {
     double most = -INFINITY;
-    for (long i = 0; i < m->s.hypotheses; i++) {
-        const hypothesis h = hypothesis_of(m, at, i);
-        if (*h.live != 0 && *h.score > most) {
+    hypothesis h;
+    for (long i = 0; find_live(m, at, &i, &h); i++) {
+        if (*h.score > most) {
             most = *h.score;
             *at->best = i;
         }
     }
-    for (long i = 0; i < m->s.hypotheses; i++) {
-        const hypothesis h = hypothesis_of(m, at, i);
-        if (*h.live != 0) {
-            *h.score -= most;
-            if (i < STANDING && *h.score < -m->constants[FLOOR]) {
-                *h.score = -m->constants[FLOOR];
-            }
+    for (long i = 0; find_live(m, at, &i, &h); i++) {
+        *h.score -= most;
+        if (i < STANDING) {
+            *h.score = larger(*h.score, -m->constants[FLOOR]);
         }
     }
 }
@@ -649,15 +635,11 @@ static void compare(const model *m, state *at)
 /* Let the others sleep if the design has been the best without a sign for a while. */
 static void rest(const model *m, state *at)
 {
-    int alone = *at->best == AS_DESIGNED;
-    for (long i = STANDING; i < m->s.hypotheses; i++) {
-        alone = alone && *hypothesis_of(m, at, i).live == 0;
-    }
-    if (alone && *at->awake <= 0.0) {
-        for (long i = 1; i < m->s.hypotheses; i++) {
-            if (*hypothesis_of(m, at, i).live != 0) {
-                drop(m, at, i);
-            }
+    hypothesis h;
+    long fork = STANDING;
+    if (*at->best == AS_DESIGNED && *at->awake <= 0.0 && !find_live(m, at, &fork, &h)) {
+        for (long i = 1; find_live(m, at, &i, &h); i++) {
+            drop(m, at, i);
         }
         for (long i = 0; i < m->s.p; i++) {
             memset(sensor_of(m, at, i).tones, 0, 2 * TONES * sizeof(double));
@@ -756,7 +738,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
     report(m, &h, effect);
     *at->moving = moves(m, at, &h);
     if (*m->supervised == 0) {
-        correct_hypothesis(m, at, &h, (int)*at->moving, effect);
+        correct_hypothesis(m, at, &h, effect);
         reset_if_rejecting(m, at, &h, effect);
         return;
     }
@@ -769,15 +751,16 @@ static void correct_bank(const model *m, state *at, correction *effect)
     *at->outliers += outliers;
     for (long i = m->s.hypotheses - 1; i >= 0; i--) {
         hypothesis other = hypothesis_of(m, at, i);
-        if (*other.live != 0) {
-            distrust_stuck(m, at, &other, effect);
+        if (*other.live == 0) {
+            continue;
         }
-        if (i != best && *other.live != 0) {
+        distrust_stuck(m, at, &other, effect);
+        if (i != best) {
             weigh(m, at, &other, effect);
             if (i == AS_DESIGNED && *at->awake > 0.0) {
                 listen(m, at, effect);
             }
-            *other.score += correct_hypothesis(m, at, &other, (int)*at->moving, effect);
+            *other.score += correct_hypothesis(m, at, &other, effect);
         }
     }
     weigh(m, at, &h, effect); /* others have written over it, and the noise may have grown */
@@ -786,12 +769,11 @@ static void correct_bank(const model *m, state *at, correction *effect)
     if (best == AS_DESIGNED && *at->awake > 0.0) {
         listen(m, at, effect);
     }
-    *h.score += correct_hypothesis(m, at, &h, (int)*at->moving, effect);
+    *h.score += correct_hypothesis(m, at, &h, effect);
     compare(m, at);
     select_forks(m, at);
-    for (long kind = 0; kind < STANDING; kind++) {
-        h = hypothesis_of(m, at, kind);
-        if (*h.live != 0 && kind != *at->best && (!isfinite(*h.score) || !isfinite(h.x[0]))) {
+    for (long kind = 0; find_live(m, at, &kind, &h) && kind < STANDING; kind++) {
+        if (kind != *at->best && (!isfinite(*h.score) || !isfinite(h.x[0]))) {
             renew(m, at, kind);
         }
     }
@@ -801,12 +783,10 @@ static void correct_bank(const model *m, state *at, correction *effect)
 void correct(const model *m, state *at, const double *y, correction *effect)
 {
     const long p = (long)m->s.p;
+    hypothesis h;
     if (*at->in_gap != 0 && *at->torque_unknown == 0) {
-        for (long i = 0; i < m->s.hypotheses; i++) {
-            hypothesis h = hypothesis_of(m, at, i);
-            if (*h.live != 0) {
-                open_torque(m, at, &h, 0);
-            }
+        for (long i = 0; find_live(m, at, &i, &h); i++) {
+            open_torque(m, at, &h, 0);
         }
         *at->in_gap = 0;
     }
@@ -860,16 +840,14 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
     const double forgotten = in_gap && isfinite(age) ? *m->torque_rate * *m->torque_rate
                                                            * (2.0 * age + duration)
                                                      : 0.0;
+    hypothesis h;
     *at->late = is_late;
-    for (long i = 0; i < m->s.hypotheses; i++) {
-        hypothesis h = hypothesis_of(m, at, i);
-        int simple;
-        if (*h.live == 0
-            || (between_samples && !counts(m, &h))) {
+    for (long i = 0; find_live(m, at, &i, &h); i++) {
+        const int simple = *m->gain_mode == GAIN_OPEN
+                           || (*h.certified != 0 && *h.corrected != 0 && (regular || is_late));
+        if (between_samples && !counts(m, &h)) {
             continue;
         }
-        simple = *m->gain_mode == GAIN_OPEN
-                 || (*h.certified != 0 && *h.corrected != 0 && (regular || is_late));
         if (!simple) {
             leave_certified(m, at, &h, BASIS_GAP);
         }

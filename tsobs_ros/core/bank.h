@@ -81,8 +81,7 @@ void weigh(const model *m, const state *at, const hypothesis *h, correction *eff
 
 /* Correct by the outputs that `weigh` found in use, and learn; return the logarithm of the
  * likelihood of the sample. */
-double correct_hypothesis(
-    const model *m, const state *at, hypothesis *h, int adapt, correction *effect);
+double correct_hypothesis(const model *m, const state *at, hypothesis *h, correction *effect);
 
 /* Correct by one output, whatever it is; return the logarithm of its likelihood. */
 double correct_by(

@@ -343,6 +343,19 @@ static inline hypothesis hypothesis_of(const model *m, const state *at, long pla
     return hypothesis_view(&m->s, at->hypotheses + (size_t)place * hypothesis_size(&m->s));
 }
 
+/* Find the first live hypothesis from a place on, and move the place there; return whether there is
+ * one. */
+static inline int find_live(const model *m, const state *at, long *place, hypothesis *h)
+{
+    for (; *place < m->s.hypotheses; *place += 1) {
+        *h = hypothesis_of(m, at, *place);
+        if (*h->live != 0) {
+            return 1;
+        }
+    }
+    return 0;
+}
+
 /* Accept the inputs of a measurement, or hold those before; the state is predicted to the
  * measurement's stamp, and not corrected yet. */
 void take_torque(const model *m, state *at, const double *u);

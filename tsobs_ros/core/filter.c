@@ -130,7 +130,7 @@ static outlook look(const model *m, const state *at, const hypothesis *h, long i
     const long n = (long)m->s.n, k = (long)m->s.k, p = (long)m->s.p, width = (long)m->s.width;
     const long place = part_of(m, h, i);
     const double scale = noise_of(m, at, i);
-    double *omega = effect->omega + i * k, ratio, size, level;
+    double *omega = effect->omega + i * k;
     outlook of = {0.0, 0.0, 0.0, 0.0, 0};
     of.innovation = expect(m, at, h, i, effect, &of.known);
     for (long a = 0; a < k; a++) {
@@ -141,14 +141,13 @@ static outlook look(const model *m, const state *at, const hypothesis *h, long i
     if (!(effect->weight[i] > 0.0)) {
         return of;
     }
-    ratio = of.innovation * of.innovation / of.variance;
-    size = 0.5 * logarithm(of.variance);
-    of.likelihood = -0.5 * ratio - size;
+    const double ratio = of.innovation * of.innovation / of.variance;
+    of.likelihood = -0.5 * ratio - 0.5 * logarithm(of.variance);
     if (*m->supervised == 0) {
         of.used = !(ratio > *m->gate * *m->gate);
         return of;
     }
-    level = 0.5 * logarithm(scale * scale * m->innovation_covariance[i * p + i]);
+    const double level = 0.5 * logarithm(scale * scale * m->innovation_covariance[i * p + i]);
     of.used = of.likelihood >= -0.5 * *m->gate * *m->gate - level;
     of.likelihood = maximum(of.likelihood, -m->constants[OUTLIER_PRICE] - level);
     return of;
@@ -175,12 +174,12 @@ static void follow(
     const double share = share_of(elapsed, 1.0) / (double)m->s.p;
     const double slow_share = share_of(elapsed, m->constants[SLOW_TIME]);
     const double r = minimum(maximum(innovation / sqrt(variance), -*m->gate), *m->gate);
-    double *slow = h->slow + output, power;
+    double *slow = h->slow + output;
     *h->nis += share * (r * r - *h->nis);
     *h->colour += share * (r * h->previous[output] - *h->colour);
     h->previous[output] = r;
     *slow += slow_share * (r - *slow);
-    power = *slow * *slow * ((2.0 - slow_share) / slow_share);
+    const double power = *slow * *slow * ((2.0 - slow_share) / slow_share);
     *h->slow_power += share_of(elapsed, m->constants[POWER_TIME]) / (double)m->s.p
                       * (power - *h->slow_power);
 }
@@ -356,13 +355,12 @@ static void begin_pass(const model *m, hypothesis *h)
     }
 }
 
-double correct_hypothesis(
-    const model *m, const state *at, hypothesis *h, int adapt, correction *effect)
+double correct_hypothesis(const model *m, const state *at, hypothesis *h, correction *effect)
 {
     const long p = (long)m->s.p;
+    const int adapt = *at->moving != 0 && *h->learning >= *m->adaptation_start;
     double said = 0.0;
     long used = 0;
-    adapt = adapt && *h->learning >= *m->adaptation_start;
     for (long i = 0; i < p; i++) {
         used += effect->used[i];
         said += effect->likelihoods[i];
@@ -394,9 +392,7 @@ static void write_own_motion(
     const model *m, const hypothesis *h, double duration, double forgotten, long stride, double *D,
     double *added)
 {
-    const double *constants = m->constants;
-    const double torque = exponential(-duration / constants[FORCE_TIME]);
-    double time, size, decay, noise, sin = 0.0, cos = 1.0;
+    const double torque = exponential(-duration / m->constants[FORCE_TIME]);
     D[0] = torque;
     if (*h->kind == FORCE) {
         added[0] = *m->force * *m->force * (1.0 - torque * torque);
@@ -404,33 +400,25 @@ static void write_own_motion(
     if (forgotten > 0.0) {
         added[0] += forgotten * duration;
     }
-    switch (*h->kind) {
-    case COLOURED_NOISE:
-        time = constants[COLOUR_TIME];
-        size = constants[COLOUR_SIZE];
-        break;
-    case DRIFT:
-        time = constants[DRIFT_TIME];
-        size = constants[DRIFT_SIZE];
-        break;
-    case TONE:
-        time = constants[TONE_TIME];
-        size = *h->size;
-        sine_and_cosine(*h->frequency * duration, &sin, &cos);
-        break;
-    default:
-        return;
-    }
-    decay = exponential(-duration / time);
-    noise = size * size * (1.0 - decay * decay);
-    for (long j = 0; j < (*h->kind == TONE ? 2 : m->s.p); j++) {
-        const long place = (j + 1) * (stride + 1);
-        D[place] = decay * cos;
-        added[place] = *h->kind == TONE ? noise : noise * m->R[j * (m->s.p + 1)];
-    }
     if (*h->kind == TONE) {
+        const double decay = exponential(-duration / m->constants[TONE_TIME]);
+        double sin, cos;
+        sine_and_cosine(*h->frequency * duration, &sin, &cos);
+        D[stride + 1] = D[2 * stride + 2] = decay * cos;
         D[stride + 2] = decay * sin;
         D[2 * stride + 1] = -(decay * sin);
+        added[stride + 1] = added[2 * stride + 2] = *h->size * *h->size * (1.0 - decay * decay);
+    } else if (*h->kind == COLOURED_NOISE || *h->kind == DRIFT) {
+        const int is_drift = *h->kind == DRIFT;
+        const double size = m->constants[is_drift ? DRIFT_SIZE : COLOUR_SIZE];
+        const double time = m->constants[is_drift ? DRIFT_TIME : COLOUR_TIME];
+        const double decay = exponential(-duration / time);
+        const double noise = size * size * (1.0 - decay * decay);
+        for (long j = 0; j < m->s.p; j++) {
+            const long place = (j + 1) * (stride + 1);
+            D[place] = decay;
+            added[place] = noise * m->R[j * (m->s.p + 1)];
+        }
     }
 }
 

@@ -27,10 +27,6 @@ enum {
     SHAPE_SQUARE_REST
 };
 
-/* Return the grade at z and write its slope, at a corner that of one side; both are NaN if z is,
- * but for SHAPE_ALWAYS. `parameters` has four. */
-double grade_and_slope(int64_t shape, double z, const double *parameters, double *slope);
-
 /* Write the normalised weights h(z) of r rules with q premises, and the slopes dh_i/dz_j (r, q)
  * unless NULL; all are NaN if no rule fires. */
 void rule_weights(

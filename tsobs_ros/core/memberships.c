@@ -55,24 +55,23 @@ static double square(double z, double half_width, double *slope)
 /* h in sin z = (h + (1 - h) bottom) z; 0 and level outside of |z| < width. */
 static double share_of_sine(double z, double half_width, double bottom, double *slope)
 {
-    double sin, cos, fall, ratio;
+    double sin, cos;
     if (fabs(z) >= half_width) {
         *slope = 0.0;
         return 0.0;
     }
     sine_and_cosine(z, &sin, &cos);
     /* (z cos z - sin z)/z^2 loses every digit near 0. */
-    if (fabs(z) < 1e-3) {
-        fall = -z / 3.0 + z * z * z / 30.0;
-    } else {
-        fall = (z * cos - sin) / (z * z);
-    }
-    ratio = z != 0.0 ? sin / z : 1.0;
+    const int is_small = fabs(z) < 1e-3;
+    const double fall = is_small ? -z / 3.0 + z * z * z / 30.0 : (z * cos - sin) / (z * z);
+    const double ratio = z != 0.0 ? sin / z : 1.0;
     *slope = fall / (1.0 - bottom);
     return clipped((ratio - bottom) / (1.0 - bottom));
 }
 
-double grade_and_slope(int64_t shape, double z, const double *parameters, double *slope)
+/* Return the grade at z and write its slope, at a corner that of one side; both are NaN if z is,
+ * but for SHAPE_ALWAYS. `parameters` has four. */
+static double grade_and_slope(int64_t shape, double z, const double *parameters, double *slope)
 {
     double grade;
     *slope = 0.0;
@@ -102,47 +101,18 @@ double grade_and_slope(int64_t shape, double z, const double *parameters, double
     return 1.0 - grade;
 }
 
-/* Divide the grades of r rules by their sum, in place, and return the sum. Both are NaN if no grade
- * is above 0, or one is negative or not finite; the sum of huge grades is infinite. */
-static double normalise(double *grades, long r)
-{
-    double largest = 0.0, total = 0.0, scale;
-    for (long i = 0; i < r; i++) {
-        if (!(0.0 <= grades[i] && grades[i] < HUGE_VAL)) {
-            largest = (double)NAN;
-            break;
-        }
-        largest = grades[i] > largest ? grades[i] : largest;
-    }
-    if (!(largest > 0.0)) {
-        for (long i = 0; i < r; i++) {
-            grades[i] = (double)NAN;
-        }
-        return (double)NAN;
-    }
-    /* A sum of huge grades overflows; multiplying them by 2^-100 loses no digit. */
-    scale = largest > 1e300 ? 7.888609052210118e-31 : 1.0;
-    for (long i = 0; i < r; i++) {
-        grades[i] *= scale;
-        total += grades[i];
-    }
-    for (long i = 0; i < r; i++) {
-        grades[i] /= total;
-    }
-    return total / scale;
-}
-
 void rule_weights(
     const int64_t *shapes, const double *parameters, const double *z, double *weights,
     double *slopes, long r, long q)
 {
-    double total;
+    double total = 0.0;
     for (long i = 0; i < r; i++) {
         weights[i] = 1.0;
         for (long j = 0; j < q; j++) {
             const long place = i * q + j;
-            double slope, grade;
-            grade = grade_and_slope(shapes[place], z[j], parameters + 4 * place, &slope);
+            double slope;
+            const double grade
+                = grade_and_slope(shapes[place], z[j], parameters + 4 * place, &slope);
             for (long before = 0; slopes != NULL && before < j; before++) {
                 slopes[i * q + before] *= grade;
             }
@@ -151,8 +121,11 @@ void rule_weights(
             }
             weights[i] *= grade;
         }
+        total += weights[i];
     }
-    total = normalise(weights, r);
+    for (long i = 0; i < r; i++) {
+        weights[i] = total > 0.0 ? weights[i] / total : (double)NAN;
+    }
     for (long j = 0; slopes != NULL && j < q; j++) {
         double sum_of_slopes = 0.0;
         for (long i = 0; i < r; i++) {

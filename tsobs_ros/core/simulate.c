@@ -45,28 +45,21 @@ static void arm_slope(
                rub(*arm->motor_rub, x[3]);
 }
 
-/* Write a state that lies a time along a slope, x + t k. */
-static void reach(const double *x, double time, const double *slope, double *result)
-{
-    for (int i = 0; i < 4; i++) {
-        result[i] = x[i] + time * slope[i];
-    }
-}
-
 /* Move an arm's state x, (4), by one integration step. */
 static void step_arm(const simulated_arm *arm, double drive, double brake, double *x)
 {
     const double h = *arm->substep;
-    double a[4], b[4], c[4], d[4], at[4];
-    arm_slope(arm, x, drive, brake, a);
-    reach(x, 0.5 * h, a, at);
-    arm_slope(arm, at, drive, brake, b);
-    reach(x, 0.5 * h, b, at);
-    arm_slope(arm, at, drive, brake, c);
-    reach(x, h, c, at);
-    arm_slope(arm, at, drive, brake, d);
+    double slopes[4][4], at[4];
+    memcpy(at, x, sizeof at);
+    for (int stage = 0; stage < 4; stage++) {
+        const double time = stage == 2 ? h : 0.5 * h;
+        arm_slope(arm, at, drive, brake, slopes[stage]);
+        for (int i = 0; i < 4; i++) {
+            at[i] = x[i] + time * slopes[stage][i];
+        }
+    }
     for (int i = 0; i < 4; i++) {
-        x[i] += h / 6.0 * (a[i] + 2.0 * (b[i] + c[i]) + d[i]);
+        x[i] += h / 6.0 * (slopes[0][i] + 2.0 * (slopes[1][i] + slopes[2][i]) + slopes[3][i]);
     }
 }
 
@@ -84,11 +77,9 @@ static void less_friction_and_payload(const simulated_arm *arm, const double *x,
         torques[1] -= *arm->link_inertia * *arm->link_spring * slack;
     }
     if (inertia > 0.0 || weight > 0.0) {
-        const double pull = *arm->gravity * sine(x[0]);
-        double speeding = *arm->link_spring * twist_of(arm, x) - pull - *arm->link_drag * x[1];
-        speeding -= rub(*arm->link_rub, x[1]);
-        speeding += push / *arm->link_inertia;
-        torques[1] -= inertia * speeding + weight * sine(x[0]);
+        double slope[4];
+        arm_slope(arm, x, 0.0, (0.0 - push) / *arm->link_inertia, slope);
+        torques[1] -= inertia * slope[1] + weight * sine(x[0]);
     }
 }
 

@@ -48,7 +48,6 @@ static double first_cosine(double angle)
 void sine_and_cosine(double angle, double *sin, double *cos)
 {
     long quarters = 0;
-    double at_sine, at_cosine;
     if (!(fabs(angle) <= 1e6)) {
         /* What is lost is less than the rounding of so large an angle. */
         angle = fmod(angle, TWO_PI);
@@ -62,8 +61,7 @@ void sine_and_cosine(double angle, double *sin, double *cos)
         angle = less_quarters(angle, whole);
         quarters = (long)whole;
     }
-    at_sine = first_sine(angle);
-    at_cosine = first_cosine(angle);
+    const double at_sine = first_sine(angle), at_cosine = first_cosine(angle);
     /* A quarter of a turn takes (sin, cos) to (cos, -sin). */
     *sin = quarters & 1 ? at_cosine : at_sine;
     *cos = quarters & 1 ? at_sine : at_cosine;
@@ -87,16 +85,14 @@ double cosine(double angle)
 
 double exponential(double x)
 {
-    double whole, high, low, r, t, c;
     if (!(x >= -745.2)) {
         return isnan(x) ? x : 0.0;
     }
-    whole = round_down(x * 1.44269504088896338700e00 + 0.5);
-    high = x - whole * 6.93147180369123816490e-01;
-    low = whole * 1.90821492927058770002e-10;
-    r = high - low;
-    t = r * r;
-    c = -1.65339022054652515390e-06 + t * 4.13813679705723846039e-08;
+    const double whole = round_down(x * 1.44269504088896338700e00 + 0.5);
+    const double high = x - whole * 6.93147180369123816490e-01;
+    const double low = whole * 1.90821492927058770002e-10;
+    const double r = high - low, t = r * r;
+    double c = -1.65339022054652515390e-06 + t * 4.13813679705723846039e-08;
     c = 6.61375632143793436117e-05 + t * c;
     c = -2.77777777770155933842e-03 + t * c;
     c = r - t * (1.66666666666666019037e-01 + t * c);
@@ -105,26 +101,21 @@ double exponential(double x)
 
 double logarithm(double x)
 {
-    double mantissa, f, s, z, w, even, odd, half, low;
     int power;
     if (!(0.0 < x && x < HUGE_VAL)) {
         return (double)NAN;
     }
-    mantissa = frexp(x, &power);
+    double mantissa = frexp(x, &power);
     if (mantissa < 0.70710678118654752440) {
         mantissa *= 2.0;
         power -= 1;
     }
-    f = mantissa - 1.0;
-    s = f / (2.0 + f);
-    z = s * s;
-    w = z * z;
-    even = w * (0.2222219843214978396 + w * 0.1531383769920937332);
+    const double f = mantissa - 1.0, s = f / (2.0 + f), z = s * s, w = z * z;
+    double even = w * (0.2222219843214978396 + w * 0.1531383769920937332);
     even = w * (0.3999999999940941908 + even);
-    odd = w * (0.1818357216161805012 + w * 0.1479819860511658591);
+    double odd = w * (0.1818357216161805012 + w * 0.1479819860511658591);
     odd = w * (0.2857142874366239149 + odd);
     odd = z * (0.6666666666666735130 + odd);
-    half = 0.5 * f * f;
-    low = power * 1.90821492927058770002e-10;
+    const double half = 0.5 * f * f, low = power * 1.90821492927058770002e-10;
     return power * 6.93147180369123816490e-01 - ((half - (s * (half + even + odd) + low)) - f);
 }
