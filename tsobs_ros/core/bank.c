@@ -155,7 +155,7 @@ void take_torque(const model *m, state *at, const double *u)
     if (*m->torque_limit > 0.0) {
         /* A first torque has none before it: its age is infinite. Late samples and those of two
          * sensors may be as close as can be. */
-        const double elapsed = larger(*at->torque_age, *m->period);
+        const double elapsed = maximum(*at->torque_age, *m->period);
         const double before = m->s.past > 0 ? at->past[0] : at->held[0];
         if (!isfinite(u[0]) || !(fabs(u[0]) <= *m->torque_limit)
             || fabs(at_motor(m, u[0]) - before)
@@ -265,17 +265,17 @@ static void wake(const model *m, state *at)
 static void scale_noise(const model *m, sensor *of, double innovation, double variance)
 {
     const double elapsed = minimum(*of->since, *m->longest);
-    const double limit = larger(*of->noise_scale, 1.0) * *m->gate;
+    const double limit = maximum(*of->noise_scale, 1.0) * *m->gate;
     const int64_t kind = fabs(innovation) > limit * sqrt(variance) ? OUTLIER : REGULAR;
     /* An outlier and its neighbour show nothing; if most are outliers, the noise is larger. */
     if (*of->paired == kind) {
         const double expected = sqrt(2.0 * variance) * MEDIAN;
-        const double rate = larger(20.0 / (1.0 + 20.0 * *of->scale_age), 1.0);
+        const double rate = maximum(20.0 / (1.0 + 20.0 * *of->scale_age), 1.0);
         const double step = 1.0 + 0.5 * rate * elapsed;
         if (fabs(innovation - *of->previous) > *of->noise_scale * expected) {
             *of->noise_scale *= step;
         } else {
-            *of->noise_scale = larger(*of->noise_scale / step, m->constants[LEAST_SCALE]);
+            *of->noise_scale = maximum(*of->noise_scale / step, m->constants[LEAST_SCALE]);
         }
         *of->scale_age += elapsed;
     }
@@ -299,7 +299,7 @@ static void count_repeats(
     const double change = fabs(innovation - *of->before);
     *of->before = innovation;
     if (difference == 0.0) {
-        const double own = sqrt(larger(variance - noise, 0.0));
+        const double own = sqrt(maximum(variance - noise, 0.0));
         const double step = *of->step > 0.0 ? *of->step : sqrt(noise);
         *of->nearest = minimum(*of->nearest, distance);
         *of->repeats += *of->rough > hidden * step || distance > *of->nearest + step + own;
@@ -414,7 +414,7 @@ static tone_table find_candidates(const model *m, state *at)
 {
     const int is_arm = *m->design_flow.kind == KIND_ARM && m->s.m > 0 && m->s.plant > 1;
     const double own = m->domain[1] / m->domain[0];
-    const double elapsed = larger(*at->since, *m->period);
+    const double elapsed = maximum(*at->since, *m->period);
     const double share = share_of(minimum(elapsed, *m->longest), m->constants[AWAKE]);
     double *moments = at->torque_moments;
     tone_table table = {{m->constants[FIRST_TONE]}, {0}};
@@ -447,7 +447,7 @@ static void listen(const model *m, state *at, const correction *effect)
     const tone_table table = find_candidates(m, at);
     for (long i = 0; i < m->s.p; i++) {
         const sensor of = sensor_of(m, at, i);
-        const double elapsed = larger(*of.since, *m->period);
+        const double elapsed = maximum(*of.since, *m->period);
         const double share = share_of(minimum(elapsed, *m->longest), m->constants[AWAKE]);
         const double r = effect->innovations[i] / sqrt(effect->variances[i]);
         double loud[TONES + 2] = {0.0}; /* of the candidates, and 0 beyond both ends */
@@ -627,7 +627,7 @@ static void compare(const model *m, state *at)
     for (long i = 0; find_live(m, at, &i, &h); i++) {
         *h.score -= most;
         if (i < STANDING) {
-            *h.score = larger(*h.score, -m->constants[FLOOR]);
+            *h.score = maximum(*h.score, -m->constants[FLOOR]);
         }
     }
 }
@@ -658,7 +658,7 @@ static int moves(const model *m, state *at, const hypothesis *h)
     for (long i = 0; i < m->s.plant; i++) {
         const double off = h->x[i] - at->centre[i];
         const double least
-            = m->constants[MOVING] * larger(*at->noise_scale, 1.0) * m->state_std[i];
+            = m->constants[MOVING] * maximum(*at->noise_scale, 1.0) * m->state_std[i];
         at->centre[i] += share * off;
         at->spread[i] = (1.0 - share) * (at->spread[i] + share * off * off);
         moving = moving || at->spread[i] > least * least;
@@ -709,7 +709,7 @@ static void fork_best(const model *m, state *at, long best, correction *effect)
 static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, correction *effect)
 {
     const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
-    const double elapsed = minimum(larger(*at->since, *m->period), *m->longest);
+    const double elapsed = minimum(maximum(*at->since, *m->period), *m->longest);
     double there = 0.0, used = 0.0;
     for (long i = 0; i < m->s.p; i++) {
         there = maximum(there, effect->weight[i]);

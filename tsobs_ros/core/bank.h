@@ -32,13 +32,13 @@ static inline double share_of(double duration, double time)
 /* Size of an output's white noise relative to the design's, at least 1. */
 static inline double noise_of(const model *m, const state *at, long output)
 {
-    return *m->supervised != 0 ? larger(*sensor_of(m, at, output).noise_scale, 1.0) : 1.0;
+    return *m->supervised != 0 ? maximum(*sensor_of(m, at, output).noise_scale, 1.0) : 1.0;
 }
 
 /* The largest of these sizes. */
 static inline double scale_of(const model *m, const state *at)
 {
-    return *m->supervised != 0 ? larger(*at->noise_scale, 1.0) : 1.0;
+    return *m->supervised != 0 ? maximum(*at->noise_scale, 1.0) : 1.0;
 }
 
 /* Return whether a hypothesis counts in what is read. */

@@ -137,7 +137,7 @@ static outlook look(const model *m, const state *at, const hypothesis *h, long i
         const double *row = h->upsilon + a * width;
         omega[a] = dot(m->C + i * width, row, n) + (place < 0 ? 0.0 : row[place]);
     }
-    of.variance = of.known + (k > 0 ? larger(quadratic(h->gamma, k, omega, k), 0.0) : 0.0);
+    of.variance = of.known + (k > 0 ? maximum(quadratic(h->gamma, k, omega, k), 0.0) : 0.0);
     if (!(effect->weight[i] > 0.0)) {
         return of;
     }
@@ -170,7 +170,7 @@ static void follow(
     double variance)
 {
     /* After a gap the averages go on where they were. */
-    const double elapsed = minimum(larger(*sensor_of(m, at, output).since, *m->period), *m->longest);
+    const double elapsed = minimum(maximum(*sensor_of(m, at, output).since, *m->period), *m->longest);
     const double share = share_of(elapsed, 1.0) / (double)m->s.p;
     const double slow_share = share_of(elapsed, m->constants[SLOW_TIME]);
     const double r = minimum(maximum(innovation / sqrt(variance), -*m->gate), *m->gate);
@@ -192,17 +192,17 @@ static double inflation_of(const model *m, const hypothesis *h)
 {
     const long n = (long)m->s.n, width = (long)m->s.width;
     const double alike
-        = maximum(*h->colour / larger(*h->nis, 1.0) - 3.0 * sqrt(0.5 * *m->period), 0.0);
+        = maximum(*h->colour / maximum(*h->nis, 1.0) - 3.0 * sqrt(0.5 * *m->period), 0.0);
     double inflation = 1.0;
     if (*h->certified == 0) {
         double total = 0.0;
         for (long i = 0; i < n; i++) {
             total += dot(m->P + i * width, h->covariance + i * width, n);
         }
-        inflation = larger(total / (double)n, 1.0);
+        inflation = maximum(total / (double)n, 1.0);
     }
     if (*m->supervised != 0) {
-        inflation *= larger(*h->nis, 1.0) * ((1.0 + alike) / (1.0 - alike));
+        inflation *= maximum(*h->nis, 1.0) * ((1.0 + alike) / (1.0 - alike));
     }
     return inflation;
 }
@@ -332,7 +332,7 @@ double correct_by(
         }
     }
     if (*h->kind == TONE) {
-        turn_frequency(m, h, before, larger(*sensor_of(m, at, output).since, *m->period));
+        turn_frequency(m, h, before, maximum(*sensor_of(m, at, output).since, *m->period));
     }
     return of.likelihood;
 }

@@ -105,13 +105,12 @@ typedef struct {
     double before[4], sin, drive, external;
 } kick;
 
-/* Return what effects (four by x, the others by place) add to an acceleration in a unit of time. */
-static double added(
-    const double *by_state, const double *effects, long by_sine, long by_torque, long by_external,
-    const kick *now)
+/* Return what effects add to the acceleration of the link, or of the motor, in a unit of time. */
+enum { OF_LINK, OF_MOTOR };
+static double added(const double *effects, int of, const kick *now)
 {
-    return dot(by_state, now->before, 4) + effects[by_sine] * now->sin
-           + effects[by_torque] * now->drive + effects[by_external] * now->external;
+    return dot(effects + 4 * of, now->before, 4) + effects[LINK_SINE + of] * now->sin
+           + effects[LINK_TORQUE + of] * now->drive + effects[LINK_EXTERNAL + of] * now->external;
 }
 
 /* Kick both velocities by gravity and by theta for half a step, whose effects sum to `total`; and if
@@ -127,8 +126,8 @@ static void kick_arm(
     kick now = {{x[0], x[1], x[2], x[3]}, 0.0, torque + dot(f->motor_torque, x, n),
                 dot(f->link_torque, x, n)};
     sine_and_cosine(x[0], &now.sin, &cos);
-    x[1] += added(total, total, LINK_SINE, LINK_TORQUE, LINK_EXTERNAL, &now);
-    x[3] += added(total + 4, total, MOTOR_SINE, MOTOR_TORQUE, MOTOR_EXTERNAL, &now);
+    x[1] += added(total, OF_LINK, &now);
+    x[3] += added(total, OF_MOTOR, &now);
     if (wanted == NOTHING) {
         return;
     }
@@ -148,8 +147,8 @@ static void kick_arm(
         row[1] += on_link;
         row[3] += on_motor;
         if (i < k) {
-            row[1] += half * added(by, by, LINK_SINE, LINK_TORQUE, LINK_EXTERNAL, &now);
-            row[3] += half * added(by + 4, by, MOTOR_SINE, MOTOR_TORQUE, MOTOR_EXTERNAL, &now);
+            row[1] += half * added(by, OF_LINK, &now);
+            row[3] += half * added(by, OF_MOTOR, &now);
         } else {
             row[1] += total[LINK_TORQUE];
             row[3] += total[MOTOR_TORQUE];
@@ -161,22 +160,19 @@ static void kick_arm(
 static void shear(long n, const double *link, const double *motor, double *changes, double *S)
 {
     double *at_link = S + n, *at_motor = S + 3 * n;
-    double corner, both;
     multiply(link, S, changes, 1, n, n);
     multiply(motor, S, changes + n, 1, n, n);
     add_scaled(at_link, 1.0, changes, n);
     add_scaled(at_motor, 1.0, changes + n, n);
     /* Of the columns only what is in these rows is not known yet, as S is symmetric. */
-    corner = dot(link, at_link, n);
-    both = dot(link, at_motor, n);
+    const double corner = dot(link, at_link, n);
+    const double both = dot(link, at_motor, n);
     at_motor[3] += dot(motor, at_motor, n);
     at_link[1] += corner;
     at_motor[1] += both;
     at_link[3] = at_motor[1];
     for (long j = 0; j < n; j++) {
         S[j * n + 3] = at_motor[j];
-    }
-    for (long j = 0; j < n; j++) {
         S[j * n + 1] = at_link[j];
     }
 }

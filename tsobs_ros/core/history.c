@@ -38,7 +38,8 @@ static double *spare_numbers(const tracker *t, int64_t from_end)
     return t->ring + (size_t)(t->slots - from_end) * t->state_size;
 }
 
-int64_t newest_stamp(const tracker *t)
+/* Return the newest stamp [ns], 0 if there is none. */
+static int64_t newest_stamp(const tracker *t)
 {
     return *t->h.length > 0 ? stamp_at(t, *t->h.length - 1) : 0;
 }
@@ -167,8 +168,7 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
 {
     history *h = &t->h;
     double *numbers = numbers_at(t, *h->length);
-    state at = state_at(t, *h->length);
-    int64_t code;
+    state at = state_view(&t->m.s, numbers);
     int used = 0;
     if (*h->length == 0) {
         copy_state(&t->m, t->m.initial, numbers);
@@ -185,7 +185,7 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
         restart(t, numbers, &at, 1);
         correct_by_sample(t, &at, y, u);
     }
-    code = *at.torque_unknown != 0 ? IMPLAUSIBLE_TORQUE : USED;
+    int64_t code = *at.torque_unknown != 0 ? IMPLAUSIBLE_TORQUE : USED;
     for (int64_t i = 0; i < t->m.s.m; i++) {
         code = isnan(u[i]) ? UNKNOWN_INPUT : code;
     }

@@ -112,7 +112,4 @@ void advance(
     tracker *t, const measurements *given, const outcomes *written, const history_ticks *ticks,
     int64_t stale_after);
 
-/* Return the newest stamp [ns], 0 if there is none. */
-int64_t newest_stamp(const tracker *t);
-
 #endif

@@ -34,12 +34,6 @@ static inline long count_finite(const double *a, long n)
     return found;
 }
 
-/* Return the value, but at least so much; NaN stays. */
-static inline double larger(double value, double least)
-{
-    return value < least ? least : value;
-}
-
 /* Add c x to y. */
 static inline void add_scaled(double *restrict y, double c, const double *restrict x, long n)
 {

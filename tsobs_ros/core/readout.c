@@ -27,15 +27,12 @@ static double slowness_of(const model *m, const hypothesis *h)
  * bound is the certificate's, and by slow innovations, which a wrong model makes. */
 static double spread_of(const model *m, const state *at, const hypothesis *h, int slow)
 {
-    double spread = 1.0;
+    const double late = *at->late != 0 ? *m->late_factor : 1.0;
     if (*m->supervised == 0) {
-        return *at->late != 0 ? *m->late_factor : 1.0;
+        return late;
     }
-    if (*h->certified != 0) {
-        spread = scale_of(m, at);
-        spread *= *at->late != 0 ? *m->late_factor : 1.0;
-    }
-    return spread * sqrt(larger(*h->nis, 1.0)) * (slow ? larger(slowness_of(m, h), 1.0) : 1.0);
+    const double spread = *h->certified != 0 ? scale_of(m, at) * late : 1.0;
+    return spread * sqrt(maximum(*h->nis, 1.0)) * (slow ? maximum(slowness_of(m, h), 1.0) : 1.0);
 }
 
 /* What the hypotheses together say of a number. */
@@ -111,7 +108,7 @@ static double value_of(
 {
     const long width = (long)m->s.width, used = states_in_use(m, h), part = part_of(m, h, place);
     const double *row = what == TORQUE ? m->torque_map : m->disturbance_map;
-    double *functional = scratch->functional, value;
+    double *functional = scratch->functional;
     if (what == STATE) {
         *variance = h->covariance[place * (width + 1)];
         for (long a = 0; a < m->s.k; a++) {
@@ -127,7 +124,7 @@ static double value_of(
     for (long a = 0; a < m->s.k; a++) {
         scratch->share[a] = dot(functional, h->upsilon + a * width, used);
     }
-    value = dot(functional, h->x, used);
+    double value = dot(functional, h->x, used);
     if (what == DISTURBANCE && *m->gain_mode == GAIN_OPEN) {
         value += dot(m->disturbance_direct + place * m->s.p, at->sample, (long)m->s.p);
     }
@@ -142,14 +139,14 @@ static mixture read_one(
     const long k = (long)m->s.k;
     mixture all = {0.0, 0.0, 0.0};
     for (long j = 0; j < m->s.hypotheses; j++) {
-        hypothesis h;
-        double variance, value, own, added, shift = 0.0, curved = 0.0;
+        double variance, shift = 0.0, curved = 0.0;
         if (!(scratch->weights[j] > 0.0)) {
             continue;
         }
-        h = hypothesis_of(m, at, j);
-        value = value_of(m, at, &h, what, place, &variance, scratch);
-        own = *m->gain_mode == GAIN_OPEN
+        const hypothesis h = hypothesis_of(m, at, j);
+        const double value = value_of(m, at, &h, what, place, &variance, scratch);
+        const double own
+            = *m->gain_mode == GAIN_OPEN
                   ? least
                   : (*h.certified != 0 ? least : root(variance)) * spread_of(m, at, &h, what != TORQUE);
         for (long a = 0; a < k; a++) {
@@ -157,7 +154,7 @@ static mixture read_one(
             shift += scratch->share[a] * h.pending[a];
             curved += scratch->share[a] * (m->constants[CURVED] * moved);
         }
-        added = k > 0 ? larger(quadratic(h.gamma, k, scratch->share, k), 0.0) : 0.0;
+        const double added = k > 0 ? maximum(quadratic(h.gamma, k, scratch->share, k), 0.0) : 0.0;
         mix(&all, scratch->weights[j], value,
             root(own * own + (added + shift * shift + curved * curved)));
     }
