@@ -151,9 +151,9 @@ def _in_place(estimator: Estimator, y: Array, u: Array) -> Step:
     records = (
         estimator.model,
         estimator.initial(),
-        estimator.new_correction(),
+        estimator.new_record("correction"),
         estimator.new_rows(1),
-        estimator.new_work(),
+        estimator.new_record("work"),
     )
     model, states, corrections, rows, work = (each.view(np.float64) for each in records)
     samples, inputs, period = list(y), list(u), estimator.period
@@ -239,10 +239,10 @@ def _worst(design: Design, turns: int) -> dict[str, float]:
     runs = simulate(SCENARIOS["stiff"], [1], 10.0)
     y, u = runs.measurements[0], runs.torques[0]
     start = _awake(estimator, y[:-1], u[:-1])
-    states, work = start.copy(), estimator.new_work()
+    states, work = start.copy(), estimator.new_record("work")
     model = estimator.model.view(np.float64)
     memory, scratch = states.view(np.float64), work.view(np.float64)
-    corrections = estimator.new_correction().view(np.float64)
+    corrections = estimator.new_record("correction").view(np.float64)
     rows = estimator.new_rows(1).view(np.float64)
     samples, inputs, period = [y[-1], y[-1] + 1.0], u[-1].copy(), estimator.period
     numbers, before = states.view(np.float64), start.view(np.float64)

@@ -16,12 +16,12 @@ from tsobs_ros.campaign.drawing import violated
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
+from tsobs_ros.estimation.cramer_rao import cramer_rao_std
 from tsobs_ros.methods import METHODS, ObserverSettings, make_estimator
 from tsobs_ros.model.disturbance import DisturbanceTerm, sum_of
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.report.comparison import aligned, number_text
-from tsobs_ros.report.metrics import JUMP, SIGMAS, RunMetrics, measure
+from tsobs_ros.report.metrics import JUMP, RunMetrics, measure
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor
@@ -66,7 +66,6 @@ _BIASED = [
 _OFFSET_STD = 0.3
 """1σ of the sensor's offset beforehand [rad], as of the default disturbance model."""
 
-_KNOWN = ArmRequest(uncertainty={})
 _UNBOUNDED = {
     "friction", "payload", "backlash", "torque disturbance", "torque error", "coloured noise",
     "bursts", "latency", "resolution",
@@ -168,19 +167,13 @@ def render_scenarios(comparison: Mapping[str, Any]) -> str:
 
 def scores(runs: Sequence[RunMetrics]) -> dict[str, Any]:
     """Return an observer's errors in the runs of a scenario, as plain data."""
-    quantities = {
-        each[0].quantity.key: each for each in zip(*(run.quantities for run in runs), strict=True)
-    }
-    inside = {}
-    for key, each in quantities.items():
-        shares = [one.inside for one in each if one.inside is not None]
-        if len(shares) == len(runs):
-            inside[key] = float(np.mean(shares))
+    normalised = [run.normalised_rmse for run in runs]
+    quantities = zip(*(run.quantities for run in runs), strict=True)
+    rmse = {each[0].quantity.key: _root_mean([one.rmse for one in each]) for each in quantities}
     return {
-        "normalised_rmse": _root_mean([run.normalised_rmse for run in runs]),
-        "rmse": {key: _root_mean([one.rmse for one in each]) for key, each in quantities.items()},
-        "normalised_rmse_of_runs": [run.normalised_rmse for run in runs],
-        **({f"inside_{SIGMAS:g}_sigma": inside} if inside else {}),
+        "normalised_rmse": _root_mean(normalised),
+        "rmse": rmse,
+        "normalised_rmse_of_runs": normalised,
     }
 
 
@@ -228,7 +221,7 @@ def _tuned(design: Design, settings: ObserverSettings, runs: Trajectories) -> Ob
 
 def why_unbounded(scenario: Scenario) -> str:
     """Return why a scenario has no Cramér–Rao bound, empty if it has one."""
-    found = [name for name in violated(scenario, _KNOWN) if name in _UNBOUNDED]
+    found = [name for name in violated(scenario, ArmRequest(uncertainty={})) if name in _UNBOUNDED]
     stuck = any(isinstance(each, StuckSensor) for each in scenario.outputs[0].disturbance)
     return ", ".join([*found, *["a stuck sensor"] * stuck])
 
@@ -250,11 +243,12 @@ def _bound(scenario: Scenario, runs: Trajectories) -> dict[str, Any]:
     # An estimator that knew which samples are outliers would use all others.
     sensor = scenario.outputs[0].sensor
     share = np.isfinite(runs.measurements[..., 0]).mean(axis=0) * (1.0 - sensor.outlier_probability)
-    information = share * white_information(sensor.noise_std, sensor.noise_degrees)
+    if degrees := sensor.noise_degrees:  # Fisher information of Student's t
+        share *= (degrees + 1.0) / (degrees + 3.0)
     std = cramer_rao_std(
         flow,
         arm.from_physical(runs.physical),
-        information,
+        share / sensor.noise_std**2,
         initial_std=start,
         offset_std=_OFFSET_STD,
         jumps=jumps,

@@ -45,8 +45,8 @@ def zeros(*shape: int, kind: Any = float) -> Any:
 def calls() -> dict[str, dict[str, Any]]:
     """Return arguments of each function that are right; arrays have no number too many."""
     model, states = numbers(ESTIMATOR.model.copy()), numbers(ESTIMATOR.initial())
-    rows, work = zeros(ESTIMATOR.row_type.itemsize // 8), numbers(ESTIMATOR.new_work())
-    corrections = numbers(ESTIMATOR.new_correction())
+    rows, work = zeros(ESTIMATOR.row_type.itemsize // 8), numbers(ESTIMATOR.new_record("work"))
+    corrections = numbers(ESTIMATOR.new_record("correction"))
     estimator = {"model": model, "states": states}
     one = tracker()
     own = numbers(one.estimator.model.copy())

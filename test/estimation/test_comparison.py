@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import THETA_STD, THETA_WANDER, high_gain_matrix
-from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
+from tsobs_ros.estimation.cramer_rao import cramer_rao_std
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
@@ -117,7 +117,7 @@ START = np.array([0.05, 0.1, 0.5, 0.5, 0.1])
 def test_the_bound_of_a_linear_arm_is_the_kalman_filters_covariance() -> None:
     arm = ElasticJointArm(gravity_torque=1e-12)
     linear = ArmFlow(arm, DisturbanceTerm("gauss_markov").model, ProcessNoise(), PERIOD)
-    information = np.full(COUNT, white_information(STD))
+    information = np.full(COUNT, STD**-2)
     information[200:300] = 0.0
 
     bound = cramer_rao_std(

@@ -26,7 +26,6 @@ that takes a constant for known is biased in it. It may have smaller errors if t
 takes it for.
 """
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -104,10 +103,3 @@ def _derivatives(flow: ArmFlow, states: Array, part: slice) -> tuple[Array, Arra
     root = np.linalg.inv(np.linalg.cholesky(step.noise))
     white = np.moveaxis(root @ (A - mean)[..., 1:, :], 0, 1).reshape(len(after), runs * n, -1)
     return mean, np.swapaxes(white, 1, 2) @ white / runs
-
-
-def white_information(std: float, degrees: int = 0) -> float:
-    """Return the Fisher information of a sample about its mean [1/unit²]: 1/σ² of normal noise, and
-    (ν + 1)/(ν + 3)/σ² of Student's t with ν degrees."""
-    share = (degrees + 1.0) / (degrees + 3.0) if degrees else 1.0
-    return share / math.pow(std, 2.0)

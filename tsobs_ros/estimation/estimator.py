@@ -115,7 +115,7 @@ class Estimator:
     def __init__(self, shape: Shape, model: Record, lacking: tuple[str, ...] = ()) -> None:
         self.shape, self.model, self.lacking = shape, model, lacking
         self._types = types_of(tuple(model["sizes"][0].tolist()))
-        self._work = self.new_work()
+        self._work = self.new_record("work")
         full = self._types["estimate"]
         nothing, fields = (np.float64, (0,)), [(name, *full.fields[name]) for name in full.names]
         rows: Any = {
@@ -178,13 +178,9 @@ class Estimator:
             one[name] = value
         one["initial"]["hypotheses"][0]["gamma"] = np.diag(one["theta_deviation"] ** 2)
 
-    def new_work(self) -> Record:
-        """Return a scratch record, for a thread of its own."""
-        return np.zeros(1, self._types["work"])
-
-    def new_correction(self) -> Record:
-        """Return a record for the effect of a sample."""
-        return np.zeros(1, self._types["correction"])
+    def new_record(self, name: str) -> Record:
+        """Return a "work", scratch for a thread of its own, or a "correction", zeros."""
+        return np.zeros(1, self._types[name])
 
     def new_rows(self, count: int) -> Rows:
         """Return rows of `row_type`, all NaN."""
@@ -203,7 +199,7 @@ class Estimator:
         Raises:
             ModelError: The measurement has another shape.
         """
-        after, effect = copy_records(state), self.new_correction()
+        after, effect = copy_records(state), self.new_record("correction")
         given = numbers_of(self.model), numbers_of(after), _vector("y", y, self.shape.p)
         native.estimator_correct(*given, numbers_of(effect))
         return after, Correction(*(effect[name][0] for name in Correction._fields))

@@ -58,6 +58,9 @@ class EventLog:
         coast_after: Age of the newest measurement for COASTING [s]; may be changed at any time.
         stale_after: Age of it for STALE [s].
 
+    Attributes:
+        changes: What has changed of each kind.
+
     Example:
         >>> log = EventLog("/joint_measurements", coast_after=0.1, stale_after=5.0)
         >>> good = Estimate(stamp=10**9)
@@ -72,8 +75,8 @@ class EventLog:
         self.coast_after = coast_after
         self._source, self._stale_after = source, stale_after
         usual = (None, Basis.STARTING, False, Learning.STARTING, Hypothesis.AS_DESIGNED, 0, False)
-        self._changes = {
-            kind: _Changes(kind, each) for kind, each in zip(EventKind, usual, strict=True)
+        self.changes = {
+            kind: Changes(kind, one) for kind, one in zip(EventKind, usual, strict=True)
         }
         self.restart()
 
@@ -82,18 +85,8 @@ class EventLog:
         self._waits_since: int | None = None
         self._newest: int | None = None
         self._noisy = False
-        for changes in self._changes.values():
+        for changes in self.changes.values():
             changes.restart()
-
-    def since(self, kind: EventKind) -> int | None:
-        """Return the stamp at which something became what it is [ns], None if it never changed."""
-        return self._changes[kind].since
-
-    def report(
-        self, kind: EventKind, stamp: int, value: Any, judged: tuple[Level, str], lasting: float
-    ) -> list[Event]:
-        """Take in a value that is no health, which must last so long [s]; return what is due."""
-        return self._changes[kind].report(stamp, value, judged, lasting)
 
     def update(self, estimate: Estimate) -> list[Event]:
         """Return what the next estimate, about 0.1 s after the last, gives occasion to report."""
@@ -103,7 +96,7 @@ class EventLog:
         limit = max(self._stale_after, _SHORTEST_SILENCE) * NANOSECONDS
         if before is not None and newest - before > limit:
             events += self._go_stale(before)
-        self._newest, state = newest, self._changes[EventKind.STATE]
+        self._newest, state = newest, self.changes[EventKind.STATE]
         if phase_of(estimate.age, self.coast_after, self._stale_after) is Phase.TRACKING:
             text = f"TRACKING: measurements arrive on {self._source}"
             if before is not None:
@@ -119,7 +112,7 @@ class EventLog:
         judged = Level.OK, f"the sensor's noise is below {NOT_NOISY} times the design's"
         if self._noisy:
             judged = Level.WARN, f"the sensor's noise is {scale:.2g} times the design's"
-        events += self._changes[EventKind.NOISE].report(stamp, self._noisy, judged, _LASTING)
+        events += self.changes[EventKind.NOISE].report(stamp, self._noisy, judged, _LASTING)
         for kind, code in (
             (EventKind.BOUND, estimate.basis),
             (EventKind.LEARNING, estimate.learning),
@@ -128,12 +121,12 @@ class EventLog:
             void = kind is EventKind.BOUND and code.level is Level.WARN
             if code is not Learning.NONE:
                 lasting = 0.0 if void else _LASTING
-                events += self._changes[kind].report(stamp, code, code.judged, lasting)
+                events += self.changes[kind].report(stamp, code, code.judged, lasting)
         return sorted(events, key=lambda event: event.stamp)
 
     def silence(self, now: int) -> list[Event]:
         """Return what a time [ns] without an estimate gives occasion to report."""
-        state = self._changes[EventKind.STATE]
+        state = self.changes[EventKind.STATE]
         if self._newest is not None:
             late = now - self._newest > self._stale_after * NANOSECONDS
             return [*(self._go_stale(self._newest) if late else ()), *state.due(now)]
@@ -149,10 +142,10 @@ class EventLog:
         missing = f"nothing usable on {self._source} for {self._stale_after:g} s"
         text = f"STALE: {missing}; the next one restarts the estimate"
         since = newest + round(self._stale_after * NANOSECONDS)
-        return self._changes[EventKind.STATE].report(since, Phase.STALE, (Level.ERROR, text))
+        return self.changes[EventKind.STATE].report(since, Phase.STALE, (Level.ERROR, text))
 
 
-class _Changes(Debounce[Any]):
+class Changes(Debounce[Any]):
     """The changes of one kind, reported at most five times at once and then every ten seconds."""
 
     def __init__(self, kind: EventKind, usual: Any) -> None:

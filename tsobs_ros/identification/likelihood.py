@@ -135,8 +135,8 @@ def innovations(
         errors,
         variances,
         states,
-        numbers_of(estimator.new_correction()),
-        numbers_of(estimator.new_work()),
+        numbers_of(estimator.new_record("correction")),
+        numbers_of(estimator.new_record("work")),
     )
     return Innovations(errors, variances, states)
 

@@ -264,11 +264,6 @@ class Plant:
         # The error of a report takes the same path in estimators.
         self._error_path = TorqueDelay(replace(scenario.torque, offset=0.0), rate)
 
-    @property
-    def time(self) -> float:
-        """Time of the sample that the next step returns, since the start [s]."""
-        return self.index / self.scenario.rate
-
     def exchange(self, scenario: PlantScenario) -> None:
         """Go on with the signals and sensors of another scenario of the same plant.
 

@@ -55,11 +55,6 @@ def _held(angle: float) -> Scenario:
     return replace(_REST, initial_state=tuple(start), inputs=(Constant(torque),))
 
 
-def _wrong_effort(size: float) -> Scenario:
-    """Return a run in which one sample of the reported torque is wrong."""
-    return arm_with(torque_error=(Pulses(size, 30.0, 1.0 / _PLAIN.rate, 0.0),))
-
-
 def _tone(size: float, frequency: float) -> Sinusoid:
     return Sinusoid(size, frequency, 2.0)
 
@@ -82,8 +77,9 @@ _LOAD, _SMALL_LOAD = Payload(0.2, 2.0, 30.0), Payload(0.1, 1.0, 25.0)
 _STEP, _DRIFT, _SINUSOID = BiasStep(0.1, 30.0), GaussMarkov(0.1, 20.0), Sinusoid(0.2, 3.0, 2.0)
 _STEPS = (Pulses(0.15, 4.0, 4.0, 16.0), Pulses(-0.15, 12.0, 4.0, 16.0))
 _PULSES = Pulses(0.5, 8.0, 1.5, 8.0)
+_TONES = ["0.03_3", "0.03_8", "0.1_1", "0.1_3", "0.1_8", "0.1_12", "0.3_1", "0.3_3", "0.3_12"]
 
-PLAIN: dict[str, Scenario] = {
+SCENARIOS: dict[str, Scenario] = {
     "noise": _PLAIN,
     "bias_step": arm_with(_STEP),
     "sinusoid": arm_with(_SINUSOID),
@@ -96,11 +92,6 @@ PLAIN: dict[str, Scenario] = {
     "outliers": arm_with(Sensor(outlier_probability=0.01)),
     "dropouts": arm_with(_DROPOUTS),
     "stiff_dropouts": arm_with(_STIFF, _DROPOUTS),
-}
-"""One minute each at 200 Hz, u = sin t; "stiff" is +20 % stiffness, "soft_heavy" is −20 % stiffness
-with +20 % gravity."""
-
-HARD: dict[str, Scenario] = {
     # The world is not as designed, in ways that an observer has to cope with.
     "loud": arm_with(Sensor(3.0 * _SIGMA)),
     "stiff_loud_1.5": arm_with(_STIFF, _LOUDER),
@@ -124,38 +115,27 @@ HARD: dict[str, Scenario] = {
     "stiff_coarse": arm_with(_STIFF, replace(_ENCODER, noise_std=0.0)),
     "rest": _held(0.0),
     "held": _held(0.5),
-    "wrong_effort_10": _wrong_effort(10.0),
-    "wrong_effort_50": _wrong_effort(50.0),
-    "wrong_effort_200": _wrong_effort(200.0),
-    "wrong_effort_1000": _wrong_effort(1000.0),
+    **{  # one sample of the reported torque
+        f"wrong_effort_{size:g}": arm_with(
+            torque_error=(Pulses(size, 30.0, 1.0 / _PLAIN.rate, 0.0),)
+        )
+        for size in (10.0, 50.0, 200.0, 1000.0)
+    },
     # The model is wrong in ways that are not learnt.
     "slight_friction": arm_with(_SLIGHT),
     "friction": arm_with(_FRICTION),
     "link_friction": arm_with(Friction(link_viscous=0.1, link_coulomb=0.05)),
     "stiff_friction": arm_with(_STIFF, _FRICTION),
-    "correlated_0.8": arm_with(_correlated(0.8)),
-    "correlated_0.9": arm_with(_correlated(0.9)),
-    "correlated_0.97": arm_with(_correlated(0.97)),
+    **{f"correlated_{pole}": arm_with(_correlated(pole)) for pole in (0.8, 0.9, 0.97)},
     "stiff_correlated_0.9": arm_with(_STIFF, _correlated(0.9)),
     "late_10ms": arm_with(Sensor(latency=0.01)),
     "late_20ms": arm_with(Sensor(latency=0.02)),
     "payload": arm_with(Mismatch(link_inertia=0.2, gravity_torque=0.2)),
-}
-"""The same with noise, outliers, faults, forces and torques that no design foresees: noise of three
-times the design's or of Student's t with three degrees of freedom, bursts of four times the noise,
-outliers anywhere in ±π, pulses of 0.5 rad, steps of ±0.15 rad every four seconds, an encoder of ten
-bits, one wrong sample of the torque, friction of the motor of 0.3 N m s/rad and 0.15 N m, and noise
-with a pole from sample to sample."""
-
-_TONES = ["0.03_3", "0.03_8", "0.1_1", "0.1_3", "0.1_8", "0.1_12", "0.3_1", "0.3_3", "0.3_12"]
-TONES: dict[str, Scenario] = {
+    # A sensor that oscillates by so many rad at so many rad/s, of which no design knows.
     **{f"tone_{name}": arm_with(_tone(*map(float, name.split("_")))) for name in _TONES},
     "stiff_tone_0.1_3": arm_with(_STIFF, _tone(0.1, 3.0)),
     "stiff_tone_0.1_8": arm_with(_STIFF, _tone(0.1, 8.0)),
-}
-"""A sensor that oscillates by so many rad at so many rad/s, of which no design knows."""
-
-FURTHER: dict[str, Scenario] = {
+    # Drifts, inertias, payloads and play of the gear; other rates and motions; mixtures of three.
     "wander": arm_with(_walk(1e-4)),
     "wander_3": arm_with(_walk(3e-4)),
     "stiff_wander": arm_with(_STIFF, _walk(1e-4)),
@@ -186,12 +166,8 @@ FURTHER: dict[str, Scenario] = {
     "mix_inertia_wander_student": arm_with(_HEAVY_LINK, _STUDENT, _walk(1e-4)),
     "mix_payload_correlated_step": arm_with(_SMALL_LOAD, _correlated(0.9), _STEP),
 }
-"""A bias that wanders as designed and three times as much; inertias 10 % off; a payload of 20 %
-from 30 s on; play of the gear [rad]; every fifth sample missing at random; half the rate; a motion
-of a twentieth; and mixtures of three."""
-
-SCENARIOS: dict[str, Scenario] = PLAIN | HARD | TONES | FURTHER
-"""All of them by name."""
+"""All by name, one minute each at 200 Hz with u = sin t unless they say otherwise; "stiff" is +20 %
+stiffness, "soft_heavy" −20 % stiffness and +20 % gravity. docs/acceptance.md describes them."""
 
 
 def simulate(

@@ -148,7 +148,7 @@ class ObservedJoint:
         judged = Level.WARN if off else Level.OK, text
         self._seconds += 1
         stamp = self._seconds * NANOSECONDS
-        for event in self.events.report(EventKind.RATE, stamp, off, judged, _LASTING):
+        for event in self.events.changes[EventKind.RATE].report(stamp, off, judged, _LASTING):
             yield event.level, event.text
 
     def estimate(self, now: int) -> Estimate | None:
@@ -181,7 +181,8 @@ class ObservedJoint:
         self.touched |= beyond
         judged = Level.WARN if beyond else Level.OK, self.torque_text(estimate, beyond)
         lasting = 0.0 if beyond else self._parameters.fault.hold
-        return self.events.report(EventKind.CONTACT, estimate.stamp, beyond, judged, lasting)
+        changes = self.events.changes[EventKind.CONTACT]
+        return changes.report(estimate.stamp, beyond, judged, lasting)
 
     def torque_text(self, estimate: Estimate, beyond: bool) -> str:
         """Return an estimate's torque in words, and whether it is beyond its level."""

@@ -54,13 +54,13 @@ def _joint_statuses(joint: ObservedJoint, now: int) -> list[Status]:
     estimate = joint.latest
     if estimate is not None and isinstance(joint.request, ArmRequest):
         values = {"hypothesis": estimate.hypothesis.words}
-        values |= lasting(joint.events.since(EventKind.HYPOTHESIS), now)
+        values |= lasting(joint.events.changes[EventKind.HYPOTHESIS].since, now)
         statuses.append(Status("hypothesis", *estimate.hypothesis.judged, values))
     if estimate is not None and joint.learnt:
         learnt = zip(joint.learnt, estimate.parameters, estimate.parameter_bound, strict=True)
         values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
         values["learning"] = estimate.learning.words
-        values |= lasting(joint.events.since(EventKind.LEARNING), now)
+        values |= lasting(joint.events.changes[EventKind.LEARNING].since, now)
         message = estimate.learning.text
         if estimate.learning is Learning.ACTIVE:
             valid = estimate.parameters_valid
@@ -186,7 +186,7 @@ def _certificate_status(joint: ObservedJoint, now: int) -> Status:
         return Status("certificate", Level.OK, "no estimate yet", values)
     values["claimed"] = "yes" if estimate.claimed else "no"
     values["basis"] = estimate.basis.words
-    values |= lasting(joint.events.since(EventKind.BOUND), now)
+    values |= lasting(joint.events.changes[EventKind.BOUND].since, now)
     return Status("certificate", *estimate.basis.judged, values)
 
 

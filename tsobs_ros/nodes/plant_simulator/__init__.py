@@ -198,7 +198,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         """Take changed parameters over from the next sample on."""
         for plant, scenario in zip(self._plants, parameters.scenarios.values(), strict=True):
             plant.exchange(scenario)
-        time = self._plants[0].time
+        time = self._plants[0].index / self._plants[0].scenario.rate
         self.log(Level.OK, f"changed at t = {time:g} s, from which on new disturbances count")
 
     def _reset(self) -> tuple[bool, str]:
