@@ -39,7 +39,7 @@ sys.exit(code)
 
 def _parts(campaign: Campaign) -> dict[str, float]:
     """Return the median CPU time of each part [ns per sample]."""
-    design = campaign.file.design
+    design = campaign.design
     generator, normal = np.random.Generator(np.random.Philox(0)), np.empty(12 * 256)
     times: dict[str, list[float]] = {}
     repeats = campaign.entries.repeats

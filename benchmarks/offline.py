@@ -24,7 +24,6 @@ from tsobs_ros.bag.estimate_topics import sides
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.writer import BagWriter
-from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, run_observers
@@ -66,7 +65,7 @@ def _record(path: Path, design: Design, seconds: float) -> None:
 
 def _estimate(bag: Path, design: Design, output: Path | None) -> None:
     source = BagSource(bag)
-    observer = Observer("observer", ObserverSettings(), (DesignFile.of(design),))
+    observer = Observer("observer", ObserverSettings(), (design,))
     done = run_observers(source, [observer], output)[0].estimates
     assert done == source.count, f"{done} estimates of {source.count} samples"
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tsobs_ros.checks import Array, Flags, as_matrix, check_names, numbers
-from tsobs_ros.design.file import DesignFile, load_design_file
+from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
@@ -419,9 +419,9 @@ def _observers(
     if design is None:
         designs = source.choose_designs()
     else:
-        file = DesignFile.of(design) if isinstance(design, Design) else load_design_file(design)
-        source.take_for_system([file.design.request])
-        designs = {"own": (file,) * len(source.joints)}
+        design = design if isinstance(design, Design) else load_design(design)
+        source.take_for_system([design.request])
+        designs = {"own": (design,) * len(source.joints)}
     settings = settings or source.ran.settings()
     observers = make_observers(designs, methods or (settings.method,), settings)
     return source, without_misfits(observers)[0] if len(methods) > 1 else observers

@@ -13,17 +13,16 @@ import pytest
 
 from tsobs_ros.campaign.definition import Campaign, CampaignEntries, load_campaign
 from tsobs_ros.campaign.drawing import Drawn, check, draw_group, violated
-from tsobs_ros.design.file import DesignFile, load_design_file
+from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import TsobsError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 
 def campaign_of(scenario: dict[str, Any], design: Path | None = None, **entries: Any) -> Campaign:
-    file = load_design_file(design or config_path(SHIPPED_DESIGN))
-    return Campaign(CampaignEntries(scenarios={"only": scenario}, **entries), file)
+    known = load_design(design)
+    return Campaign(CampaignEntries(scenarios={"only": scenario}, **entries), known)
 
 
 def draw(campaign: Campaign, run: int) -> Drawn:
@@ -43,7 +42,7 @@ def test_a_run_is_drawn_by_its_number_alone(short: Campaign) -> None:
     ] * 2
     assert forwards[2].theta != forwards[3].theta
     other = replace(short.entries, seed=4)
-    assert draw(Campaign(other, short.file), 0) != forwards[0]
+    assert draw(Campaign(other, short.design), 0) != forwards[0]
 
 
 def test_numbers_fill_their_ranges_and_the_designs_bounds(short: Campaign) -> None:
@@ -67,8 +66,8 @@ def test_damping_and_inertia_are_those_that_a_design_calls_uncertain() -> None:
         arm=ElasticJointArm(link_damping=0.2),
         uncertainty={"link_damping": 0.5, "motor_damping": 0.5, "link_inverse_inertia": 0.5},
     )
-    file = load_design_file(config_path(SHIPPED_DESIGN))
-    asked = Campaign(CampaignEntries(), file._replace(design=replace(file.design, request=request)))
+    design = load_design()
+    asked = Campaign(CampaignEntries(), replace(design, request=request))
     for run in range(30):
         one = draw(asked, run)
         arm, friction = one.scenario.true_arm, one.scenario.friction
@@ -96,7 +95,7 @@ def test_two_encoders_and_a_contact_have_what_their_design_says(both_encoders: P
     assert motor.disturbance == ()
     (contact,) = one.scenario.torque_disturbance.link
     assert (contact.kind, contact.std, contact.time_constant) == ("gauss_markov", 2.0, 1.0)
-    request = load_design_file(both_encoders).design.arm_request
+    request = load_design(both_encoders).arm_request
     assert violated(one.scenario, request) == ("latency", "noise")
 
 
@@ -123,7 +122,7 @@ def test_two_encoders_and_a_contact_have_what_their_design_says(both_encoders: P
 def test_premises_of_the_bound(scenario: dict[str, Any], expected: str) -> None:
     asked = campaign_of(scenario)
     drawn = draw(asked, 0)
-    assert ", ".join(violated(drawn.scenario, asked.file.design.arm_request)) == expected
+    assert ", ".join(violated(drawn.scenario, asked.design.arm_request)) == expected
 
 
 def test_disturbances_with_a_model_in_the_design_are_foreseen() -> None:
@@ -135,7 +134,7 @@ def test_disturbances_with_a_model_in_the_design_are_foreseen() -> None:
         ]
     )
     n = request.flow.state_count
-    file = DesignFile("none", "", Design(request, np.eye(n), np.zeros((n, 1)), SolverReport()))
+    design = Design(request, np.eye(n), np.zeros((n, 1)), SolverReport())
     for scenario, expected in (
         ({"as_designed": True}, ()),
         ({"as_designed": True, "disturbance": [{"kind": "sinusoid", "frequency": 3.0}]}, ()),
@@ -146,7 +145,7 @@ def test_disturbances_with_a_model_in_the_design_are_foreseen() -> None:
         ),
         ({"disturbance": [{"kind": "ramp"}]}, ()),
     ):
-        asked = Campaign(CampaignEntries(scenarios={"only": scenario}), file)
+        asked = Campaign(CampaignEntries(scenarios={"only": scenario}), design)
         assert violated(draw(asked, 0).scenario, request) == expected
 
 

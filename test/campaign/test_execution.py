@@ -180,7 +180,7 @@ def test_a_run_is_made_again_as_a_bag_with_the_same_errors(
     asked = load_campaign(write(design=design, runs=3, duration=8.0, scenarios=scenarios))
     row = compute(asked, 2, 3)
     bag = rerun(asked, 2, tmp_path / "again")
-    run = read_run(BagSource(bag), asked.file.design.request)
+    run = read_run(BagSource(bag), asked.design.request)
     measured = measure(run, settle_time=0.3)
     assert measured.normalised_rmse == pytest.approx(row["normalised_rmse"][0], rel=1e-9)
     for one in measured.quantities:

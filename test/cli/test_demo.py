@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 from tsobs_ros.bag import BagReader
 from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, RECORDED_TOPICS
 from tsobs_ros.cli.main import main
-from tsobs_ros.design.file import load_design_file
+from tsobs_ros.design.file import checksum, load_design
 from tsobs_ros.replay.designs import recorded_observers
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
@@ -77,9 +77,9 @@ def test_a_demo_leaves_a_bag_a_table_and_figures(demo: Demo, tmp_path: Path) -> 
     assert set(reader.topics) == {*RECORDED_TOPICS, *ADAPTIVE_TOPICS}
     check_disturbance(reader)
     check_layouts(reader)
-    ran, shipped = recorded_observers(reader)["/observer"], load_design_file(SHIPPED)
-    assert ran.designs["elastic_joint"][0].text == shipped.text
-    assert report["design"] == {"file": shipped.name, "sha256": shipped.sha256}
+    ran, shipped = recorded_observers(reader)["/observer"], load_design(SHIPPED)
+    assert ran.designs["elastic_joint"][0].text == shipped.source
+    assert report["design"] == {"file": shipped.file, "sha256": checksum(shipped)}
 
 
 def check_disturbance(reader: BagReader) -> None:
@@ -112,7 +112,7 @@ def check_layouts(reader: BagReader) -> None:
             assert topic in reader.topics
     assert set(re.findall(r'^  "(/.*)",$', script["sourceCode"], re.MULTILINE)) <= set(newest)
 
-    learnt = load_design_file(SHIPPED).design.request.uncertainty
+    learnt = load_design(SHIPPED).request.uncertainty
     series = {f"{topic}/{name}/position" for topic in ADAPTIVE_TOPICS for name in learnt} | {
         f"{topic}/{name}/{field}"
         for topic, message in newest.items()

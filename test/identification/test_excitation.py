@@ -114,6 +114,7 @@ def test_a_command_is_what_the_request_s_torque_path_makes_the_motor_s_torque_of
         ({}, {"candidates": 0}, "candidates"),
         ({}, {"free": ["stifness"]}, "stiffness"),
         ({"torque_limit": 5.0}, {"max_torque": 6.0}, "torque_limit = 5, got 6"),
+        ({}, {"max_torque": 1e-300}, "limits: expected room for a motion"),
         ({"rate": 15.0}, {}, "rate: expected at least"),
         ({"torque": TorquePath(offset=2.0)}, {"max_torque": 1.0}, "offset"),
     ],

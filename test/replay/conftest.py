@@ -14,7 +14,6 @@ from tsobs_ros.bag import BagWriter
 from tsobs_ros.bag.cdr import TICK_LOG
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
-from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.designs import STRING
@@ -89,7 +88,7 @@ def estimate(design: Design, tmp_path: Path) -> Callable[..., Run]:
         **options: Any,
     ) -> Run:
         source = BagSource(source) if isinstance(source, Path) else source
-        files = (DesignFile.of(design),) * len(source.joints)
+        files = (design,) * len(source.joints)
         observer = Observer("observer", settings or ObserverSettings(), files)
         path = None if output is None else tmp_path / output
         (made,) = run_observers(source, [observer], path, **{"window": 2**31, **options})

@@ -14,7 +14,7 @@ import tsobs_ros as ts
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.cdr import encode_text
 from tsobs_ros.cli.main import main
-from tsobs_ros.design.file import load_design_file, record_text, save_design
+from tsobs_ros.design.file import checksum, identity, load_design, record_text, save_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.methods import ObserverSettings
@@ -51,7 +51,7 @@ def estimate(bag: object, *options: str) -> int:
 
 
 def record(*designs: str, joints: tuple[str, ...] = ("elbow",), **parameters: Any) -> bytes:
-    files = [load_design_file(each) for each in designs]
+    files = [load_design(each) for each in designs]
     known = values_of(ObserverSettings()) | parameters
     return encode_text(record_text("/joint_measurements", joints, files, known))
 
@@ -84,7 +84,7 @@ def test_another_design_is_refused_with_both_names(
 
     (line,) = capsys.readouterr().err.splitlines()
     for file in (SHIPPED, FIXED) if command != "estimate" else (SHIPPED,):
-        assert f"{file} (SHA-256 {load_design_file(file).identity})" in line
+        assert f"{file} (SHA-256 {identity(load_design(file))})" in line
     assert "add --other-design" in line
 
 
@@ -96,7 +96,7 @@ def test_another_design_is_used_if_it_is_meant(live: str, tmp_path: Path, capsys
     assert estimate(live, "--design", f"elbow={FIXED}", SHIPPED, FIXED) == 1
     assert "expected one file for the joints without their own" in capsys.readouterr().err
     assert estimate(live, *options) == 0
-    assert f"design {SHIPPED} ({load_design_file(SHIPPED).identity})" in capsys.readouterr().out
+    assert f"design {SHIPPED} ({identity(load_design(SHIPPED))})" in capsys.readouterr().out
 
 
 def test_a_report_is_of_one_joint_and_names_those_there_are(
@@ -111,9 +111,9 @@ def test_a_report_is_of_one_joint_and_names_those_there_are(
         assert main([*command, *options]) == 1
         assert error in capsys.readouterr().err
     assert main([*command, "--joint", "wrist"]) == 0
-    report, known = json.loads(capsys.readouterr().out), load_design_file(FIXED)
+    report, known = json.loads(capsys.readouterr().out), load_design(FIXED)
     assert report["joint"] == "wrist"
-    assert report["design"] == {"file": known.name, "sha256": known.sha256}
+    assert report["design"] == {"file": known.file, "sha256": checksum(known)}
 
 
 def test_a_live_run_of_unknown_design_is_estimated_with_a_warning(
@@ -157,7 +157,7 @@ def test_measurements_of_any_topic_are_found_by_the_record(
     arms: Any, write_bag: Callable[..., Path], capsys: Any
 ) -> None:
     """Of a robot's /joint_states, with more joints than are observed."""
-    file = load_design_file(FIXED)
+    file = load_design(FIXED)
     text = record_text("/joint_states", ["wrist"], [file], values_of(ObserverSettings()))
     moved = [("/joint_states", data, time) for _, data, time in arms.messages(50, joints=2)]
     bag = write_bag([("/arm/observer/design", encode_text(text), START), *moved])
@@ -173,14 +173,14 @@ def changed(data: str, **entries: Any) -> bytes:
 
 def hostile(file: str) -> dict[str, tuple[bytes, str]]:
     """Return messages that are no records, each with what is said of it."""
-    known = load_design_file(file)
+    known = load_design(file)
     good = record_text("/joint_measurements", ["elbow"], [known], {})
     nested = "[" * 100_000
 
     def of_text(text: str, name: str = "my.yaml") -> bytes:
         return changed(good, designs=[{"joints": ["elbow"], "file": name, "text": text}])
 
-    tampered = known.text.replace("stiffness: 10.0", "stiffness: 7.0")
+    tampered = known.source.replace("stiffness: 10.0", "stiffness: 7.0")
     return {
         "no cdr": (b"\x00", "CDR"),
         "deep": (encode_text(nested), "no record of an observer"),

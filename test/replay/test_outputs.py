@@ -15,7 +15,7 @@ from tsobs_ros.api import Simulation
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointState, JointStateDecoder, JointStateEncoder
 from tsobs_ros.cli.main import main
-from tsobs_ros.design.file import DesignFile, load_design_file
+from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagReadError, LogError, ModelError
 from tsobs_ros.methods import ObserverSettings
@@ -94,8 +94,8 @@ def estimate(
 ) -> Run:
     """Estimate with a design over a recording, as `tsobs estimate` does."""
     source = BagSource(source) if isinstance(source, Path) else source
-    file = load_design_file(design)
-    source.take_for_system([file.design.request])
+    file = load_design(design)
+    source.take_for_system([file.request])
     observer = Observer("observer", ObserverSettings(), (file,) * len(source.joints))
     (run,) = run_observers(source, [observer], output, **options)
     return run
@@ -194,8 +194,8 @@ def test_an_output_that_messages_never_have_is_named(arm, write_bag) -> None:
         estimate(bag, BOTH)
     with pytest.raises(BagReadError, match=r"has y1 of system \(position of y1\).*it has: elbow"):
         estimate(bag, SYSTEM)
-    link_only = Observer("link", ObserverSettings(), (DesignFile.of(ts.load_design()),))
-    both = Observer("both", ObserverSettings(), (load_design_file(BOTH),))
+    link_only = Observer("link", ObserverSettings(), (ts.load_design(),))
+    both = Observer("both", ObserverSettings(), (load_design(BOTH),))
     with pytest.raises(ModelError, match="designs that are run together must measure the same"):
         run_observers(BagSource(bag), [link_only, both])
 

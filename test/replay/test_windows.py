@@ -9,7 +9,6 @@ import pytest
 
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
-from tsobs_ros.design.file import DesignFile
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, run_observers
 from tsobs_ros.replay.log import LogSource
@@ -119,7 +118,7 @@ def peak(work, bag) -> int:
 
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_recording(arms, write_bag, design, tmp_path) -> None:
-    files = (DesignFile.of(design),)
+    files = (design,)
 
     def estimate_and_compare(bag, output=None) -> None:
         source = BagSource(bag)

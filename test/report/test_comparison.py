@@ -6,7 +6,6 @@ import pytest
 
 import tsobs_ros as ts
 from tsobs_ros.cli.main import main
-from tsobs_ros.design.file import DesignFile
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.replay.estimate import Observer, run_observers
@@ -21,7 +20,7 @@ def test_each_is_measured_as_if_it_had_been_recorded(
 ) -> None:
     source = BagSource(write_bag(messages_of(simulated)))
     settings = [ObserverSettings(method=method) for method in ("certified", "ekf", "high_gain")]
-    observers = [Observer(one.method, one, (DesignFile.of(design),)) for one in settings]
+    observers = [Observer(one.method, one, (design,)) for one in settings]
     # Of windows, the errors are those of the whole.
     options = {"as_live": False, "window": 400, "keep": True}
     runs = run_observers(source, observers, tmp_path / "new", **options)

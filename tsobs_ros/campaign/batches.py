@@ -148,7 +148,7 @@ def compute(campaign: Campaign, begin: int, end: int) -> Columns:
     Raises:
         TsobsError: A scenario does not fit the design.
     """
-    design, request = campaign.file.design, campaign.file.design.arm_request
+    design, request = campaign.design, campaign.design.arm_request
     learnt = campaign.settings.learnt(design)
     rows: list[dict[str, Any]] = []
     while begin + len(rows) < end:

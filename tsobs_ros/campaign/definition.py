@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from tsobs_ros import __version__
-from tsobs_ros.design.file import DesignFile, load_design_file
+from tsobs_ros.design.file import checksum, load_design
+from tsobs_ros.design.record import Design
 from tsobs_ros.errors import DesignFileError, ModelError, TsobsError
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.methods import ObserverSettings, make_estimator
@@ -105,11 +106,11 @@ class Campaign:
     """
 
     entries: CampaignEntries
-    file: DesignFile
+    design: Design
 
     def __post_init__(self) -> None:
         entries = self.entries
-        _ = self.file.design.arm_request, self.settings
+        _ = self.design.arm_request, self.settings
         for name, least in (("runs", 1), ("repeats", 1), ("seed", 0)):
             if getattr(entries, name) < least:
                 raise ModelError(f"{name}: expected at least {least}, got {getattr(entries, name)}")
@@ -130,7 +131,7 @@ class Campaign:
     @cached_property
     def estimator(self) -> Estimator:
         """What observes the runs."""
-        return make_estimator(self.file.design, self.settings)
+        return make_estimator(self.design, self.settings)
 
     @cached_property
     def turns(self) -> Sequence[str]:
@@ -152,7 +153,7 @@ class Campaign:
         data = encode(self.entries)
         for name in ("runs", "design"):
             del data[name]
-        text = json.dumps([__version__, self.file.sha256, data])
+        text = json.dumps([__version__, checksum(self.design), data])
         return sha256(text.encode()).hexdigest()
 
     def text(self, design: str) -> str:
@@ -162,7 +163,7 @@ class Campaign:
 
     def with_runs(self, runs: int) -> "Campaign":
         """Return the same campaign of another number of runs."""
-        return Campaign(replace(self.entries, runs=runs), self.file)
+        return Campaign(replace(self.entries, runs=runs), self.design)
 
 
 def load_campaign(path: str | PathLike[str]) -> Campaign:
@@ -177,7 +178,7 @@ def load_campaign(path: str | PathLike[str]) -> Campaign:
     near = path.parent / entries.design
     with naming(path):
         return Campaign(
-            entries, load_design_file(near if near.is_file() else config_path(entries.design))
+            entries, load_design(near if near.is_file() else config_path(entries.design))
         )
 
 

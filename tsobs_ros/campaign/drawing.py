@@ -108,7 +108,7 @@ def check(campaign: Campaign) -> None:
 def _drawn(
     campaign: Campaign, name: str, random: np.random.Generator, choose: Choose
 ) -> tuple[Scenario, dict[str, float], dict[str, float]]:
-    entries, request = campaign.entries, campaign.file.design.arm_request
+    entries, request = campaign.entries, campaign.design.arm_request
     data = {
         "uncertainty": entries.uncertainty,
         "initial_state": entries.initial_state,

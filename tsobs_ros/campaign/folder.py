@@ -21,7 +21,7 @@ from tsobs_ros import __version__
 from tsobs_ros.campaign.batches import Columns, compute
 from tsobs_ros.campaign.definition import Campaign, CampaignError, load_campaign, parse_campaign
 from tsobs_ros.campaign.drawing import check
-from tsobs_ros.design.file import load_design_file
+from tsobs_ros.design.file import design_text, load_design
 from tsobs_ros.files import write_whole, written_whole
 
 PART = 100
@@ -63,7 +63,7 @@ def run_campaign(
             )
     elif there := [output / name for name in (RUNS, *SUMMARY) if (output / name).exists()]:
         raise CampaignError(f"{there[0]}: exists already; choose another folder")
-    write_whole(output / DESIGN, campaign.file.text, CampaignError)
+    write_whole(output / DESIGN, design_text(campaign.design), CampaignError)
     write_whole(output / CAMPAIGN, campaign.text(DESIGN), CampaignError)
     runs, folder = campaign.entries.runs, output / RUNS
     parts = [(begin, min(begin + PART, runs)) for begin in range(0, runs, PART)]
@@ -116,7 +116,7 @@ def _on_cluster(
     import distributed
 
     dask: Any = distributed  # without types
-    texts = __version__, campaign.text("design"), campaign.file.text
+    texts = __version__, campaign.text("design"), design_text(campaign.design)
     where = f"scheduler {scheduler}"
     try:
         client = dask.Client(scheduler, timeout=_CONNECT_TIMEOUT)
@@ -148,4 +148,4 @@ def _on_worker(version: str, campaign: str, design: str, begin: int, end: int) -
 
 @lru_cache(maxsize=2)
 def _campaign(campaign: str, design: str) -> Campaign:
-    return Campaign(parse_campaign(campaign, "campaign"), load_design_file("design", design))
+    return Campaign(parse_campaign(campaign, "campaign"), load_design("design", design))

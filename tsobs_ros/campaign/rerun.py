@@ -38,14 +38,14 @@ def rerun(campaign: Campaign, run: int, output: Path) -> Path:
     runs = Plant(drawn.scenario, drawn.seed).run(drawn.scenario.sample_count)
     with TemporaryDirectory() as folder:
         source = open_source(_recorded(campaign, runs, Path(folder, f"run_{run}")))
-        observer = Observer("observer", campaign.settings, (campaign.file,))
+        observer = Observer("observer", campaign.settings, (campaign.design,))
         run_observers(source, [observer], output / "bag", as_live=False)
     return output / "bag"
 
 
 def _recorded(campaign: Campaign, run: Trajectories, bag: Path) -> Path:
     """Write what a plant simulator would have sent."""
-    own = campaign.file.design.arm_request.signals(JOINT, alone=True)
+    own = campaign.design.arm_request.signals(JOINT, alone=True)
     stamps, everywhere = stamps_of(run.times), np.ones(len(run.times), np.bool_)
     measured = np.isfinite(run.measurements).any(axis=1)
     inputs_and_outputs = np.hstack([run.measurements, run.torques])

@@ -12,6 +12,7 @@ import numpy as np
 from tsobs_ros.campaign.batches import CLAIMS, Columns
 from tsobs_ros.campaign.definition import Campaign
 from tsobs_ros.checks import Array, Flags
+from tsobs_ros.design.file import identity
 from tsobs_ros.report.comparison import aligned, number_text
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.report.quantities import quantities_of
@@ -27,8 +28,8 @@ def summarise(campaign: Campaign, columns: Columns) -> dict[str, Any]:
     `bounds` by what they are said to be there are the share of samples and, of each quantity, the
     share of errors inside three bounds, and the root mean square and the largest of error / bound.
     """
-    file, entries = campaign.file, campaign.entries
-    quantities = quantities_of(file.design.arm_request)
+    design, entries = campaign.design, campaign.entries
+    quantities = quantities_of(design.arm_request)
     keys = [each.key for each in quantities]
     broken = Counter(
         reason for text in columns["violated"].tolist() for reason in text.split(", ") if reason
@@ -49,7 +50,7 @@ def summarise(campaign: Campaign, columns: Columns) -> dict[str, Any]:
     return {
         "runs": len(columns["run"]),
         "duration": entries.duration,
-        "design": file.identity,
+        "design": identity(design),
         "scenarios": scenarios,
         "quantities": {
             each.key: {"unit": each.unit, "rmse": _quantiles(columns[f"{each.key}_rmse"])}

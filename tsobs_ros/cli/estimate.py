@@ -178,10 +178,12 @@ def given_parameters(options: argparse.Namespace) -> dict[str, Any]:
 
 def _about(source: "BagSource", observers: "Sequence[Observer]") -> list[str]:
     """Return a line on each design."""
+    from tsobs_ros.design.file import identity
+
     joints: dict[str, dict[str, None]] = {}
     for observer in observers:
-        for joint, file in zip(source.joints, observer.files, strict=True):
-            joints.setdefault(f"design {file.name} ({file.identity})", {})[joint] = None
+        for joint, design in zip(source.joints, observer.designs, strict=True):
+            joints.setdefault(f"design {design.file} ({identity(design)})", {})[joint] = None
     several = len(joints) > 1 and len(source.joints) > 1
     return [f"{text} for {', '.join(own)}" if several else text for text, own in joints.items()]
 

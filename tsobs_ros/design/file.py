@@ -12,7 +12,7 @@ import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -70,7 +70,9 @@ def save_design(design: Design, path: FilePath) -> None:
 
 
 def design_text(design: Design) -> str:
-    """Return the content of a design file; see `save_design`."""
+    """Return the content of a design's file: as it was loaded, else as it would be written."""
+    if design.source:
+        return design.source
     request = design.request
     kind = _ARM if isinstance(request, ArmRequest) else _SYSTEM
     answer = {
@@ -91,11 +93,12 @@ def request_entries(request: AnyRequest) -> dict[str, Any]:
     return {name: entry for name, entry in encode(given).items() if entry not in (None, {})}
 
 
-def load_design(path: FilePath | None = None) -> Design:
+def load_design(path: FilePath | None = None, text: str | None = None) -> Design:
     """Read the design file of an arm or of a T–S system and re-check its certificate.
 
     Args:
         path: The file; None for the design that comes with the package.
+        text: Its content, if that is known already.
 
     Raises:
         DesignFileError: The file is missing, too large, not YAML, or not a design; the text
@@ -106,43 +109,19 @@ def load_design(path: FilePath | None = None) -> Design:
     >>> load_design().certificate.holds
     True
     """
-    return load_design_file(config_path(SHIPPED_DESIGN) if path is None else path).design
+    design = parse_design(config_path(SHIPPED_DESIGN) if path is None else path, text)
+    design.certificate.require(design.file)
+    return design
 
 
-class DesignFile(NamedTuple):
-    """The path of a design file, wherever it is from, its text, and its design, which is proved."""
-
-    name: str
-    text: str
-    design: Design
-
-    @classmethod
-    def of(cls, design: Design) -> "DesignFile":
-        """Return a design as `save_design` would write it."""
-        return cls("a design without a file", design_text(design), design)
-
-    @property
-    def sha256(self) -> str:
-        """SHA-256 of its bytes, as `sha256sum` prints it."""
-        return checksum(self.text)
-
-    @property
-    def identity(self) -> str:
-        """The beginning of that, for people."""
-        return self.sha256[:IDENTITY_LENGTH]
+def checksum(design: Design) -> str:
+    """Return the SHA-256 of a design's file, as `sha256sum` prints it."""
+    return hashlib.sha256(design_text(design).encode()).hexdigest()
 
 
-def checksum(text: str) -> str:
-    """Return the SHA-256 of a file with this content."""
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
-def load_design_file(path: FilePath, text: str | None = None) -> DesignFile:
-    """Read a design file with its text, if that is not known already; else as `load_design`."""
-    text = read_text(path) if text is None else text
-    design = parse_design(path, text)
-    design.certificate.require(str(path))
-    return DesignFile(str(path), text, design)
+def identity(design: Design) -> str:
+    """Return the beginning of that, for people."""
+    return checksum(design)[:IDENTITY_LENGTH]
 
 
 @dataclass
@@ -155,8 +134,8 @@ class PublishedDesign:
 
     @property
     def sha256(self) -> str:
-        """As of a `DesignFile`."""
-        return checksum(self.text)
+        """Checksum of the file."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
 
     def __str__(self) -> str:
         return f"{self.file:.200} (SHA-256 {self.sha256:.{IDENTITY_LENGTH}})"
@@ -181,16 +160,16 @@ class ObserverRecord:
 def record_text(
     measurements: str,
     joints: Sequence[str],
-    files: Sequence[DesignFile],
+    designs: Sequence[Design],
     parameters: Mapping[str, Value],
 ) -> str:
-    """Return the text of a record, from each joint's name and design file."""
-    designs: dict[tuple[str, str], PublishedDesign] = {}
-    for joint, file in zip(joints, files, strict=True):
-        key = file.name, file.text
-        designs.setdefault(key, PublishedDesign([], *key)).joints.append(joint)
+    """Return the text of a record, from each joint's name and design."""
+    published: dict[tuple[str, str], PublishedDesign] = {}
+    for joint, design in zip(joints, designs, strict=True):
+        key = design.file, design_text(design)
+        published.setdefault(key, PublishedDesign([], *key)).joints.append(joint)
     record = ObserverRecord(
-        measurements=measurements, designs=list(designs.values()), parameters=dict(parameters)
+        measurements=measurements, designs=list(published.values()), parameters=dict(parameters)
     )
     return json.dumps(encode(record))
 
@@ -216,8 +195,9 @@ def read_record(text: str) -> ObserverRecord:
 
 
 def parse_design(path: FilePath, text: str | None = None) -> Design:
-    """Read a design file without judging its certificate; else as `load_design_file`."""
-    data = read_yaml(path) if text is None else yaml_mapping(text, path)
+    """Read a design file without judging its certificate; else as `load_design`."""
+    text = read_text(path) if text is None else text
+    data = yaml_mapping(text, path)
     if "format" not in data and "certificate" not in data:
         raise DesignFileError(
             f"{path}: format: missing; if this is a request, `tsobs design` makes a design of it"
@@ -237,6 +217,8 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
         K = as_matrix("gain.K", answer.gain.K, (n,) if kind == _ARM and p == 1 else (n, p))
         P = as_matrix("certificate.P", answer.certificate.P, (n, n))
         design = Design(request, P, K.reshape(n, p), answer.solver)
+        object.__setattr__(design, "file", str(path))
+        object.__setattr__(design, "source", text)
         # Evaluated here, so that numbers no proof can be made of are refused with the file's name.
         _ = design.certificate
         return design

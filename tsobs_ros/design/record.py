@@ -3,7 +3,7 @@
 """A finished design: the request, the matrices that answer it, and who computed them."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -49,6 +49,8 @@ class Design:
             covariance before each sample.
         K: Filter gain, shape (n, p).
         solver: Who computed P and K.
+        file: The file that it was loaded from; a changed copy has none.
+        source: The text of that file, empty without one.
 
     Raises:
         ModelError: A matrix is not finite or of the wrong shape, or a disturbance is arbitrary.
@@ -65,6 +67,8 @@ class Design:
     P: Array
     K: Array
     solver: SolverReport
+    file: str = field(default="a design without a file", init=False)
+    source: str = field(default="", init=False)
 
     def __post_init__(self) -> None:
         if self.request.disturbance_model.arbitrary:

@@ -59,6 +59,9 @@ _TONES, _KNOTS, _PERIODS, _BEYOND = 24, 6, 3.0, 2.5
 """Number of tones, and of frequencies at which their amplitudes are chosen; periods of the slowest
 in the motion; the fastest by the joint's resonance."""
 
+_SMALLEST = 1e-9
+"""A link angle that no sensor shows [rad]."""
+
 _EDGE, _TAIL = 0.1, 2.0
 """Share of the motion in which its window rises, and falls; time after it with limits [s]."""
 
@@ -258,6 +261,10 @@ class _Motions:
             scale *= min(max(0.99 / ratio, 0.1), 3.0 if place < rounds else 1.0)
             # Beyond its limit of angle nothing is gained.
             scale = min(scale, self.limits.angle)
+            if scale < _SMALLEST:
+                raise ModelError(
+                    f"limits: expected room for a motion of {_SMALLEST:g} rad, got {self.limits}"
+                )
         return torque, scale, Limits(*reached.tolist())
 
     def std(self, torque: Array) -> Array:

@@ -10,7 +10,15 @@ from pathlib import Path
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import CdrReader
 from tsobs_ros.bag.reader import BagReader
-from tsobs_ros.design.file import DesignFile, PublishedDesign, Value, load_design_file, read_record
+from tsobs_ros.design.file import (
+    PublishedDesign,
+    Value,
+    checksum,
+    identity,
+    load_design,
+    read_record,
+)
+from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagReadError, DesignFileError, MessageError, TsobsError
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -83,7 +91,7 @@ def choose_designs(
     joints: Sequence[str],
     given: Sequence[str] = (),
     others_allowed: bool = False,
-) -> dict[str, tuple[DesignFile, ...]]:
+) -> dict[str, tuple[Design, ...]]:
     """Return the designs to estimate with by the names of their files, each with one per joint.
 
     Args:
@@ -105,20 +113,20 @@ def choose_designs(
             f"--design: expected one file for the joints without their own, got {', '.join(shared)}"
         )
 
-    load = cache(load_design_file)
+    load = cache(load_design)
 
-    def design_of(joint: str, path: str | None) -> DesignFile:
+    def design_of(joint: str, path: str | None) -> Design:
         ran_designs = ran.designs.get(joint, ())
         if path is not None:
-            file = load(path)
+            design = load(path)
             for each in ran_designs:
-                if not (others_allowed or each.sha256 == file.sha256):
+                if not (others_allowed or each.sha256 == checksum(design)):
                     raise DesignFileError(
-                        f"--design {path} (SHA-256 {file.identity}): the observer of {bag} ran "
+                        f"--design {path} (SHA-256 {identity(design)}): the observer of {bag} ran "
                         f"{each} for {joint}; leave --design out to use that one, or add "
                         "--other-design to use this one all the same"
                     )
-            return file
+            return design
         if not ran.designs:
             return load(str(config_path(SHIPPED_DESIGN)))
         if not ran_designs:
@@ -139,7 +147,7 @@ def choose_designs(
     if own or not shared:
         rest = shared[0] if shared else None
         return {"own": tuple(design_of(joint, own.get(joint, rest)) for joint in joints)}
-    found: dict[str, tuple[DesignFile, ...]] = {}
+    found: dict[str, tuple[Design, ...]] = {}
     for path in shared:
         stem = Path(path).name.split(".")[0].replace("-", "_").replace(" ", "_")
         name = stem if stem not in found else f"{stem}_{len(found) + 1}"

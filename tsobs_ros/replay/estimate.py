@@ -29,7 +29,7 @@ from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter, whole_bag
 from tsobs_ros.checks import Array, Flags
-from tsobs_ros.design.file import DesignFile, record_text
+from tsobs_ros.design.file import record_text
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagWriteError, LogError, ModelError
 from tsobs_ros.estimation.estimator import Rows
@@ -53,20 +53,15 @@ _TICK_LOG = MessageDefinition(TICK_LOG, TICK_LOG_TEXT, "")
 
 @dataclass(frozen=True)
 class Observer:
-    """An observer to run: the name of its node and topics, and the design file of each joint."""
+    """An observer to run: the name of its node and topics, and the design of each joint."""
 
     name: str
     settings: ObserverSettings
-    files: tuple[DesignFile, ...]
-
-    @property
-    def designs(self) -> tuple[Design, ...]:
-        """The design of each joint."""
-        return tuple(file.design for file in self.files)
+    designs: tuple[Design, ...]
 
 
 def make_observers(
-    designs: Mapping[str, tuple[DesignFile, ...]],
+    designs: Mapping[str, tuple[Design, ...]],
     methods: Sequence[str],
     settings: ObserverSettings,
 ) -> list[Observer]:
@@ -175,7 +170,7 @@ class Run:
             writer.add_topic(self._prefix + end, known.type, [qos], definition=known)
         observer, source = self.observer, self._source
         parameters = values_of(observer.settings)
-        text = record_text(source.topic, source.joints, observer.files, parameters)
+        text = record_text(source.topic, source.joints, observer.designs, parameters)
         begin, _ = source.span
         data = encode_text(text)
         writer.write(self._prefix + topics.DESIGN, data, begin, begin)

@@ -17,7 +17,7 @@ from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagReader, until_damage
 from tsobs_ros.bag.writer import BagWriter
-from tsobs_ros.design.file import DesignFile
+from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import AnyRequest, ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals
 from tsobs_ros.errors import BagReadError, MessageError, ModelError
@@ -215,12 +215,12 @@ class BagSource:
 
     def choose_designs(
         self, given: Sequence[str] = (), *, others_allowed: bool = False
-    ) -> dict[str, tuple[DesignFile, ...]]:
+    ) -> dict[str, tuple[Design, ...]]:
         """Return the designs to estimate with, as `replay.designs.choose_designs`."""
         found = choose_designs(self.path, self.ran, self.joints, given, others_allowed)
-        requests = [file.design.request for files in found.values() for file in files]
+        requests = [design.request for designs in found.values() for design in designs]
         if self.take_for_system(requests):
-            found = {name: files[:1] for name, files in found.items()}
+            found = {name: designs[:1] for name, designs in found.items()}
         return found
 
     def take_for_system(self, requests: Sequence[AnyRequest]) -> bool:

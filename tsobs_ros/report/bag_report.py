@@ -10,7 +10,8 @@ from types import MappingProxyType
 from typing import Any
 
 from tsobs_ros import __version__
-from tsobs_ros.design.file import DesignFile
+from tsobs_ros.design.file import checksum, identity
+from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.files import require_new, written_whole
 from tsobs_ros.replay.health import JointEvent, find_events, health_of, list_events, map_events
@@ -66,10 +67,10 @@ def make_bag_report(
     require_new(files, force=force)
     source = BagSource(bag, topic=topic, joints=[joint] if joint else ())
     given = [] if design is None else [design]
-    ((file, *others),) = source.choose_designs(given, others_allowed=other_design).values()
+    ((used, *others),) = source.choose_designs(given, others_allowed=other_design).values()
     if others:
         raise BagReadError(f"{bag}: several joints, choose one of {', '.join(source.joints)}")
-    run, expected = read_run(source, file.design.request), innovation_std(file.design)
+    run, expected = read_run(source, used.request), innovation_std(used)
     metrics = measure(run, expected)
     health, events, health_lines = None, list[JointEvent](), tuple[str, ...]()
     if recorded := run.parts.get("health"):
@@ -80,7 +81,7 @@ def make_bag_report(
     diagnosed = diagnose(diagnostics(source), run.origin, metrics.last)
     rival = None
     if ekf and "true_state" in run.parts:
-        rival = best_ekf(source, file, source.ran.settings())
+        rival = best_ekf(source, used, source.ran.settings())
     shown = picture(run, metrics, expected, diagnosed=diagnosed, rival=rival and rival[2])
     until = int(run.part("measurements").stamps.max())
     summary = summarise(metrics, health, diagnosed, shown.timing, events, until)
@@ -91,7 +92,7 @@ def make_bag_report(
     mapping = {
         "bag": str(bag),
         "joint": run.joint,
-        "design": {"file": file.name, "sha256": file.sha256},
+        "design": {"file": used.file, "sha256": checksum(used)},
         "version": __version__,
         "summary": {"level": summary.level.name, "text": summary.text},
         **metrics.as_mapping(),
@@ -108,7 +109,7 @@ def make_bag_report(
         Table(
             "What it was made with",
             ("what", "value"),
-            [*_facts(bag, source, file), *notes.items()],
+            [*_facts(bag, source, used), *notes.items()],
             2,
         ),
         Table("Remarks", ("",), [(line,) for line in [*health_lines, *remarks]], 1),
@@ -118,7 +119,7 @@ def make_bag_report(
         write_html(shown, folder / files[1].name, tables, summary=summary)
         text = json.dumps(mapping, indent=2, allow_nan=False)
         (folder / files[2].name).write_text(text + "\n", encoding="utf-8")
-    what = f"{run.joint}, design {file.name} ({file.identity})"
+    what = f"{run.joint}, design {used.file} ({identity(used)})"
     parts = [
         [f"{bag}: {what}", summary.text, shown.headline],
         aligned(cells),
@@ -179,14 +180,14 @@ def _limits(run: RecordedRun, metrics: RunMetrics, diagnosed: Diagnosed) -> Iter
         yield "note: the bag has no diagnostics of the observer: no faults, rejects and ticks"
 
 
-def _facts(bag: Path, source: BagSource, file: DesignFile) -> Iterator[tuple[str, str]]:
-    margin, solver = file.design.certificate.worst.margin, file.design.solver
+def _facts(bag: Path, source: BagSource, design: Design) -> Iterator[tuple[str, str]]:
+    margin, solver = design.certificate.worst.margin, design.solver
     values = ", ".join(f"{name} = {value}" for name, value in source.ran.parameters.items())
     yield "bag", str(bag)
     yield "joint", source.joints[0]
-    yield "design", f"{file.name}, SHA-256 {file.sha256}"
+    yield "design", f"{design.file}, SHA-256 {checksum(design)}"
     yield "certificate", f"holds, checked now; smallest margin {margin:.3g} 1/s"
-    yield "rate of the design", f"{file.design.request.rate:g} Hz"
+    yield "rate of the design", f"{design.request.rate:g} Hz"
     yield "solver", f"{solver.name} {solver.version}, {solver.status}"
     yield "parameters of the observer", values or "not recorded"
     yield "version of this report", f"tsobs_ros {__version__}"

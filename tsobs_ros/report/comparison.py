@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tsobs_ros.design.file import DesignFile
+from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.estimation.records import HEALTH
 from tsobs_ros.methods import EKFS, ObserverSettings
@@ -76,15 +76,15 @@ class ObserverErrors(NamedTuple):
 
 
 def best_ekf(
-    source: BagSource, file: DesignFile, settings: ObserverSettings
+    source: BagSource, design: Design, settings: ObserverSettings
 ) -> tuple[str, RunMetrics, RecordedRun]:
     """Return the EKF with the smallest errors over the only joint of a bag: name, errors and run.
 
     If ours, of a design and settings, learns parameters, there are two: one with the nominal
     parameters, and one that has those as states.
     """
-    methods = EKFS if settings.learnt(file.design) else EKFS[:1]
-    observers = [Observer(name, replace(settings, method=name), (file,)) for name in methods]
+    methods = EKFS if settings.learnt(design) else EKFS[:1]
+    observers = [Observer(name, replace(settings, method=name), (design,)) for name in methods]
     fitting, _ = without_misfits(observers)
     runs = run_observers(source, fitting, keep=True)
     best, run = min(measure_runs(source, runs), key=lambda one: one[0].normalised_rmse)

@@ -236,7 +236,7 @@ def test_parameters_are_refused_with_a_reason_or_taken_over_by_all_joints_and_pu
     own.write_text(shipped.read_text(encoding="utf-8") + "# own\n", encoding="utf-8")
     given = {"joints": ["hip", "knee"], "joint_designs": [str(own), ""], "settle_time": 1.5}
     node = start(ros, "observer", **given)
-    assert [joint.loaded.name for joint in node.joints] == [str(own), str(shipped)]
+    assert [joint.design.file for joint in node.joints] == [str(own), str(shipped)]
     gates = [joint.tracker.estimator.model["gate"] for joint in node.joints]
     before = node.parameters
     too_late = {"supervision.gate": 4.0, "fault.hold": 1.0, "coast_after": 10.0}

@@ -13,7 +13,6 @@ from rclpy.parameter import Parameter
 from rclpy.time import Time
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, run_observers
@@ -81,7 +80,7 @@ def values(status: DiagnosticStatus) -> dict[str, str]:
 def estimated_again(bag: Path, output: Path, design: Design, **settings: Any) -> Run:
     """Run a design over a bag as `tsobs estimate` does, and write a bag of that."""
     source = BagSource(bag)
-    designs = (DesignFile.of(design),) * len(source.joints)
+    designs = (design,) * len(source.joints)
     observer = Observer("observer", ObserverSettings(**settings), designs)
     (run,) = run_observers(source, [observer], output, window=2**31)
     return run

@@ -233,7 +233,7 @@ def replayed(watcher: Watcher, observer: Observer, sent: Iterable[Event]) -> int
     start. Returns the number of estimates that were compared.
     """
     (joint,) = observer.joints
-    tracker = make_tracker(joint.loaded.design, observer.parameters, joint.tracker.estimator)
+    tracker = make_tracker(joint.design, observer.parameters, joint.tracker.estimator)
     reader, waiting = MeasurementReader({joint.name: joint.signals}, False), list(sent)
     bits = {
         (each.topic, each.stamp): np.array(each.numbers).tobytes() for each in watcher.published

@@ -44,7 +44,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.design.file import record_text
+from tsobs_ros.design.file import identity, record_text
 from tsobs_ros.estimation.faults import FaultKind
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.records import RejectReason
@@ -90,7 +90,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._newest = b""
         self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
         # That of the design, as its `rate` is that of the measurements; of several the fastest.
-        own = max(joint.loaded.design.request.rate for joint in self.joints)
+        own = max(joint.design.request.rate for joint in self.joints)
         self._rate = parameters.rate or min(own, _FASTEST)
         self._meter = TickMeter(self._rate)
 
@@ -114,9 +114,9 @@ class Observer(ManagedNode[ObserverParameters]):
         # Only an executor notices arrivals.
         self.ticker = None if at_once else self._ticker
         for joint in self.joints:
-            design = f"design {joint.loaded.name} ({joint.loaded.identity})"
+            design = f"design {joint.design.file} ({identity(joint.design)})"
             self._log(joint, [(Level.OK, f"{design}: certificate holds")])
-        warnings = (warning(joint.loaded.design, parameters.method) for joint in self.joints)
+        warnings = (warning(joint.design, parameters.method) for joint in self.joints)
         for text in filter(None, dict.fromkeys(warnings)):
             self.log(Level.WARN, text)
 
@@ -222,7 +222,7 @@ class Observer(ManagedNode[ObserverParameters]):
         text = record_text(
             self.resolve_topic_name("joint_measurements"),
             [joint.name for joint in self.joints],
-            [joint.loaded for joint in self.joints],
+            [joint.design for joint in self.joints],
             {name: values[name] for name in settings_of(ObserverSettings)},
         )
         self._record.publish(String(data=text))

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.file import DesignFile, load_design_file
+from tsobs_ros.design.file import load_design
+from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.estimation import health
 from tsobs_ros.estimation.estimator import Estimator
@@ -56,18 +57,18 @@ class ObservedJoint:
     def __init__(
         self,
         name: str,
-        loaded: DesignFile,
+        design: Design,
         estimator: Estimator,
         parameters: ObserverParameters,
         source: str = "joint_measurements",
     ) -> None:
         self.name = name
-        self.loaded = loaded
+        self.design = design
         self.method = parameters.method
-        self.request = loaded.design.request
+        self.request = design.request
         self.signals = self.request.signals(name, alone=len(parameters.joints) == 1)
-        self.learnt = parameters.learnt(loaded.design)
-        self.tracker: Tracker = make_tracker(loaded.design, parameters, estimator)
+        self.learnt = parameters.learnt(design)
+        self.tracker: Tracker = make_tracker(design, parameters, estimator)
         self.torque_sides: tuple[str, ...] = ()
         if isinstance(self.request, ArmRequest) and estimator.shape.t:
             self.torque_sides = self.request.torque_sides
@@ -211,11 +212,11 @@ def observed_joints(
     """
     shipped = str(config_path(SHIPPED_DESIGN))
     paths = {joint: path or shipped for joint, path in parameters.design_of.items()}
-    loaded = {path: load_design_file(path) for path in dict.fromkeys(paths.values())}
+    loaded = {path: load_design(path) for path in dict.fromkeys(paths.values())}
     estimators = {}
     for path, each in loaded.items():
         with naming(path):
-            estimators[path] = make_estimator(each.design, parameters)
+            estimators[path] = make_estimator(each, parameters)
     return [
         ObservedJoint(joint, loaded[path], estimators[path], parameters, source)
         for joint, path in paths.items()

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tsobs_ros.design.file import identity
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.estimation.events import NOISY, EventKind
 from tsobs_ros.estimation.health import LastMinute, Level, Status, lasting
@@ -172,13 +173,13 @@ def _domain_status(joint: ObservedJoint) -> Status:
 def _certificate_status(joint: ObservedJoint, now: int) -> Status:
     if joint.method not in CERTIFIED:
         return Status("certificate", Level.WARN, f"method {joint.method}: nothing is certified", {})
-    loaded, estimate, request = joint.loaded, joint.latest, joint.request
+    design, estimate, request = joint.design, joint.latest, joint.request
     values = {
-        "design": loaded.name,
-        "design sha256": loaded.identity,
+        "design": design.file,
+        "design sha256": identity(design),
         "disturbance model": request.disturbance_model.label,
         "design rate [Hz]": f"{request.rate:g}",
-        "margin [1/s]": f"{loaded.design.certificate.worst.margin:.3e}",
+        "margin [1/s]": f"{design.certificate.worst.margin:.3e}",
     }
     if not math.isnan(joint.measured_rate):
         values["measured rate [Hz]"] = f"{joint.measured_rate:.4g}"
