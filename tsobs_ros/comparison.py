@@ -21,7 +21,8 @@ from tsobs_ros.methods import METHODS, ObserverSettings, make_estimator
 from tsobs_ros.model.disturbance import DisturbanceTerm, sum_of
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.report.comparison import aligned, number_text
-from tsobs_ros.report.metrics import JUMP, RunMetrics, measure
+from tsobs_ros.report.metrics import RunMetrics, measure
+from tsobs_ros.report.quantities import JUMP
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor

@@ -3,7 +3,7 @@
 """Input and output of an estimator as plain records, and what their codes mean."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -124,7 +124,11 @@ class Innovation(NamedTuple):
     expected_std: Array
 
 
-HEALTH = ("noise_scale", "coloured_power", "basis", "claimed", "learning", "hypothesis", "age")
+_HEALTH: dict[str, Any] = {
+    "noise_scale": float, "coloured_power": float, "basis": Basis, "claimed": bool,
+    "learning": Learning, "hypothesis": Hypothesis, "age": float,
+}  # fmt: skip
+HEALTH = tuple(_HEALTH)
 """Fields of an estimate that say what its numbers are worth, in the order of the health topic."""
 
 _EMPTY = np.zeros(0)
@@ -171,14 +175,5 @@ class Estimate(NamedTuple):
     @classmethod
     def of_health(cls, stamp: int, numbers: Sequence[float]) -> "Estimate":
         """Return what is known of an estimate from its `health` alone."""
-        scale, coloured, basis, claimed, learning, hypothesis, age = numbers
-        return cls(
-            stamp,
-            basis=Basis(int(basis)),
-            claimed=claimed != 0.0,
-            noise_scale=scale,
-            coloured_power=coloured,
-            learning=Learning(int(learning)),
-            hypothesis=Hypothesis(int(hypothesis)),
-            age=age,
-        )
+        known = zip(_HEALTH.items(), numbers, strict=True)
+        return cls(stamp, **{name: kind(number) for (name, kind), number in known})

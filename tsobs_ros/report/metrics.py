@@ -29,12 +29,6 @@ SETTLE_TIME = 5.0
 SCALE: tuple[float, ...] = (0.226, 0.60, 0.355, 0.464)
 """Root mean square of the default arm's motion (rad, rad/s), by which its errors are normalised."""
 
-JUMP = 0.03
-"""Change of an angle's true disturbance from one sample to the next that is a jump [rad].
-
-It is about 1σ of the sensor's noise, and several times what a fault of 0.4 rad at 3 rad/s moves in
-a sample at 200 Hz."""
-
 # A fault that chatters is one event: jumps this close to the one before are no others [s].
 _SAME_JUMP = 0.1
 
@@ -220,12 +214,11 @@ def _jumps(run: RecordedRun) -> list[Jump]:
     """Return the jumps of the true disturbances during the estimates."""
     found: list[Jump] = []
     for quantity in run.quantities:
-        limit = JUMP if quantity.jump is None else quantity.jump
-        truth = run.of(quantity).truth if limit < math.inf else None
+        truth = run.of(quantity).truth if quantity.jump < math.inf else None
         if truth is None:
             continue
         steps, times = np.diff(truth.values[:, 0]), truth.seconds(run.origin)[1:]
-        large = np.abs(steps) > limit
+        large = np.abs(steps) > quantity.jump
         each = zip(times[large].tolist(), steps[large].tolist(), strict=True)
         found += [Jump(time, size, quantity.kind) for time, size in each]
     found.sort(key=lambda jump: jump.time)

@@ -209,8 +209,11 @@ class Output:
         added[:, stuck] = (values - truth)[:, stuck]
         self._disturbance.frozen = frozen if stuck[-1] else None
         luck = self._uniform.take(samples)
-        if sensor.outlier_probability > 0.0:
-            values += _outliers(luck, sensor)
+        if (probability := sensor.outlier_probability) > 0.0:
+            sizes = np.where(luck < 0.5 * probability, -1.0, 1.0)
+            if sensor.outlier_is_uniform:
+                sizes = 2.0 * luck / probability - 1.0
+            values += np.where(luck < probability, sensor.outlier_size * sizes, 0.0)
         if sensor.resolution > 0.0:
             rounded = sensor.resolution * np.floor(values / sensor.resolution + 0.5)
             values = np.where(np.isfinite(values), rounded, values)
@@ -242,16 +245,6 @@ def _is_within(times: Array, interval: float, duration: float) -> Flags:
     if not interval > 0.0:
         return np.zeros(len(times), np.bool_)
     return recurs(times - interval, duration, interval)
-
-
-def _outliers(luck: Array, sensor: Sensor) -> Array:
-    """Return what outliers add [rad], 0 if there is none, by numbers drawn from [0, 1)."""
-    probability, size = sensor.outlier_probability, sensor.outlier_size
-    if sensor.outlier_is_uniform:
-        sizes = size * (2.0 * luck / probability - 1.0)
-    else:
-        sizes = np.where(luck < 0.5 * probability, -size, size)
-    return np.where(luck < probability, sizes, 0.0)
 
 
 def _moved(now: Array, numbers: Array, period: float, time: float, std: float = 1.0) -> Array:
