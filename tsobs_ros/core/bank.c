@@ -195,6 +195,20 @@ static void copy_hypothesis(const model *m, state *at, long from, long to)
     memmove(at->hypotheses + to * size, at->hypotheses + from * size, size * sizeof(double));
 }
 
+/* Begin a hypothesis as a copy of another one, of which it supposes something else. */
+static hypothesis begin_from(
+    const model *m, state *at, long from, long place, int64_t fork, double score)
+{
+    const hypothesis h = hypothesis_of(m, at, place);
+    copy_hypothesis(m, at, from, place);
+    leave_certified(m, at, &h, BASIS_STARTING);
+    *h.fork = fork;
+    *h.score = score;
+    *h.age = 0.0;
+    *h.inlier = 1.0;
+    return h;
+}
+
 /* Return the first auxiliary state that another kind of hypothesis does not take over: a torque that
  * is unknown in a gap is so whatever the arm and its sensors are taken for. */
 static long first_of_its_own(const model *m, const state *at, int64_t kind)
@@ -216,14 +230,8 @@ static void renew(const model *m, state *at, long kind)
     hypothesis h = hypothesis_of(m, at, kind);
     const double frequency = *h.frequency, size = *h.size;
     const int64_t output = *h.output;
-    copy_hypothesis(m, at, (long)*at->best, kind);
-    leave_certified(m, at, &h, BASIS_STARTING);
-    *h.live = 1;
+    h = begin_from(m, at, (long)*at->best, kind, NO_FORK, -m->constants[FLOOR]);
     *h.kind = kind;
-    *h.fork = NO_FORK;
-    *h.score = -m->constants[FLOOR];
-    *h.age = 0.0;
-    *h.inlier = 1.0;
     *h.frequency = frequency;
     *h.size = size;
     *h.output = output;
@@ -565,14 +573,8 @@ static void suppose(
     if (place < 0 || (fork == JUMPED && !(fabs(disturbance) <= m->disturbance_limit[output]))) {
         return;
     }
-    copy_hypothesis(m, at, parent, place);
-    hypothesis h = hypothesis_of(m, at, place);
-    leave_certified(m, at, &h, BASIS_STARTING);
+    hypothesis h = begin_from(m, at, parent, place, fork, score);
     *h.cause = fork == JUMPED ? BASIS_JUMP : BASIS_STARTING;
-    *h.fork = fork;
-    *h.age = 0.0;
-    *h.inlier = 1.0;
-    *h.score = score;
     open_fork(m, at, &h, fork, output, innovation);
     for (long i = 0; i < m->s.p; i++) {
         if (i == output || effect->used[i]) {
@@ -670,13 +672,12 @@ static int moves(const model *m, state *at, const hypothesis *h)
 static void report(const model *m, const hypothesis *best, correction *effect)
 {
     const long p = (long)m->s.p;
-    memset(effect->gain, 0, (size_t)(m->s.width * p) * sizeof(double));
+    for (long i = 0; i < p * p; i++) {
+        effect->innovation_covariance[i]
+            = *best->certified != 0 ? m->innovation_covariance[i] : 0.0;
+    }
     for (long i = 0; i < p; i++) {
         effect->innovation[i] = effect->innovations[i];
-        for (long j = 0; j < p; j++) {
-            effect->innovation_covariance[i * p + j]
-                = *best->certified != 0 ? m->innovation_covariance[i * p + j] : 0.0;
-        }
         effect->innovation_covariance[i * p + i] = effect->variances[i];
     }
 }
@@ -765,7 +766,6 @@ static void correct_bank(const model *m, state *at, correction *effect)
     }
     weigh(m, at, &h, effect); /* others have written over it, and the noise may have grown */
     fork_best(m, at, best, effect);
-    memset(effect->gain, 0, (size_t)(m->s.width * m->s.p) * sizeof(double));
     if (best == AS_DESIGNED && *at->awake > 0.0) {
         listen(m, at, effect);
     }

@@ -64,17 +64,6 @@ long part_of(const model *m, const hypothesis *h, long output);
 /* Take the certificate's bound for the covariance, from where Riccati gains go on. */
 void leave_certified(const model *m, const state *at, const hypothesis *h, int64_t cause);
 
-/* Return the innovation of an output; write the variance of what the filter knows of it, and unless the
- * gain is the certified one, its covariance with the states. */
-double expect(
-    const model *m, const state *at, const hypothesis *h, long output, correction *effect,
-    double *known);
-
-/* Correct with a Riccati gain: x <- x + P c e / s,  P <- P - P c c' P / s. */
-void correct_covariance(
-    const model *m, hypothesis *h, const double *crossed, double innovation, double known,
-    long used);
-
 /* Write the innovation, its variance and the logarithm of its likelihood for each output, in sigmas
  * clipped where the sample is an outlier, and which are used. */
 void weigh(const model *m, const state *at, const hypothesis *h, correction *effect);

@@ -275,11 +275,11 @@ void offer(tracker *t, const measurements *given, int64_t now, const outcomes *w
 
 /* --- estimates --- */
 
-/* Predict from a state at a place into the one that is read, over a time [s].
+/* Return the state at a place, or predicted from it over a time above 0 [s].
  *
  * Whole periods of a gap are remembered from one call to the next; without that every call in a
  * long gap would predict through the whole gap again. */
-static void coast(tracker *t, int64_t place, double duration)
+static state coast(tracker *t, int64_t place, double duration)
 {
     history *h = &t->h;
     const double period = *t->m.period;
@@ -288,6 +288,9 @@ static void coast(tracker *t, int64_t place, double duration)
     int64_t taken = 0;
     double *numbers = spare_numbers(t, SHOWN);
     state shown = state_view(&t->m.s, numbers);
+    if (!(duration > 0.0)) {
+        return state_at(t, place);
+    }
     if (is_memorable && *h->coasted_generation == *h->generation && *h->coasted_periods > 0 &&
         *h->coasted_periods <= whole) {
         copy_state(&t->m, spare_numbers(t, COASTED), numbers);
@@ -310,6 +313,7 @@ static void coast(tracker *t, int64_t place, double duration)
     if (rest > 0.0) {
         predict(&t->m, &shown, rest, 1, &t->scratch);
     }
+    return shown;
 }
 
 int estimate_at(tracker *t, int64_t stamp, double *row)
@@ -326,11 +330,7 @@ int estimate_at(tracker *t, int64_t stamp, double *row)
     if (elapsed > *t->h.restart_after) {
         return 0;
     }
-    if (elapsed > 0) {
-        coast(t, place, remaining);
-    }
-    const state shown
-        = elapsed > 0 ? state_view(&t->m.s, spare_numbers(t, SHOWN)) : state_at(t, place);
+    const state shown = coast(t, place, remaining);
     const estimate said = estimate_view(&t->m.s, row);
     if (!read_out(&t->m, &shown, &said, &t->scratch)) {
         *t->h.bad_outputs += 1;
