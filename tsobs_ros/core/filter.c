@@ -87,43 +87,46 @@ static double white_of(const model *m, const state *at, const hypothesis *h, lon
     return m->R[output * m->s.p + output] * (scale * scale * factor);
 }
 
-/* Return the innovation of an output; write the variance of what the filter knows of it, and
- * unless the gain is the certified one, its covariance with the states. */
-static double expect(
-    const model *m, const state *at, const hypothesis *h, long output, correction *effect,
-    double *known)
+/* An output's sample as a hypothesis expects it: the innovation, the variance of what the filter
+ * knows of it and, by the parameters, of all, the logarithm of the likelihood, and whether it is no
+ * outlier's. */
+typedef struct {
+    double innovation, known, variance, likelihood;
+    int used;
+} outlook;
+
+/* Return what the filter expects of an output; unless the gain is the certified one, write the
+ * covariance of the innovation with the states. */
+static outlook expect(
+    const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
-    const long n = (long)m->s.n, p = (long)m->s.p, width = (long)m->s.width, i = output;
+    const long n = (long)m->s.n, p = (long)m->s.p, width = (long)m->s.width;
     const long used = states_in_use(m, h), place = part_of(m, h, i);
     const double *C = m->C + i * width;
     double expected = dot(C, h->x, n);
+    outlook of = {0.0, 0.0, 0.0, 0.0, 0};
     if (*m->gain_mode == GAIN_OPEN) {
-        *known = m->R[i * p + i];
-        return at->y[i] - (expected + dot(m->D + i * p, at->sample, p));
+        of.known = m->R[i * p + i];
+        of.innovation = at->y[i] - (expected + dot(m->D + i * p, at->sample, p));
+        return of;
     }
     if (place >= 0) {
         expected += h->x[place];
     }
+    of.innovation = at->y[i] - expected;
     if (*h->certified != 0) {
         const double scale = noise_of(m, at, i);
-        *known = scale * scale * m->innovation_covariance[i * p + i];
-        return at->y[i] - expected;
+        of.known = scale * scale * m->innovation_covariance[i * p + i];
+        return of;
     }
     for (long j = 0; j < used; j++) {
         const double *row = h->covariance + j * width;
         effect->crossed[j] = dot(C, row, n) + (place < 0 ? 0.0 : row[place]);
     }
-    *known = dot(C, effect->crossed, n) + (place < 0 ? 0.0 : effect->crossed[place])
-             + white_of(m, at, h, i);
-    return at->y[i] - expected;
+    of.known = dot(C, effect->crossed, n) + (place < 0 ? 0.0 : effect->crossed[place])
+               + white_of(m, at, h, i);
+    return of;
 }
-
-/* An output's sample as a hypothesis expects it: the innovation, the variance of what the filter knows
- * of it and, by the parameters, of all, the logarithm of the likelihood, and whether it is no outlier's. */
-typedef struct {
-    double innovation, known, variance, likelihood;
-    int used;
-} outlook;
 
 /* Look at a sample; write Omega = C Upsilon. The likelihood of an outlier is the same wherever the sample
  * is, and whatever the filter expects. */
@@ -133,8 +136,7 @@ static outlook look(const model *m, const state *at, const hypothesis *h, long i
     const long place = part_of(m, h, i);
     const double scale = noise_of(m, at, i);
     double *omega = effect->omega + i * k;
-    outlook of = {0.0, 0.0, 0.0, 0.0, 0};
-    of.innovation = expect(m, at, h, i, effect, &of.known);
+    outlook of = expect(m, at, h, i, effect);
     for (long a = 0; a < k; a++) {
         const double *row = h->upsilon + a * width;
         omega[a] = dot(m->C + i * width, row, n) + (place < 0 ? 0.0 : row[place]);
@@ -168,15 +170,14 @@ void weigh(const model *m, const state *at, const hypothesis *h, correction *eff
 
 /* Follow the innovations: averages over a second, and the slow part. */
 static void follow(
-    const model *m, const state *at, hypothesis *h, long output, double innovation,
-    double variance)
+    const model *m, const state *at, hypothesis *h, long output, const outlook *of)
 {
     /* After a gap the averages go on where they were. */
     const double since = *sensor_of(m, at, output).since;
     const double elapsed = minimum(maximum(since, *m->period), *m->longest);
     const double share = share_of(elapsed, 1.0) / (double)m->s.p;
     const double slow_share = share_of(elapsed, m->constants[SLOW_TIME]);
-    const double r = minimum(maximum(innovation / sqrt(variance), -*m->gate), *m->gate);
+    const double r = minimum(maximum(of->innovation / sqrt(of->variance), -*m->gate), *m->gate);
     double *slow = h->slow + output;
     *h->nis += share * (r * r - *h->nis);
     *h->colour += share * (r * h->previous[output] - *h->colour);
@@ -212,11 +213,11 @@ static double inflation_of(const model *m, const hypothesis *h)
 
 /* Correct the parameters' covariance and the pending change of them by one output. */
 static void adapt_by(
-    const model *m, hypothesis *h, const double *omega, double innovation, double known,
-    double inflation, double *cross)
+    const model *m, hypothesis *h, const double *omega, const outlook *of, double inflation,
+    double *cross)
 {
     const long k = (long)m->s.k;
-    double variance = known * inflation, left = innovation - dot(omega, h->pending, k);
+    double variance = of->known * inflation, left = of->innovation - dot(omega, h->pending, k);
     for (long a = 0; a < k; a++) {
         cross[a] = dot(h->gamma + a * k, omega, k);
     }
@@ -250,16 +251,14 @@ static void use_pending(const model *m, hypothesis *h, correction *effect)
     }
 }
 
-/* Correct the regressors by an output's gain, a column of rows of `stride`, and add to the measure
- * of excitation. */
+/* Correct the regressors by an output's gain, a column, and add to the measure of excitation. */
 static void correct_regressors(
-    const model *m, hypothesis *h, const double *omega, const double *gain, long stride,
-    double known, long used)
+    const model *m, hypothesis *h, const double *omega, const double *gain, double known, long used)
 {
-    const long k = (long)m->s.k, width = (long)m->s.width;
+    const long k = (long)m->s.k, p = (long)m->s.p, width = (long)m->s.width;
     for (long a = 0; a < k; a++) {
         for (long j = 0; j < used; j++) {
-            h->upsilon[a * width + j] -= omega[a] * gain[j * stride];
+            h->upsilon[a * width + j] -= omega[a] * gain[j * p];
         }
         for (long b = 0; b < k; b++) {
             h->gram[a * k + b] += omega[a] * omega[b] / known;
@@ -269,14 +268,13 @@ static void correct_regressors(
 
 /* Correct with a Riccati gain: x <- x + P c e / s,  P <- P - P c c' P / s. */
 static void correct_covariance(
-    const model *m, hypothesis *h, const double *crossed, double innovation, double known,
-    long used)
+    const model *m, hypothesis *h, const double *crossed, const outlook *of, long used)
 {
     const long width = (long)m->s.width;
     for (long j = 0; j < used; j++) {
-        const double gain = crossed[j] / known;
+        const double gain = crossed[j] / of->known;
         double *row = h->covariance + j * width;
-        h->x[j] += gain * innovation;
+        h->x[j] += gain * of->innovation;
         for (long i = 0; i <= j; i++) {
             row[i] -= gain * crossed[i];
             h->covariance[i * width + j] = row[i];
@@ -324,15 +322,15 @@ double correct_by(
         for (long j = 0; j < used; j++) {
             gain[j * p] = effect->crossed[j] / of.known;
         }
-        correct_covariance(m, h, effect->crossed, of.innovation, of.known, used);
+        correct_covariance(m, h, effect->crossed, &of, used);
     }
     if (*m->supervised != 0) {
-        follow(m, at, h, output, of.innovation, of.variance);
+        follow(m, at, h, output, &of);
     }
     if (k > 0) {
-        correct_regressors(m, h, omega, gain, p, of.known, used);
+        correct_regressors(m, h, omega, gain, of.known, used);
         if (adapt) {
-            adapt_by(m, h, omega, of.innovation, of.known, inflation, effect->cross);
+            adapt_by(m, h, omega, &of, inflation, effect->cross);
         }
     }
     if (*h->kind == TONE) {
@@ -594,14 +592,13 @@ void write_innovations(
         memcpy(states + k * n, h.x, (size_t)n * sizeof *states);
         memcpy(at->y, log->y + k * p, (size_t)p * sizeof *at->y);
         for (long i = 0; i < p; i++) {
-            double *e = innovations + k * p + i, *s = variances + k * p + i;
-            *e = expect(m, at, &h, i, effect, s);
-            if (!isfinite(at->y[i])) {
-                *e = *s = NAN;
-            } else if (k >= corrected_until) {
-                *s = NAN;
-            } else if (*e * *e <= options->gate * options->gate * *s) {
-                correct_covariance(m, &h, effect->crossed, *e, *s, n);
+            const outlook of = expect(m, at, &h, i, effect);
+            const double square = of.innovation * of.innovation;
+            const int is_there = isfinite(at->y[i]) != 0, is_free = k >= corrected_until;
+            innovations[k * p + i] = is_there ? of.innovation : NAN;
+            variances[k * p + i] = is_there && !is_free ? of.known : NAN;
+            if (is_there && !is_free && square <= options->gate * options->gate * of.known) {
+                correct_covariance(m, &h, effect->crossed, &of, n);
             }
         }
         begins = half < 0.0;

@@ -131,15 +131,15 @@ static void kick_arm(
     if (wanted == NOTHING) {
         return;
     }
-    for (long j = 0; j < n; j++) {
-        const double share = f->motor_torque[j], other = f->link_torque[j];
-        link[j] = (j < 4 ? total[j] : 0.0) + total[LINK_TORQUE] * share
-                  + total[LINK_EXTERNAL] * other;
-        motor[j] = (j < 4 ? total[4 + j] : 0.0) + total[MOTOR_TORQUE] * share
-                   + total[MOTOR_EXTERNAL] * other;
+    for (int of = OF_LINK; of <= OF_MOTOR; of++) {
+        const double by_torque = total[LINK_TORQUE + of], by_external = total[LINK_EXTERNAL + of];
+        double *row = of == OF_LINK ? link : motor;
+        for (long j = 0; j < n; j++) {
+            row[j] = (j < 4 ? total[4 * of + j] : 0.0) + by_torque * f->motor_torque[j]
+                     + by_external * f->link_torque[j];
+        }
+        row[0] += total[LINK_SINE + of] * cos;
     }
-    link[0] += total[LINK_SINE] * cos;
-    motor[0] += total[MOTOR_SINE] * cos;
     for (long i = 0; i < k + (wanted == COVARIANCE); i++) {
         const double *by = f->effects + i * EFFECTS;
         double *row = work->effects + i * n;
@@ -156,14 +156,20 @@ static void kick_arm(
     }
 }
 
-/* Write K S K' into S (n, n), symmetric, for K = I + rows of x_2 and x_4. */
-static void shear(long n, const double *link, const double *motor, double *changes, double *S)
+/* Write K M into M (n, n), for K = I + rows (2, n) of x_2 and x_4. */
+static void shear_rows(long n, const double *rows, double *changes, double *M)
 {
+    multiply(rows, M, changes, 2, n, n);
+    add_scaled(M + n, 1.0, changes, n);
+    add_scaled(M + 3 * n, 1.0, changes + n, n);
+}
+
+/* Write K S K' into S, symmetric. */
+static void shear(long n, const double *rows, double *changes, double *S)
+{
+    const double *link = rows, *motor = rows + n;
     double *at_link = S + n, *at_motor = S + 3 * n;
-    multiply(link, S, changes, 1, n, n);
-    multiply(motor, S, changes + n, 1, n, n);
-    add_scaled(at_link, 1.0, changes, n);
-    add_scaled(at_motor, 1.0, changes + n, n);
+    shear_rows(n, rows, changes, S);
     /* Of the columns only what is in these rows is not known yet, as S is symmetric. */
     const double corner = dot(link, at_link, n);
     const double both = dot(link, at_motor, n);
@@ -216,14 +222,11 @@ static void step_arm(
     }
     kick_arm(f, total, u[0], half, x, wanted, work);
     if (wanted != NOTHING) {
-        multiply(link, work->J, changes, 1, n, n);
-        multiply(motor, work->J, changes + n, 1, n, n);
-        add_scaled(work->J + n, 1.0, changes, n);
-        add_scaled(work->J + 3 * n, 1.0, changes + n, n);
+        shear_rows(n, link, changes, work->J);
     }
     if (wanted == COVARIANCE) {
         memcpy(work->Q, over->noise, (size_t)(n * n) * sizeof *work->Q);
-        shear(n, link, motor, changes, work->Q);
+        shear(n, link, changes, work->Q);
     }
 }
 
