@@ -203,7 +203,7 @@ def _listener() -> None:
     node = join_ros().create_node("listener")
     taken, decode = hear(node), JointStateDecoder()
     diagnostics = DrainedSubscription(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
-    while not all(each.publisher_count for each in taken.values()):
+    while not all(each.subscription.get_publisher_count() for each in taken.values()):
         time.sleep(0.05)
     print("started")
     estimates: list[tuple[int, int]] = []

@@ -16,7 +16,7 @@ def test_waiting_messages_do_not_wake_the_executor(ros: Any) -> None:
     node, qos = ros.node("drainer"), QoSProfile(depth=COUNT)
     subscription = DrainedSubscription(node, JointState, "joints", qos)
     publisher, ticks = node.create_publisher(JointState, "joints", qos), list[None]()
-    ros.spin_until(lambda: subscription.publisher_count == 1, what="matching")
+    ros.spin_until(lambda: subscription.subscription.get_publisher_count() == 1, what="matching")
     sent = [JointState(name=[f"joint_{index}"], position=[0.5 * index]) for index in range(COUNT)]
     for message in sent:
         publisher.publish(message)

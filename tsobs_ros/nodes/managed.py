@@ -171,12 +171,15 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
         self.create_timer(_DIAGNOSTICS_PERIOD, publish, clock=self.steady)
 
-    def offer_triggers(self, answers: Mapping[str, Callable[[], tuple[bool, str]]]) -> None:
+    def offer_triggers(self, answers: Mapping[str, Callable[[], str]]) -> None:
         """Offer std_srvs/Trigger services below the node's name, each with its work, which returns
-        its success and a message."""
+        the message or raises what has to be fixed."""
 
         def serve(answer: Any, _: Trigger.Request, response: Trigger.Response) -> Any:
-            response.success, response.message = answer()
+            try:
+                response.success, response.message = True, answer()
+            except EXPECTED as error:
+                response.success, response.message = False, str(error)
             return response
 
         for name, answer in answers.items():

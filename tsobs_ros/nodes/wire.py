@@ -16,21 +16,24 @@ import re
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from tsobs_ros.bag.definitions import share_folders
 from tsobs_ros.design.signals import Place
 from tsobs_ros.errors import NodeError
 from tsobs_ros.replay.places import Layouts
-from tsobs_ros.series import NANOSECONDS
 
 Taken = list[tuple[Any, Mapping[str, Any]]]
 """Messages, each with its info."""
@@ -64,7 +67,7 @@ class DrainedSubscription:
 
     The queue is the one of the QoS profile: with `keep last`, the middleware drops what does not
     fit into `depth` between two drains, oldest first. `on_arrival` is called by an executor as soon
-    as messages have come, to drain them.
+    as messages have come, to drain them. `subscription` is rclpy's.
     """
 
     def __init__(
@@ -77,7 +80,6 @@ class DrainedSubscription:
         raw: bool = False,
         on_arrival: Callable[[], None] | None = None,
     ) -> None:
-        self._node = node
         self._on_arrival = on_arrival
         # What an executor has taken already, of an observer that may be inactive.
         self._first: deque[tuple[Any, Mapping[str, Any]]] = deque(maxlen=qos.depth or None)
@@ -85,7 +87,7 @@ class DrainedSubscription:
         group.is_open = on_arrival is not None
         # No QoS events either: Fast DDS waits for them on the reader's one status condition, which
         # unread data keeps raised, so that the executor would spin until the next drain.
-        self._subscription = node.create_subscription(
+        self.subscription = node.create_subscription(
             msg_type,
             topic,
             self._arrived,
@@ -94,16 +96,6 @@ class DrainedSubscription:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=raw,
         )
-
-    @property
-    def topic(self) -> str:
-        """The full topic name, after remapping."""
-        return str(self._subscription.topic_name)
-
-    @property
-    def publisher_count(self) -> int:
-        """The number of publishers matched with this subscription at the moment."""
-        return int(self._subscription.get_publisher_count())
 
     def drain(self, limit: int | None = None, until: float = math.inf) -> Taken:
         """Take what is in the queue, oldest first.
@@ -124,11 +116,10 @@ class DrainedSubscription:
         count = sys.maxsize if limit is None else limit
         taken = list(self._first)
         self._first.clear()
-        subscription = self._subscription
-        handle, msg_type, raw = subscription.handle, subscription.msg_type, subscription.raw
-        with handle:
+        own = self.subscription
+        with own.handle:
             while len(taken) < count:
-                message = handle.take_message(msg_type, raw)
+                message = own.handle.take_message(own.msg_type, own.raw)
                 if message is None:
                     break
                 taken.append(message)
@@ -139,10 +130,6 @@ class DrainedSubscription:
     def discard(self) -> None:
         """Throw away what is in the queue, as much as fits."""
         self.drain(self._first.maxlen)
-
-    def destroy(self) -> None:
-        """Destroy the subscription with what is left in its queue; safe to call twice."""
-        self._node.destroy_subscription(self._subscription)
 
     def _arrived(self, message: Any, info: Any) -> None:
         """Take the one message that an executor has taken already."""
@@ -173,9 +160,16 @@ class JointStatePublisher:
             self.publisher.publish(layout.encode_one(stamp, numbers))
 
 
-def set_stamp(stamp: Any, nanoseconds: int) -> None:
-    """Write nanoseconds since the epoch into a builtin_interfaces Time in place."""
-    stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
+def clock_message(time_ns: int) -> Clock:
+    """Return the message of a time [ns] on /clock."""
+    return Clock(clock=Time(nanoseconds=time_ns).to_msg())
+
+
+def wait_until_taken(publishers: Iterable[Publisher], seconds: float) -> None:
+    """Wait until reliable subscribers have all messages, or too much time has passed [s]."""
+    end = time.monotonic() + seconds
+    for each in publishers:
+        each.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
 
 
 def message_class(name: str) -> type[Any]:

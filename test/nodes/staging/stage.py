@@ -105,13 +105,13 @@ class Watcher:
             topic: DrainedSubscription(node, JointState, f"{prefix}/{topic}", qos)
             for topic in (*OUTPUTS, *TORQUE_TOPICS)
         }
-        self.published: list[Published] = []
+        self._node, self.published = node, list[Published]()
         self.newest: dict[str, int] = {}
 
     def close(self) -> None:
         """Stop reading."""
         for subscription in self.subscriptions.values():
-            subscription.destroy()
+            self._node.destroy_subscription(subscription.subscription)
 
     def read(self) -> None:
         """Take what has been published."""
@@ -157,8 +157,8 @@ class Stage:
         options = {"namespace": namespace, "cli_args": remap}
         given = {"use_sim_time": True, **parameters}
         self.observer = start(self.ros, "observer", options=options, **given)
-        outputs = [self.watcher.subscriptions[topic] for topic in OUTPUTS]
-        self.wait_until(lambda: all(each.publisher_count for each in outputs), "the outputs")
+        outputs = [self.watcher.subscriptions[topic].subscription for topic in OUTPUTS]
+        self.wait_until(lambda: all(each.get_publisher_count() for each in outputs), "the outputs")
         inputs = [self.sensor, *([self._clock] if given["use_sim_time"] else [])]
         self.wait_until(lambda: all(each.get_subscription_count() for each in inputs), "matching")
         if self.now:

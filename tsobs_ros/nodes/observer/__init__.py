@@ -227,11 +227,11 @@ class Observer(ManagedNode[ObserverParameters]):
         )
         self._record.publish(String(data=text))
 
-    def _on_reset(self) -> tuple[bool, str]:
+    def _on_reset(self) -> str:
         # What was received before the reset must not be used after it.
         self._measurements.discard()
         self._restart("reset service")
-        return True, "restarted"
+        return "restarted"
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data and not self._enabled:

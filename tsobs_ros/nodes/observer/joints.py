@@ -12,7 +12,6 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.estimation import health
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import Event, EventKind, EventLog
@@ -69,9 +68,7 @@ class ObservedJoint:
         self.signals = self.request.signals(name, alone=len(parameters.joints) == 1)
         self.learnt = parameters.learnt(design)
         self.tracker: Tracker = make_tracker(design, parameters, estimator)
-        self.torque_sides: tuple[str, ...] = ()
-        if isinstance(self.request, ArmRequest) and estimator.shape.t:
-            self.torque_sides = self.request.torque_sides
+        self.torque_sides = self.request.torque_sides if estimator.shape.t else ()
         self._parameters = parameters
         self.events = EventLog(source, parameters.coast_after, parameters.stale_after)
         self.reset()
@@ -156,7 +153,14 @@ class ObservedJoint:
         """Return the estimate to publish at a time [ns]; of a stale joint as the parameters say."""
         if self.phase(now) in (Phase.WAITING, Phase.STALE):
             # To predict through a long silence would take long, and tell nothing.
-            return self._held() if self._parameters.when_stale == "hold" else None
+            held = self.latest if self._parameters.when_stale == "hold" else None
+            nothing = np.zeros(0)
+            return held and held._replace(
+                state_bound=nothing,
+                disturbance_bound=nothing,
+                torque_disturbance_bound=nothing,
+                parameters_valid=False,
+            )
         estimate = self.tracker.estimate(now)
         if estimate is None:
             return None
@@ -190,15 +194,6 @@ class ObservedJoint:
         torque, bound = estimate.torque_disturbance[-1], estimate.torque_disturbance_bound[-1]
         text = f"{torque:.3g} N m (1 sigma {bound:.2g}) at the {self.torque_sides[-1]}"
         return text + beyond * f", beyond {self.torque_warn:g} N m: a contact, a payload?"
-
-    def _held(self) -> Estimate | None:
-        nothing = np.zeros(0)
-        return self.latest and self.latest._replace(
-            state_bound=nothing,
-            disturbance_bound=nothing,
-            torque_disturbance_bound=nothing,
-            parameters_valid=False,
-        )
 
 
 def observed_joints(

@@ -43,12 +43,14 @@ def statuses_of(
 
 
 def _joint_statuses(joint: ObservedJoint, now: int) -> list[Status]:
+    names = joint.request.output_names
+    faults = zip(joint.faults.faults, joint.signals.units, names, strict=True)
     statuses = [
         _state_status(joint, now),
         _measurement_status(joint),
         _domain_status(joint),
         _innovation_status(joint),
-        *_fault_statuses(joint, now),
+        *(fault.status(now, unit, name * (len(names) > 1)) for fault, unit, name in faults),
         *_torque_statuses(joint),
         _certificate_status(joint, now),
     ]
@@ -125,12 +127,6 @@ def _innovation_status(joint: ObservedJoint) -> Status:
     for event in ("outliers left out", "sensor jumps", "hits"):
         values[f"last minute: {event}"] = str(joint.recent.growth[event])
     return Status("innovation", level, message, values)
-
-
-def _fault_statuses(joint: ObservedJoint, now: int) -> list[Status]:
-    names = joint.request.output_names
-    each = zip(joint.faults.faults, joint.signals.units, names, strict=True)
-    return [fault.status(now, unit, name * (len(names) > 1)) for fault, unit, name in each]
 
 
 def _torque_statuses(joint: ObservedJoint) -> list[Status]:

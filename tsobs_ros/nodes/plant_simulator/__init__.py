@@ -67,9 +67,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
     def configure(self) -> None:
         """Make the arm at t = 0 with its topics and services."""
         parameters = self.parameters
-        self._publish_sample = SamplePublisher(self, parameters)
-        # The last truth reaches its subscribers.
-        self.at_cleanup(self._publish_sample.wait_for_acknowledgement)
+        self._publish_sample = SamplePublisher(self)
         self._commands = TorqueCommands(self)
         self.offer_triggers({"reset": self._reset})
         self._schedule = Ticks(parameters.sample_rate)
@@ -201,7 +199,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         time = self._plants[0].index / self._plants[0].scenario.rate
         self.log(Level.OK, f"changed at t = {time:g} s, from which on new disturbances count")
 
-    def _reset(self) -> tuple[bool, str]:
+    def _reset(self) -> str:
         """Restart the plant at the next sample; the stamps go on."""
         self._new_plant()
         if self.done and self.active:
@@ -210,7 +208,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self.done = False
         message = f"restarted with seed {self.parameters.seed}"
         self.log(Level.OK, message)
-        return True, message
+        return message
 
 
 def plants_of(parameters: PlantSimulatorParameters) -> list[Plant]:

@@ -8,10 +8,8 @@ from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
-from rosgraph_msgs.msg import Clock as ClockMessage
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 
 from tsobs_ros.bag.estimate_topics import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, sides
@@ -21,7 +19,13 @@ from tsobs_ros.design.signals import Place, positions
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
-from tsobs_ros.nodes.wire import QUIET, DrainedSubscription, JointStatePublisher, set_stamp
+from tsobs_ros.nodes.wire import (
+    QUIET,
+    DrainedSubscription,
+    JointStatePublisher,
+    clock_message,
+    wait_until_taken,
+)
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 
 _ACKNOWLEDGE_TIMEOUT = 1.0
@@ -76,8 +80,8 @@ class TorqueCommands:
 class SamplePublisher:
     """Publishes samples as messages, each of all joints."""
 
-    def __init__(self, node: Node, parameters: PlantSimulatorParameters) -> None:
-        requests = parameters.requests
+    def __init__(self, node: ManagedNode[PlantSimulatorParameters]) -> None:
+        requests = node.parameters.requests
         joints = [
             request.signals(joint, alone=len(requests) == 1) for joint, request in requests.items()
         ]
@@ -109,12 +113,12 @@ class SamplePublisher:
             for topic, (of, parts) in truths.items()
             if any(parts)
         ]
-        self._clock = ClockMessage()
-        self._to_clock: Any = None
-        if parameters.publish_clock:
-            self._to_clock = node.create_publisher(
-                ClockMessage, "/clock", 10, event_callbacks=QUIET
-            )
+        # The last truth reaches its subscribers.
+        publishers = [truth.publisher for _, truth in self._truths]
+        node.at_cleanup(wait_until_taken, publishers, _ACKNOWLEDGE_TIMEOUT)
+        self._clock: Any = None
+        if node.parameters.publish_clock:
+            self._clock = node.create_publisher(Clock, "/clock", 10, event_callbacks=QUIET)
 
     @property
     def subscribers(self) -> int:
@@ -123,9 +127,8 @@ class SamplePublisher:
 
     def __call__(self, stamp: int, samples: Sequence[Trajectories]) -> None:
         """Publish the time [ns], the truth and, unless they were lost, the measurements."""
-        if self._to_clock is not None:
-            set_stamp(self._clock.clock, stamp)
-            self._to_clock.publish(self._clock)
+        if self._clock is not None:
+            self._clock.publish(clock_message(stamp))
         for truth, publisher in self._truths:
             publisher.publish(stamp, {k: truth(each).tolist() for k, each in enumerate(samples)})
         measured = {
@@ -134,8 +137,3 @@ class SamplePublisher:
             if not np.isnan(each.measurements).all()
         }
         self._measurements.publish(stamp, measured)
-
-    def wait_for_acknowledgement(self) -> None:
-        """Wait at most a second until subscribers have the truth that was published."""
-        for _, truth in self._truths:
-            truth.publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))

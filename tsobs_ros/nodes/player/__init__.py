@@ -31,7 +31,7 @@ from rclpy.qos import (
     QoSProfile,
     ReliabilityPolicy,
 )
-from rosgraph_msgs.msg import Clock as ClockMessage
+from rosgraph_msgs.msg import Clock
 
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import QosProfile, QosTime, TopicInfo
@@ -42,7 +42,7 @@ from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.parameters import SelectingParameters
 from tsobs_ros.nodes.runtime import Ticker
-from tsobs_ros.nodes.wire import message_class, set_stamp
+from tsobs_ros.nodes.wire import clock_message, message_class, wait_until_taken
 from tsobs_ros.settings import live_setting, setting
 
 _READ_AHEAD = 8 * 2**20
@@ -140,7 +140,7 @@ class Player(ManagedNode[PlayerParameters]):
         self._counts = dict.fromkeys(self._played, 0)
         self._clock_publisher: Any = None
         if parameters.clock:
-            self._clock_publisher = self.create_publisher(ClockMessage, CLOCK, 10)
+            self._clock_publisher = self.create_publisher(Clock, CLOCK, 10)
         latched = {
             name: each.qos_profile.depth
             for name, each in self._played.items()
@@ -176,7 +176,7 @@ class Player(ManagedNode[PlayerParameters]):
         try:
             yield from messages
         except BagReadError:
-            self._wait_for_acknowledgement()
+            wait_until_taken(self._played.values(), _ACKNOWLEDGE_TIMEOUT)
             raise
 
     def activate(self) -> None:
@@ -239,9 +239,7 @@ class Player(ManagedNode[PlayerParameters]):
                 self._played[event.message.topic].publish(event.message.data)
                 self._counts[event.message.topic] += 1
             else:
-                message = ClockMessage()
-                set_stamp(message.clock, event.time)
-                self._clock_publisher.publish(message)
+                self._clock_publisher.publish(clock_message(event.time))
             now = time.monotonic_ns()
         if playback.held_back > held_back and self.may_log("lag"):
             self.log(
@@ -250,7 +248,7 @@ class Player(ManagedNode[PlayerParameters]):
                 "with nothing left out",
             )
         if playback.ended and not self.done:
-            self._wait_for_acknowledgement()
+            wait_until_taken(self._played.values(), _ACKNOWLEDGE_TIMEOUT)
             self.done = True
         return playback.wait(now)
 
@@ -269,17 +267,11 @@ class Player(ManagedNode[PlayerParameters]):
             self._is_awaited = wanted > 0 and not is_over and not has_settled
         return not self._is_awaited
 
-    def _wait_for_acknowledgement(self) -> None:
-        """Wait until reliable subscribers have everything, or too much time has passed."""
-        end = time.monotonic() + _ACKNOWLEDGE_TIMEOUT
-        for each in self._played.values():
-            each.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
-
-    def _pause(self, paused: bool) -> tuple[bool, str]:
+    def _pause(self, paused: bool) -> str:
         self._paused = paused
         if paused:
             self._playback.pause(time.monotonic_ns())
-        return True, f"{self.doing} at {self.position:.3f} s"
+        return f"{self.doing} at {self.position:.3f} s"
 
     def _statuses(self) -> list[Status]:
         values = {

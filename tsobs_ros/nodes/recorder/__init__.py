@@ -64,9 +64,9 @@ class Recorder(ManagedNode[RecorderParameters]):
             sync_period=parameters.sync_period,
         )
         self.at_cleanup(self._close_recording)
-        self._paused = self._failed = self._free_disk_warned = False
-        acts = {"pause": self._pause, "resume": self._resume, "split_bagfile": self._split}
-        self.offer_triggers({name: partial(self._do, act) for name, act in acts.items()})
+        self._paused = self._failed = False
+        acts = {"pause": partial(self._pause, True), "resume": partial(self._pause, False)}
+        self.offer_triggers({**acts, "split_bagfile": self._split})
         self.offer_diagnostics(str(path), self._statuses)
         self._chores: dict[Callable[[], None], float] = {
             self._look_for_topics: _GRAPH_PERIOD,
@@ -131,23 +131,13 @@ class Recorder(ManagedNode[RecorderParameters]):
         """The topics whose losses are not all known."""
         return [name for name, losses in self._losses.items() if not losses.is_exact]
 
-    def _do(self, act: Callable[[], str]) -> tuple[bool, str]:
-        """Do what a service asks for, after what has arrived; return its answer."""
-        try:
-            self._drain()
-            return True, act()
-        except BagWriteError as error:  # the next tick meets it too, and ends the recording
-            return False, str(error)
-
-    def _pause(self) -> str:
-        self._paused = True
-        return "paused"
-
-    def _resume(self) -> str:
-        self._paused = False
-        return "recording"
+    def _pause(self, paused: bool) -> str:
+        self._drain()
+        self._paused = paused
+        return "paused" if paused else "recording"
 
     def _split(self) -> str:
+        self._drain()
         self.recording.split()
         return f"{self.recording.file_count} files"
 
@@ -204,17 +194,10 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     def _flush(self) -> None:
         self.recording.flush()
-        free, minimum = _free_disk(self.path), self.parameters.minimum_free_disk
-        if free < minimum:
+        if (free := _free_disk(self.path)) < self.parameters.minimum_free_disk:
             self.log(Level.ERROR, f"disk almost full ({free:.0f} MiB free): recording ends here")
             self.close()
             self.done = True
-        elif free < _FREE_DISK_WARNING * minimum and not self._free_disk_warned:
-            self._free_disk_warned = True
-            self.log(
-                Level.WARN,
-                f"{free:.0f} MiB of disk space are left, recording ends at {minimum} MiB",
-            )
 
     def _statuses(self) -> list[Status]:
         recording, missing, free = self.recording, self._finder.missing, _free_disk(self.path)

@@ -175,7 +175,7 @@ class RecordedTopic:
     @property
     def matched(self) -> bool:
         """Whether a publisher is matched at the moment."""
-        return any(s.publisher_count for s in self._subscriptions.values())
+        return any(s.subscription.get_publisher_count() for s in self._subscriptions.values())
 
     def subscribe(self, publishers: Sequence[TopicEndpointInfo]) -> None:
         """Subscribe to all the publishers there are, as far as that is not done yet."""
@@ -206,10 +206,11 @@ class RecordedTopic:
         """
         taken = [(kind, s, s.drain(limit)) for kind, s in self._subscriptions.items()]
         received: list[Received] = []
-        for (is_latched, _), subscription, messages in reversed(taken):
+        for (is_latched, _), made, messages in reversed(taken):
             latched = 0
             if is_latched and messages:
-                latched = max(1, subscription.publisher_count, len(self._latched_publishers))
+                matched = made.subscription.get_publisher_count()
+                latched = max(1, matched, len(self._latched_publishers))
             for data, info in messages:
                 source_ns, number = info["source_timestamp"], info["publication_sequence_number"]
                 key = (source_ns, number, len(data))
