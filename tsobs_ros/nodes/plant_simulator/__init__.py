@@ -48,8 +48,6 @@ _BACKWARD = JumpThreshold(
 )
 # Seeds of the joints lie apart, so that no joint repeats another one at a later seed.
 SEED_STEP = 2**32
-_START_POLL = 0.02
-_CLOCK_PATIENCE = 5 * NANOSECONDS
 
 
 class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
@@ -81,7 +79,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             jumps = self.get_clock().create_jump_callback(_BACKWARD, post_callback=self._tick)
             self.at_cleanup(jumps.unregister)
         self._new_plant()
-        self._latest, self._runs = 0, False
+        self._latest = 0
         # A timer on the node's clock wakes up with each /clock message; only then does it serve,
         # since a system clock that is set back would stop it.
         self.ticker = Ticker(
@@ -94,13 +92,9 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
     def activate(self) -> None:
         """Start sampling, or go on, as soon as there are a time and the wanted subscribers."""
         self._commands.subscription.discard()  # what arrived was meant for an arm that stood still
-        self._activated = time.monotonic_ns()
-        self._start_timer = self.create_timer(_START_POLL, self._start, clock=self.steady)
-
-    def deactivate(self) -> None:
-        """Stop sampling."""
-        self.destroy_timer(self._start_timer)
-        self._runs = False
+        self._activated, self._runs = time.monotonic(), False
+        if self._now_ns() == 0:
+            self.log(Level.OK, "waiting for /clock")
 
     @property
     def _is_over(self) -> bool:
@@ -123,16 +117,17 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         """Whether time is an external /clock."""
         return self._driven is None and bool(self.get_clock().ros_time_is_active)
 
+    def _may_start(self) -> bool:
+        wanted, there = self.parameters.wait_for_subscribers, self._publish_sample.subscribers
+        if self._index or there >= wanted:
+            return True
+        is_over = 0.0 < self.parameters.wait_timeout <= time.monotonic() - self._activated
+        if is_over:
+            self.log(Level.WARN, f"{there} of {wanted} subscriptions of joint_measurements so far")
+        return is_over
+
     def _start(self) -> None:
-        """Start sampling if there are a time and the wanted subscribers."""
-        waited = time.monotonic_ns() - self._activated
-        if self._driven is None and self._now_ns() == 0:
-            if waited > _CLOCK_PATIENCE and self.may_log("clock"):
-                self.log(Level.WARN, "waiting for /clock")
-            return
-        if self._index == 0 and not self._is_subscribed(waited):
-            return
-        self.destroy_timer(self._start_timer)
+        """Let time run from the present on, or from where it stopped if it is the node's."""
         if self._driven is not None:
             self._driven.anchor(self._schedule.due, time.monotonic_ns())
             self._driven.paused = False
@@ -142,20 +137,16 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         subscribers = self._publish_sample.subscribers
         self.log(Level.OK, f"{what}: {subscribers} subscriptions of joint_measurements")
         self._runs = True
-        self._tick()
-
-    def _is_subscribed(self, waited: int) -> bool:
-        wanted, there = self.parameters.wait_for_subscribers, self._publish_sample.subscribers
-        if there < wanted and 0.0 < self.parameters.wait_timeout * NANOSECONDS <= waited:
-            self.log(Level.WARN, f"{there} of {wanted} subscriptions of joint_measurements so far")
-            return True
-        return there >= wanted
 
     def _tick(self, _jump: Any = None) -> int | None:
         """Publish every sample that is due; return the time until the next one is [ns]."""
-        now = self._now_ns()
-        if not self._runs or now == 0:
+        if not self.active or self.done or self._now_ns() == 0:
             return None
+        if not self._runs:
+            if not self._may_start():
+                return None
+            self._start()
+        now = self._now_ns()
         back = self._latest - now
         if back > (0 if self._follows_clock else _SLEW_MARGIN):
             size = f"{back / NANOSECONDS:g} s"
@@ -170,7 +161,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             samples = [plant.step(u) for plant, u in zip(self._plants, torques, strict=True)]
             self._publish_sample(self._schedule.take(), samples)
         if self._is_over:
-            self.done, self._runs = True, False
+            self.done = True
             return None
         return math.ceil((self._schedule.due - self._now_ns()) / self._pace)
 
@@ -204,7 +195,6 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._new_plant()
         if self.done and self.active:
             self._schedule.start(self._now_ns())
-            self._runs = True
         self.done = False
         message = f"restarted with seed {self.parameters.seed}"
         self.log(Level.OK, message)
