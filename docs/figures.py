@@ -122,7 +122,7 @@ def markers(path: Path) -> None:
     from builtin_interfaces.msg import Time
 
     from tsobs_ros.estimation.health import Level
-    from tsobs_ros.nodes.visualizer.scene import Angles, Arm, VisualizerParameters, scene
+    from tsobs_ros.nodes.visualizer import Angles, Arm, VisualizerParameters, scene
 
     def arm(level: Level, fault: str, link: float, motor: float) -> Arm:
         truth, estimate = Angles(link, motor), Angles(link + 0.01, motor - 0.02)

@@ -13,7 +13,7 @@ from builtin_interfaces.msg import Time
 
 from tsobs_ros.cli.demo import MARKERS
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.visualizer.scene import Angles, Arm, VisualizerParameters, scene
+from tsobs_ros.nodes.visualizer import Angles, Arm, VisualizerParameters, scene
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCH = ElementTree.parse(ROOT / "launch" / "demo.launch.xml").getroot()

@@ -34,7 +34,7 @@ services:
 
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import partial
 
 import numpy as np
@@ -125,7 +125,6 @@ class Observer(ManagedNode[ObserverParameters]):
         self._measurements.discard()
         self._publish_record()
         self._restart("activated again" if self._resets >= 0 else "")
-        self._meter.restart()
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
@@ -212,6 +211,7 @@ class Observer(ManagedNode[ObserverParameters]):
         for joint in self.joints:
             joint.reset()
         self._resets += 1
+        self._meter.restart()
         self._unanswered.clear()
         now = int(self.get_clock().now().nanoseconds)
         self._publisher.publish_restart(now, self._resets)
@@ -248,19 +248,16 @@ class Observer(ManagedNode[ObserverParameters]):
         now = int(self.get_clock().now().nanoseconds)
         for joint in self.joints:
             self._log(joint, joint.count())
-            self._log(joint, self._missing(joint))
+            names = joint.request.output_names
+            each = zip(names, joint.faults.faults, joint.signals.outputs, strict=True)
+            for output, fault, place in each:
+                if fault.kind is FaultKind.MISSING and self.may_log((joint.name, output)):
+                    newest = self._reader.describe(self._newest, joint.name)
+                    text = f"{output} is missing: expected {place.described}; the newest message: "
+                    text += f"{newest}; estimation goes on without it"
+                    self._log(joint, [(Level.WARN, text)])
         timing = self._meter.status()
         return statuses_of(self.joints, timing, now, resets=self._resets, enabled=self._enabled)
-
-    def _missing(self, joint: ObservedJoint) -> Iterator[tuple[Level, str]]:
-        """Yield the outputs that messages lack."""
-        names = joint.request.output_names
-        each = zip(names, joint.faults.faults, joint.signals.outputs, strict=True)
-        for output, fault, place in each:
-            if fault.kind is FaultKind.MISSING and self.may_log((joint.name, output)):
-                newest = self._reader.describe(self._newest, joint.name)
-                text = f"{output} is missing: expected {place.described}; the newest message: "
-                yield Level.WARN, f"{text}{newest}; estimation goes on without it"
 
 
 Parameters = ObserverParameters

@@ -14,7 +14,7 @@ services, std_srvs/srv/Trigger:
 
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -36,8 +36,8 @@ from rosgraph_msgs.msg import Clock
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import QosProfile, QosTime, TopicInfo
 from tsobs_ros.bag.playback import Playback, read_passes
-from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
-from tsobs_ros.errors import BagReadError, BagWriteError, NodeError, ParameterError
+from tsobs_ros.bag.reader import UNCHECKED, BagReader
+from tsobs_ros.errors import BagWriteError, NodeError, ParameterError
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.parameters import SelectingParameters
@@ -58,8 +58,6 @@ _MAX_WAIT = 0.02
 # A best-effort subscriber receives nothing before it has matched the publisher too, and others may
 # be discovered at the same time [ns].
 _SETTLING = 200_000_000
-
-
 # The depth of ROS's default profile, for a latched publisher of unknown depth; and what another may
 # leave waiting for slow reliable subscribers.
 _USUAL_DEPTH, _DEPTH = 10, 1000
@@ -137,6 +135,7 @@ class Player(ManagedNode[PlayerParameters]):
             )
         selected = [reader.topics[name] for name in parameters.select(reader.topics)]
         self._played = played_topics(self, selected)
+        self.at_cleanup(wait_until_taken, self._played.values(), _ACKNOWLEDGE_TIMEOUT)
         self._counts = dict.fromkeys(self._played, 0)
         self._clock_publisher: Any = None
         if parameters.clock:
@@ -151,7 +150,7 @@ class Player(ManagedNode[PlayerParameters]):
         self.at_cleanup(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_INTERVAL)
         self._playback = Playback(
-            self._until_damage(messages),
+            messages,
             start,
             end,
             time.monotonic_ns(),
@@ -170,14 +169,6 @@ class Player(ManagedNode[PlayerParameters]):
             f"opened {reader.path}: {sum(t.count for t in selected)} messages of "
             f"{len(selected)} topics, {length:.3f} s",
         )
-
-    def _until_damage(self, messages: Iterator[BagMessage | None]) -> Iterator[BagMessage | None]:
-        """Wait until subscribers have what was played, before damage of the bag ends the player."""
-        try:
-            yield from messages
-        except BagReadError:
-            wait_until_taken(self._played.values(), _ACKNOWLEDGE_TIMEOUT)
-            raise
 
     def activate(self) -> None:
         """Play, as soon as there are subscribers, unless paused."""
@@ -247,9 +238,7 @@ class Player(ManagedNode[PlayerParameters]):
                 f"{(playback.held_back - held_back) * 1e-9:.3f} s behind: continuing from here, "
                 "with nothing left out",
             )
-        if playback.ended and not self.done:
-            wait_until_taken(self._played.values(), _ACKNOWLEDGE_TIMEOUT)
-            self.done = True
+        self.done = playback.ended
         return playback.wait(now)
 
     def _may_start(self, now: int) -> bool:

@@ -1,35 +1,53 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Arms as markers.
+"""The `visualizer` node: arms as markers for RViz and Foxglove; needs no tf.
 
-An arm swings about −y at its place on the x axis: its angle is 0 hanging down, and positive towards
-+x, so that it is seen as in a textbook from −y. The motor's disc is behind the link, and an arc
-from the motor's angle to the link's shows how far the spring between them is wound up.
+Each arm swings in its own vertical plane: what the observer estimates, as a translucent ghost with
+its bound, and the truth of a simulator as a solid arm. The ghost has the colour of the sensor's
+fault. Without an observer only the truth is drawn.
+
+topics, sensor_msgs/msg/JointState without another type:
+  ~/markers (out)                    visualization_msgs/msg/MarkerArray
+  observer/joint_states (in)         estimates
+  observer/error_bound (in)          their bounds
+  ground_truth/joint_states (in)     the truth
+  /diagnostics (in)                  diagnostic_msgs/msg/DiagnosticArray: the sensors' faults
 """
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from rclpy.qos import QoSProfile
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.errors import printable
 from tsobs_ros.estimation.health import Level
+from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.parameters import ManagedParameters
+from tsobs_ros.nodes.runtime import Ticker
+from tsobs_ros.nodes.watcher import ObserverFeed
 from tsobs_ros.settings import live_setting, setting
 from tsobs_ros.style import BLUE, GREEN, GRID, MUTED, ORANGE, RED
 
-LIFETIME = 1
-"""Time for which a marker is drawn, and messages are [s]."""
+_WANTED = (topics.TRUE_STATES, topics.STATES, topics.STATE_BOUNDS)
+_LINK, _ = topics.sides("")
+_LIFETIME = 1  # time for which a marker is drawn, and messages are [s]
 
 _COLOUR_OF = {Level.OK: BLUE, Level.WARN: ORANGE, Level.ERROR: RED, Level.STALE: MUTED}
 _TRUTH = "#9AA5B1"
 _GHOST, _SIGMAS = 0.45, 3.0
 """Opacity of the estimate; half width of its bound, in 1σ bounds."""
 
+# An arm swings about −y at its place on the x axis: its angle is 0 hanging down, and positive
+# towards +x, so that it is seen as in a textbook from −y. The motor's disc is behind the link, and
+# an arc from the motor's angle to the link's shows how far the spring between them is wound up.
 # All lengths are shares of the link's.
 _SPACING, _MOTOR_RADIUS = 2.6, 0.24
 _DIALS = ((1.10, 1.18), (0.27, 0.33))  # inner and outer radius, of link and motor
@@ -78,7 +96,7 @@ def scene(arms: Sequence[Arm], look: VisualizerParameters, stamp: Any) -> Marker
         for marker in _markers(arm, pen):
             marker.header.frame_id, marker.header.stamp = look.frame_id, stamp
             marker.id += 100 * place
-            marker.lifetime.sec = LIFETIME
+            marker.lifetime.sec = _LIFETIME
             array.markers.append(marker)
     return array
 
@@ -170,3 +188,50 @@ def _sector(angle: float, half: float, radii: tuple[float, float], pen: _Pen) ->
 def _colour(text: str, opacity: float = 1.0) -> ColorRGBA:
     r, g, b = (int(text[place : place + 2], 16) / 255.0 for place in (1, 3, 5))
     return ColorRGBA(r=r, g=g, b=b, a=opacity)
+
+
+class Visualizer(ManagedNode[VisualizerParameters]):
+    """Draws what an observer publishes of arms, and the truth of a simulator."""
+
+    def configure(self) -> None:
+        """Make everything."""
+        self._feed = ObserverFeed(self, self.parameters.observer, _WANTED)
+        self._markers = self.create_publisher(MarkerArray, "~/markers", QoSProfile(depth=10))
+        self.ticker = Ticker(self, 1.0 / self.parameters.rate, self._draw)
+
+    def _draw(self) -> None:
+        self._feed.read()
+        # What is drawn goes when its lifetime is over.
+        wanted = self.active and self._markers.get_subscription_count()
+        if wanted and (arms := self.arms()):
+            self._markers.publish(scene(arms, self.parameters, self.get_clock().now().to_msg()))
+
+    def arms(self) -> list[Arm]:
+        """Return what is known of each arm that the observer or the simulator has, in order."""
+        truth, states, bounds = (
+            self._feed.values("position", topic, _LIFETIME) for topic in _WANTED
+        )
+        found = []
+        for joint in dict.fromkeys(
+            name.removesuffix(_LINK) for name in (*states, *truth) if name.endswith(_LINK)
+        ):
+            statuses = (
+                status
+                for name, status in self._feed.statuses.items()
+                if name.removeprefix(f"{joint}: ").startswith("sensor fault")
+            )
+            worst = max(statuses, key=lambda each: each.level, default=None)
+            level, fault = (worst.level, worst.message) if worst else (Level.STALE, "?")
+            true, estimate, bound = (_angles(each, joint) for each in (truth, states, bounds))
+            found.append(Arm(printable(joint), true, estimate, bound, level, printable(fault)))
+        return found
+
+
+def _angles(positions: dict[str, float], joint: str) -> Angles | None:
+    """Return the positions of a joint's sides; None if they are not both known."""
+    sides = [positions.get(side, math.nan) for side in topics.sides(joint)]
+    return Angles(*sides) if all(map(math.isfinite, sides)) else None
+
+
+Parameters = VisualizerParameters
+create = partial(Visualizer, "visualizer", Parameters)
