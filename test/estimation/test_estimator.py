@@ -63,7 +63,7 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "6bb328e3ce0bcd20",
+    "supervised arm": "a8cb12b42ce19e57",
     "pendulum": "22a950c37cb7e3d8",
     "proportional": "3bed2344d081223c",
     "proportional-integral": "6e7e29fca59d261d",

@@ -73,7 +73,7 @@ enum {
     C(TRIAL, 1.0, "age at which the best fork takes its parent's place [s]")                   \
     C(NOISE_FACTOR, 16.0, "variance of loud noise, by the design's")                           \
     C(IMPERFECTION, 100.0, "process noise of an imperfect model, by the design's")             \
-    C(FORCE_SHARE, 0.015, "1 sigma of the unknown torque, by the reference torque")            \
+    C(FORCE_SHARE, 0.02, "1 sigma of the unknown torque, by the reference torque")             \
     C(FORCE_TIME, 1.0, "its correlation time [s]")                                             \
     C(COLOUR_TIME, 0.05, "correlation time of coloured noise [s]")                             \
     C(COLOUR_SIZE, 1.5, "1 sigma of coloured noise, by the sensor's white noise")              \
