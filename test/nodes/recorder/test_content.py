@@ -28,7 +28,7 @@ def test_other_libraries_read_what_was_published_when_and_by_whom(ros, recording
     messages = [JointState(), awkward, String(data="Größe θ̂ ≤ 1 😀"), String(data="x" * 300_000)]
     joints = node.create_publisher(JointState, "joints", best_effort)
     words = node.create_publisher(String, "words", 100)
-    ros.spin_until(lambda: recorder.ready, what="the recorder's match")
+    ros.spin_until(lambda: not recorder.finder.missing, what="the recorder's match")
     before = node.get_clock().now().nanoseconds
     recording.publish(recorder, joints, messages[:2])
     recording.publish(recorder, words, messages[2:])
@@ -63,7 +63,7 @@ def test_under_simulated_time_messages_wait_for_the_clock(ros, recording) -> Non
     node = ros.node("source")
     publisher = node.create_publisher(JointState, "joints", 10)
     clock = node.create_publisher(Clock, "/clock", 10)
-    ros.spin_until(lambda: recorder.ready, what="the recorder's subscription")
+    ros.spin_until(lambda: not recorder.finder.missing, what="the recorder's subscription")
     ros.spin_until(lambda: clock.get_subscription_count() == 1, what="the clock's match")
     for message in recording.joint_states(3):
         publisher.publish(message)

@@ -57,7 +57,7 @@ def test_an_unnamed_bag_gets_a_dated_name(recording, tmp_path, monkeypatch) -> N
 def test_closing_records_what_has_arrived(ros, recording, capfd) -> None:
     recorder = recording.start(topics=["joints"])
     publisher = ros.node("source").create_publisher(String, "joints", 200)
-    ros.spin_until(lambda: recorder.ready, what="the recorder's subscription")
+    ros.spin_until(lambda: not recorder.finder.missing, what="the recorder's subscription")
     ros.spin_until(lambda: publisher.get_subscription_count() == 1, what="the publisher's match")
     for text in TEXTS:
         publisher.publish(String(data=text))

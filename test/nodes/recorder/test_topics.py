@@ -32,11 +32,11 @@ def test_latched_messages_from_before_and_late_publishers_are_recorded(ros, reco
     ros.spin_until(
         lambda: recording.count(recorder, "/arm/description") == 1, what="the latched message"
     )
-    assert not recorder.ready
+    assert recorder.finder.missing
 
     late = node.create_publisher(String, "late", 10)
     recording.publish(recorder, late, [String(data="hello")])
-    assert recorder.ready
+    assert not recorder.finder.missing
     assert publisher.get_subscription_count() == 1
 
 
@@ -47,7 +47,7 @@ def test_an_unknown_type_does_not_stop_the_others(ros, recording, monkeypatch, c
     recorder = recording.start(topics=["strange", "joints"])
     publisher = node.create_publisher(JointState, "joints", 10)
     recording.publish(recorder, publisher, recording.joint_states(3))
-    assert not recorder.ready
+    assert recorder.finder.missing
     recorder.close()
 
     assert set(BagReader(recorder.path).topics) == {"/joints"}
@@ -155,7 +155,7 @@ def test_the_events_of_a_service_are_recorded_if_its_topic_is_listed(ros, record
     service = node.create_service(SetBool, "enable", lambda _, response: response)
     qos = QoSProfile(depth=10)
     service.configure_introspection(node.get_clock(), qos, ServiceIntrospectionState.CONTENTS)
-    ros.spin_until(lambda: recorder.ready, what="the events' match")
+    ros.spin_until(lambda: not recorder.finder.missing, what="the events' match")
     call(ros, node, SetBool, "enable", SetBool.Request(data=True))
     ros.spin_until(lambda: recording.count(recorder, events) == 2, what="the events")
     recorder.close()

@@ -44,6 +44,7 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     Attributes:
         recording: The bag with its counts.
+        finder: The topics that are recorded, and that are missing.
     """
 
     def configure(self) -> None:
@@ -55,7 +56,7 @@ class Recorder(ManagedNode[RecorderParameters]):
                 f"{path}: {free:.0f} MiB of disk space are free, less than "
                 f"minimum_free_disk ({parameters.minimum_free_disk} MiB)"
             )
-        self._finder = TopicFinder(self)
+        self.finder = TopicFinder(self)
         self.recording = Recording(
             path,
             compression=parameters.compression,
@@ -70,7 +71,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         self.offer_diagnostics(str(path), self._statuses)
         self._chores: dict[Callable[[], None], float] = {
             self._look_for_topics: _GRAPH_PERIOD,
-            self._flush: parameters.flush_period,
+            self._flush: parameters.flush_period,  # which may end the recording
         }
         self._due = dict.fromkeys(self._chores, 0.0)
         # Not the node's clock: simulated time may be slow, stop or never start.
@@ -80,7 +81,7 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     def activate(self) -> None:
         """Record what arrives from here on."""
-        self._take(is_recording=False)
+        self._drain()
 
     def deactivate(self) -> None:
         """Record what has arrived, and discard what arrives from here on."""
@@ -92,7 +93,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         unknown = len(self.loss_unknown)
         self.log(
             Level.OK,
-            f"closing {self.path}: {self.messages} messages of {len(self._finder.recorded)} "
+            f"closing {self.path}: {self.messages} messages of {len(self.finder.recorded)} "
             f"topics, {self.lost} lost since the first of each, {self.earlier} published before"
             + (f", losses of {unknown} topics unknown" if unknown else ""),
         )
@@ -103,18 +104,13 @@ class Recorder(ManagedNode[RecorderParameters]):
         return self.recording.path
 
     @property
-    def ready(self) -> bool:
-        """Whether every listed topic has a publisher that the subscription is matched with."""
-        return not self._finder.missing
-
-    @property
     def messages(self) -> int:
         """The number of messages recorded."""
         return sum(self.recording.counts.values())
 
     @property
     def _losses(self) -> dict[str, LossCounter]:
-        return {name: topic.losses for name, topic in sorted(self._finder.recorded.items())}
+        return {name: topic.losses for name, topic in sorted(self.finder.recorded.items())}
 
     @property
     def lost(self) -> int:
@@ -142,12 +138,13 @@ class Recorder(ManagedNode[RecorderParameters]):
         return f"{self.recording.file_count} files"
 
     def _tick(self) -> None:
+        if not self.configured:  # a full disk ends that, and perhaps not yet the ticks
+            return
         now = time.monotonic()
         try:
-            if self.configured:  # a full disk ends that, and perhaps not yet the ticks
-                self._drain()
+            self._drain()
             for chore, period in self._chores.items():
-                if self.configured and now >= self._due[chore]:
+                if now >= self._due[chore]:
                     self._due[chore] = now + period
                     chore()
         except BagWriteError as error:
@@ -164,7 +161,7 @@ class Recorder(ManagedNode[RecorderParameters]):
                 raise
 
     def _look_for_topics(self) -> None:
-        for topic in self._finder.poll():
+        for topic in self.finder.poll():
             self.recording.add_topic(
                 topic.name, topic.definition.type, topic.offers, definition=topic.definition
             )
@@ -175,18 +172,17 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     def _take(self, *, is_recording: bool) -> None:
         """Record what has arrived; in a pause only what is latched."""
-        simulated_ns = None
-        if self.get_clock().ros_time_is_active:
-            simulated_ns = self.get_clock().now().nanoseconds
-            if simulated_ns == 0:
-                return  # no /clock yet: let messages wait rather than stamp them with 1970
-        limit, recorded = self.parameters.queue_depth, self._finder.recorded.values()
+        clock = self.get_clock()
+        now, is_simulated = clock.now().nanoseconds, clock.ros_time_is_active
+        if now == 0:
+            return  # no /clock yet: let messages wait rather than stamp them with 1970
+        limit, recorded = self.parameters.queue_depth, self.finder.recorded.values()
         batch = [message for topic in recorded for message in topic.drain(limit)]
         # Drained topic by topic, but readers of an unfinished file see it in file order.
         batch.sort(key=attrgetter("log_time_ns"))
         for message in batch:
-            if simulated_ns is not None:
-                message = message._replace(log_time_ns=simulated_ns)
+            if is_simulated:
+                message = message._replace(log_time_ns=now)
             if is_recording or message.latched:
                 self.recording.record(message)
             else:
@@ -200,8 +196,8 @@ class Recorder(ManagedNode[RecorderParameters]):
             self.done = True
 
     def _statuses(self) -> list[Status]:
-        recording, missing, free = self.recording, self._finder.missing, _free_disk(self.path)
-        is_recording, clock = self.active and not self._paused, self.get_clock()
+        recording, missing, free = self.recording, self.finder.missing, _free_disk(self.path)
+        is_recording = self.active and not self._paused
         values = {
             "messages": str(self.messages),
             "MiB": f"{recording.bytes / _MIB:.1f}",
@@ -217,7 +213,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         warnings = {
             f"{self.lost} messages lost": self.lost > 0,
             f"{free:.0f} MiB of disk space are left": low,
-            "waiting for /clock": clock.ros_time_is_active and clock.now().nanoseconds == 0,
+            "waiting for /clock": self.get_clock().now().nanoseconds == 0,
             f"waiting for {', '.join(missing[:1])}": bool(missing),
         }
         worst = next((text for text, holds in warnings.items() if holds), None)
