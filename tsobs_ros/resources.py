@@ -19,10 +19,6 @@ SHIPPED_DESIGN = "elastic_joint.design.yaml"
 FIXED_DESIGN = "elastic_joint_fixed.design.yaml"
 """The same without uncertain parameters: nothing is learnt."""
 
-_PACKAGE = "tsobs_ros"
-# <prefix>/local/lib/python3.12/dist-packages/tsobs_ros is the deepest known layout.
-_DEEPEST = 5
-
 
 class ResourceError(TsobsError, FileNotFoundError):
     """A file that belongs to the installation is missing."""
@@ -42,15 +38,12 @@ def config_path(name: str) -> Path:
 
 
 def _config_folders() -> Iterator[Path]:
-    installed = Path("share", _PACKAGE, "config")
     package = Path(__file__).absolute().parent
     # Resolved too: colcon's --symlink-install leads from its build folder to the sources.
     for location in (package, package.resolve()):
         if (location.parent / "package.xml").is_file():
             yield location.parent / "config"
-    for prefix in list(package.parents)[:_DEEPEST]:
-        yield prefix / installed
-    for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        if entry:
-            yield Path(entry) / installed
-    yield Path(sys.prefix) / installed
+    # <prefix>/local/lib/python3.12/dist-packages/tsobs_ros is the deepest known layout.
+    ament = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    for prefix in (*package.parents[:5], *map(Path, filter(None, ament)), Path(sys.prefix)):
+        yield prefix / "share" / "tsobs_ros" / "config"

@@ -224,7 +224,7 @@ def test_what_each_map_reads_of_the_augmented_state() -> None:
         (flow.rate_map, [0.0, 0.0, 3.0]),
         (flow.output_matrix, [0.3 - 0.5 * 0.4, 0.1 + 1.0, 0.4 + 2.0]),
         (flow.torque_map, [4.0, 5.0 + 6.0]),
-        (np.stack([flow.motor_torque, flow.link_torque]), [4.0, 5.0 + 6.0]),
+        (flow.torques, [4.0, 5.0 + 6.0]),
     ):
         np.testing.assert_allclose(found @ state, expected, rtol=1e-14)
     physical = np.concatenate([[0.1, 0.2, 0.3, 0.4], state[4:]])

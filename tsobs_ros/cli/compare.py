@@ -76,7 +76,6 @@ def _on_scenarios(options: argparse.Namespace) -> int:
     from tsobs_ros.design.file import load_design
     from tsobs_ros.files import require_new, written_whole
     from tsobs_ros.methods import ObserverSettings
-    from tsobs_ros.resources import SHIPPED_DESIGN, config_path
     from tsobs_ros.settings import changed
 
     begin = time.monotonic()
@@ -85,7 +84,7 @@ def _on_scenarios(options: argparse.Namespace) -> int:
     if options.output:
         require_new([options.output / FILE], force=options.force)
     settings = changed(ObserverSettings(), given_parameters(options))
-    design = load_design(options.design[0] if options.design else config_path(SHIPPED_DESIGN))
+    design = load_design(*options.design)
     scenarios, methods = options.scenario or DEFAULT_SCENARIOS, options.method or METHODS
     runs = len(scenarios) * (options.seeds or 20)
     plan = (design, scenarios, options.seeds or 20, methods)

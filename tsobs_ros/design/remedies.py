@@ -6,9 +6,8 @@ A family is changes of one kind, the smallest first, of which the first with a d
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import islice
 from typing import NamedTuple
 
 from tsobs_ros.design.feasibility import find_obstacles
@@ -29,14 +28,6 @@ class Remedy(NamedTuple):
 
 
 Family = Iterable[Remedy]
-
-
-def helpful(
-    families: Iterable[Family], has_design: Callable[[AnyRequest], bool]
-) -> tuple[Remedy, ...]:
-    """Return the first of each family of changes that leads to a design."""
-    tried = ((each for each in family if has_design(each.request)) for family in families)
-    return tuple(found for family in tried for found in islice(family, 1))
 
 
 def remedies_of(request: AnyRequest) -> Iterator[Family]:

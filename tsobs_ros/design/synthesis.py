@@ -35,7 +35,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.certificate import check_certificate
 from tsobs_ros.design.feasibility import require_detectable
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.remedies import helpful, remedies_of
+from tsobs_ros.design.remedies import Remedy, remedies_of
 from tsobs_ros.design.request import AnyRequest
 from tsobs_ros.errors import DesignError
 from tsobs_ros.model.prediction import VertexSystem
@@ -70,17 +70,18 @@ def synthesise(request: AnyRequest) -> Design:
         require_detectable(request)
         return Design(request, *solve_gain(request))
     except DesignError as error:
-        found = helpful(remedies_of(request), _has_design)
+        firsts = (next(filter(_has_design, family), None) for family in remedies_of(request))
+        found = [remedy for remedy in firsts if remedy is not None]
         advice = [remedy.text for remedy in found] or ["none of the changes that were tried"]
         text = "\n  - ".join([f"{error}\nwhat would help:", *advice])
         raise type(error)(text, found) from error
 
 
-def _has_design(problem: AnyRequest) -> bool:
-    """Return whether a request has a design that is found with little effort."""
+def _has_design(remedy: Remedy) -> bool:
+    """Return whether a changed request has a design that is found with little effort."""
     try:
-        require_detectable(problem)
-        solve_gain(problem, passes=1, smallest_step=1.0 / 4.0)
+        require_detectable(remedy.request)
+        solve_gain(remedy.request, passes=1, smallest_step=1.0 / 4.0)
     except DesignError:
         return False
     return True

@@ -178,4 +178,4 @@ def _unexplained(joint: Joint, recording: Recording) -> Array:
         torque_disturbance=TorqueDisturbance((*known.motor, quick), known.link),
     )
     states = innovations(replace(joint, request=looking), recording).states
-    return np.asarray(states @ looking.flow.motor_torque)
+    return np.asarray(states @ looking.flow.torques[0])

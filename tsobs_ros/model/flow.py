@@ -108,10 +108,6 @@ class ArmFlow(Flow):
         torque_path: How the known torque reaches the motor.
         delays: Delay of each output, an angle q(t − delay) ≈ q − delay q̇ [s]; () if there is none.
 
-    Attributes:
-        motor_torque: Augmented state to the unknown torque at the motor [N m], shape (n,).
-        link_torque: Augmented state to the unknown torque at the link [N m], shape (n,).
-
     Raises:
         ModelError: An output is unknown or listed twice, or a disturbance has another number of
             channels.
@@ -143,17 +139,13 @@ class ArmFlow(Flow):
             period,
             np.hstack([arm.input_matrix, at_link]),
         )
-        self.motor_torque, self.link_torque = self.torques
 
     def to_physical(self, x: ArrayLike) -> Array:
         return self.arm.to_physical(super().to_physical(x))
 
     def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
-        numbers: dict[str, Any] = {
-            "gravity_gain": self.gravity_gain,
-            "motor_torque": self.motor_torque,
-            "link_torque": self.link_torque,
-        }
+        torques = dict(zip(("motor_torque", "link_torque"), self.torques, strict=True))
+        numbers: dict[str, Any] = {"gravity_gain": self.gravity_gain, **torques}
         if uncertainty is not None and uncertainty.count:
             rows = uncertainty.directions[:, 0, [LINK_VELOCITY, MOTOR_VELOCITY]]
             columns = (rows[..., place] for place in (SINE, TORQUE, EXTERNAL))
@@ -186,7 +178,7 @@ class ArmFlow(Flow):
             half_step: T/2 [s].
             number: Makes an array of such numbers of one of floats.
         """
-        places, torques = uncertainty.linear_places, (self.motor_torque, self.link_torque)
+        places = uncertainty.linear_places
         changes = number(uncertainty.directions[places, 0])
         bounds = [share * bound for bound in number(uncertainty.limits)]
         # A direction that scales gravity adds θ c to the slope; none kicks the motor by it.
@@ -198,7 +190,7 @@ class ArmFlow(Flow):
             if theta:
                 change = half_step * np.tensordot(theta, changes, 1)
                 matrix[:4, :4] += change[:, :4]
-                for column, torque in zip((TORQUE, EXTERNAL), torques, strict=True):
+                for column, torque in zip((TORQUE, EXTERNAL), self.torques, strict=True):
                     matrix[:4] += np.outer(change[:, column], number(torque))
             names = [uncertainty.names[k] for k in places]
             at = {name: f"{float(each):.4g}" for name, each in zip(names, theta, strict=True)}

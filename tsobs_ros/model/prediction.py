@@ -166,7 +166,7 @@ class Flow(ABC):
         torque_path: How torques reach an arm's motor; a step is by the torque that acts there.
         plant_count: Number of the plant's own states, the first ones of x̄.
         disturbance_map: Augmented state to the disturbance of each output, shape (p, n).
-        torques: Augmented state to the torques, shape (torques, n).
+        torques: Augmented state to the torques [N m], of an arm at motor and link, (torques, n).
         output_matrix: Augmented state to measurement C̄ = [C H], shape (p, n).
         input_count: Number m of inputs and scheduled signals.
         scheduled_count: Number of scheduled signals, the last of them.
@@ -244,10 +244,8 @@ class Flow(ABC):
     @cached_property
     def rate_map(self) -> Array:
         """Augmented state to the modelled rate of each output's disturbance, shape (p, n)."""
-        w = self.plant_count
-        rates = np.zeros(self.disturbance_map.shape)
-        rates[:, w:] = product(self.disturbance_map[:, w:], self.disturbance.S)
-        return rates
+        of_plant, of_disturbance = np.split(self.disturbance_map, [self.plant_count], axis=1)
+        return np.hstack([of_plant, product(of_disturbance, self.disturbance.S)])
 
     @cached_property
     def torque_map(self) -> Array:

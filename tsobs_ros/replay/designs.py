@@ -21,7 +21,6 @@ from tsobs_ros.design.file import (
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagReadError, DesignFileError, MessageError, TsobsError
 from tsobs_ros.methods import ObserverSettings
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.settings import changed, settings_of
 
 STRING = "std_msgs/msg/String"
@@ -128,7 +127,7 @@ def choose_designs(
                     )
             return design
         if not ran.designs:
-            return load(str(config_path(SHIPPED_DESIGN)))
+            return load()
         if not ran_designs:
             raise DesignFileError(
                 f"{bag}: its observer ran no design for {joint}, but for {', '.join(ran.designs)}; "
