@@ -105,7 +105,7 @@ def test_files_are_written_and_not_replaced(tmp_path: Path, capsys: Any) -> None
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--scenario", "storm"], "scenario: expected one of noise, .*, got 'storm'"),
+        (["--scenario", "storm"], "scenario: expected some of noise, .*, got 'storm'"),
         (["log.csv", "--seeds", "3"], "--seeds: is for scenarios"),
         (["--design", "a", "b"], "--design: expected one file, got 2"),
     ],

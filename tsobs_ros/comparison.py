@@ -13,6 +13,7 @@ import numpy as np
 
 from tsobs_ros.campaign.batches import observe, recorded
 from tsobs_ros.campaign.drawing import violated
+from tsobs_ros.checks import check_names
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
@@ -99,9 +100,7 @@ def compare_scenarios(
     """
     if seeds < 1:
         raise ModelError(f"seeds: expected at least 1, got {seeds!r}")
-    for name in scenarios:
-        if name not in SCENARIOS:
-            raise ModelError(f"scenario: expected one of {', '.join(SCENARIOS)}, got {name!r}")
+    check_names("scenario", scenarios, SCENARIOS)
     request = design.arm_request
     unfit = request.torque_sides or request.sensors[0].delay
     if request.output_names != ("link_angle",) or unfit:

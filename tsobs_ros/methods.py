@@ -203,9 +203,8 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
             integral = method == "proportional_integral"
             theta = settings.theta
             estimator = baselines.high_gain(request.arm, theta, *known, integral=integral)
-    limits = request.torque_limits(settings.torque_limit, settings.torque_rate_limit)
-    if limits is not None:
-        estimator.limit_torque(limits)
+    limits = settings.torque_limit, settings.torque_rate_limit
+    estimator.limit_torque(request.torque_limits(*limits))
     return estimator
 
 

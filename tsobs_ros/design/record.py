@@ -169,8 +169,7 @@ class Design:
         )
         if learnt is not None:
             estimator.learn(learnt, covered=request.certify_uncertainty)
-        if (limits := request.torque_limits()) is not None:
-            estimator.limit_torque(limits)
+        estimator.limit_torque(request.torque_limits())
         if supervision is not None:
             estimator.supervise(supervision)
         return estimator

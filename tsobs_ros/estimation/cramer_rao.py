@@ -26,7 +26,7 @@ that takes a constant for known is biased in it. It may have smaller errors if t
 takes it for.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -66,40 +66,37 @@ def cramer_rao_std(
     noise[1:, 1:] = flow.nominal.noise
     C = np.append(1.0, flow.output_matrix[0])
     P = np.diag(np.append(offset_std, initial_std) ** 2.0)
-    found, again = np.empty((count, size, size)), set(jumps)
-    for begin in range(0, count, _CHUNK):
-        part = slice(begin, min(begin + _CHUNK, count))
-        moved, spread = _derivatives(flow, states, part)
-        for place in range(part.start, part.stop):
-            if place > 0:
-                F = moved[place - begin]
-                P = F @ np.linalg.solve(unit + P @ spread[place - begin], P) @ F.T + noise
-                P = 0.5 * (P + P.T)
-            if place in again:
-                P[0], P[:, 0] = 0.0, 0.0
-                P[0, 0] = offset_std**2.0
-            if information[place] > 0.0:
-                cross = P @ C
-                P = P - np.outer(cross, cross) / (C @ cross + 1.0 / information[place])
-            found[place] = P
+    found = np.empty((count, size, size))
+    for place, (F, spread) in enumerate(_derivatives(flow, states)):
+        if place > 0:
+            P = F @ np.linalg.solve(unit + P @ spread, P) @ F.T + noise
+            P = 0.5 * (P + P.T)
+        if place in jumps:
+            P[0], P[:, 0] = 0.0, 0.0
+            P[0, 0] = offset_std**2.0
+        if information[place] > 0.0:
+            cross = P @ C
+            P = P - np.outer(cross, cross) / (C @ cross + 1.0 / information[place])
+        found[place] = P
     read = np.zeros((5, size))
     read[:4, 1:5] = np.diag(flow.arm.to_physical(np.ones(4)))
     read[4, 0], read[4, 1:] = 1.0, flow.disturbance_map[0]
     return np.asarray(np.sqrt(np.einsum("ai,tij,aj->ta", read, found, read)))
 
 
-def _derivatives(flow: ArmFlow, states: Array, part: slice) -> tuple[Array, Array]:
-    """Return F̄ of the steps to some samples, and V."""
-    n, step, runs = flow.state_count, flow.nominal, len(states)
-    after = np.arange(part.start, part.stop)
-    before = np.maximum(after - 1, 0)
-    slopes = [step.half_kick * np.cos(states[:, each, 0]) for each in (before, after)]
-    # Half a kick by gravity, the linear flow, half a kick; the constant stays.
-    A = np.zeros((runs, len(after), 1 + n, 1 + n))
-    A[..., 0, 0], A[..., 1:, 1:] = 1.0, step.phi
-    A[..., 1:, 1] -= slopes[0][..., np.newaxis] * step.phi[:, LINK_VELOCITY]
-    A[..., 1 + LINK_VELOCITY, :] -= slopes[1][..., np.newaxis] * A[..., 1, :]
-    mean = A.mean(axis=0)
+def _derivatives(flow: ArmFlow, states: Array) -> Iterator[tuple[Array, Array]]:
+    """Yield F̄ of the step to each sample, and V."""
+    n, step, (runs, count) = flow.state_count, flow.nominal, states.shape[:2]
     root = np.linalg.inv(np.linalg.cholesky(step.noise))
-    white = np.moveaxis(root @ (A - mean)[..., 1:, :], 0, 1).reshape(len(after), runs * n, -1)
-    return mean, np.swapaxes(white, 1, 2) @ white / runs
+    for begin in range(0, count, _CHUNK):
+        after = np.arange(begin, min(begin + _CHUNK, count))
+        before = np.maximum(after - 1, 0)
+        slopes = [step.half_kick * np.cos(states[:, each, 0]) for each in (before, after)]
+        # Half a kick by gravity, the linear flow, half a kick; the constant stays.
+        A = np.zeros((runs, len(after), 1 + n, 1 + n))
+        A[..., 0, 0], A[..., 1:, 1:] = 1.0, step.phi
+        A[..., 1:, 1] -= slopes[0][..., np.newaxis] * step.phi[:, LINK_VELOCITY]
+        A[..., 1 + LINK_VELOCITY, :] -= slopes[1][..., np.newaxis] * A[..., 1, :]
+        mean = A.mean(axis=0)
+        white = np.moveaxis(root @ (A - mean)[..., 1:, :], 0, 1).reshape(len(after), runs * n, -1)
+        yield from zip(mean, np.swapaxes(white, 1, 2) @ white / runs, strict=True)

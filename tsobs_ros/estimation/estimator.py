@@ -147,9 +147,9 @@ class Estimator:
         is_arm = model["flow"].view(np.int64)[0] == native.KIND_ARM
         model["disturbance_limit"][~(angles & is_arm)] = math.inf
 
-    def limit_torque(self, limits: TorqueLimits) -> None:
-        """Use only plausible torques from now on."""
-        for name, value in limits._asdict().items():
+    def limit_torque(self, limits: TorqueLimits | None) -> None:
+        """Use only plausible torques from now on, if there are limits."""
+        for name, value in limits._asdict().items() if limits else ():
             self.model[f"torque_{name}"] = value
 
     def learn(
