@@ -59,8 +59,6 @@ _SERVE_PERIOD = 0.1
 # Destroying two nodes and shutting the context down takes some 20 ms, .5 s on a loaded machine.
 _TEARDOWN_TIMEOUT = 5.0
 
-_HELP = {"-h", "--help"}
-
 
 class Ticker:
     """Calls back at a fixed rate or when the callback asks for it, until its node is cleaned up.
@@ -161,7 +159,7 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
     )
     try:
         # ROS does not know --help, and it may come after --ros-args.
-        own = ["--help"] if _HELP & {*arguments} else remove_ros_args(arguments)[1:]
+        own = ["--help"] if {"-h", "--help"} & {*arguments} else remove_ros_args(arguments)[1:]
     except RuntimeError as error:
         # rclpy does not export the type. What is malformed is for rclpy.init to report.
         if type(error).__name__ == "UnknownROSArgsError":

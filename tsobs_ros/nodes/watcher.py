@@ -102,16 +102,12 @@ class ObserverFeed:
         return dict(zip(message.names, getattr(message, field), strict=False))
 
     def _take_statuses(self, array: DiagnosticArray) -> None:
-        found = {
-            each.name.removeprefix(self._prefix): Status(
-                each.name.removeprefix(self._prefix),
-                Level(each.level[0]) if each.level[0] in set(Level) else Level.STALE,
-                each.message,
-                {item.key: item.value for item in each.values},
-            )
-            for each in array.status
-            if each.name.startswith(self._prefix)
-        }
+        found = {}
+        for each in array.status:
+            if (name := each.name.removeprefix(self._prefix)) != each.name:
+                level = Level(each.level[0]) if each.level[0] in set(Level) else Level.STALE
+                values = {item.key: item.value for item in each.values}
+                found[name] = Status(name, level, each.message, values)
         # An array has all of the node's statuses, so that those of an earlier design go.
         self.statuses = found or self.statuses
 

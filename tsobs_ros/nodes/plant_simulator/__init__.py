@@ -243,34 +243,29 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         return self._driven is None and bool(self.get_clock().ros_time_is_active)
 
     def _may_start(self) -> bool:
+        """Return whether the wanted subscribers are there, or the wait is over; if so, let time run
+        from the present on, or from where it stopped if it is the node's."""
         wanted, there = self.parameters.wait_for_subscribers, self._publish_sample.subscribers
-        if self._index or there >= wanted:
-            return True
         is_over = 0.0 < self.parameters.wait_timeout <= time.monotonic() - self._activated
-        if is_over:
-            self.log(Level.WARN, f"{there} of {wanted} subscriptions of joint_measurements so far")
-        return is_over
-
-    def _start(self) -> None:
-        """Let time run from the present on, or from where it stopped if it is the node's."""
+        if there < wanted and not (self._index or is_over):
+            return False
         if self._driven is not None:
             self._driven.anchor(self._schedule.due, time.monotonic_ns())
             self._driven.paused = False
         elif (now := self._now_ns()) > self._schedule.due:
             self._schedule.start(now)
         what = "going on" if self._index else "started"
-        subscribers = self._publish_sample.subscribers
-        self.log(Level.OK, f"{what}: {subscribers} subscriptions of joint_measurements")
+        text = f"{what}: {there} of {wanted} subscriptions of joint_measurements"
+        self.log(Level.WARN if there < wanted else Level.OK, text)
         self._runs = True
+        return True
 
     def _tick(self, _jump: Any = None) -> int | None:
         """Publish every sample that is due; return the time until the next one is [ns]."""
         if not self.active or self.done or self._now_ns() == 0:
             return None
-        if not self._runs:
-            if not self._may_start():
-                return None
-            self._start()
+        if not (self._runs or self._may_start()):
+            return None
         now = self._now_ns()
         back = self._latest - now
         if back > (0 if self._follows_clock else _SLEW_MARGIN):

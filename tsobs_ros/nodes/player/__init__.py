@@ -218,7 +218,7 @@ class Player(ManagedNode[PlayerParameters]):
         if not self.active:
             return _WAIT_POLL
         if playback.paused and not (self._paused or playback.ended):
-            if not self._may_start(now):
+            if self._is_awaited and not self._may_start(now):
                 return _WAIT_POLL
             playback.position(now)  # reads the first message, which may take a while
             now = time.monotonic_ns()
@@ -243,17 +243,15 @@ class Player(ManagedNode[PlayerParameters]):
 
     def _may_start(self, now: int) -> bool:
         """Return whether enough subscribers are there and settled, or the wait is over."""
-        parameters = self.parameters
+        wanted = self.parameters.wait_for_subscribers if self._counts else 0
         there = sum(each.get_subscription_count() for each in self._played.values())
-        if self._is_awaited:
-            wanted = parameters.wait_for_subscribers if self._counts else 0
-            if there != self._there:
-                self._there, self._since = there, now
-            is_over = 0.0 < parameters.wait_timeout <= (now - self._activated) * 1e-9
-            if is_over and there < wanted:
-                self.log(Level.WARN, f"playing to {there} of {wanted} subscriptions")
-            has_settled = there >= wanted and now - self._since >= _SETTLING
-            self._is_awaited = wanted > 0 and not is_over and not has_settled
+        if there != self._there:
+            self._there, self._since = there, now
+        is_over = 0.0 < self.parameters.wait_timeout <= (now - self._activated) * 1e-9
+        if is_over and there < wanted:
+            self.log(Level.WARN, f"playing to {there} of {wanted} subscriptions")
+        has_settled = there >= wanted and now - self._since >= _SETTLING
+        self._is_awaited = wanted > 0 and not is_over and not has_settled
         return not self._is_awaited
 
     def _pause(self, paused: bool) -> str:
