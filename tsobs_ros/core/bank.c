@@ -24,7 +24,8 @@ enum { REGULAR = 1, OUTLIER = 2 };
 
 int sizes_are_sound(const int64_t *numbers)
 {
-    const estimator_sizes s = sizes_of(numbers);
+    estimator_sizes s;
+    memcpy(&s, numbers, sizeof s);
     for (long i = 0; i < ESTIMATOR_SIZES; i++) {
         if (numbers[i] < 0 || numbers[i] > (i < 9 ? 1000 : 1000000000)) {
             return 0;
@@ -59,7 +60,7 @@ const char *model_view(double *memory, size_t length, model *view)
     if (length < ESTIMATOR_SIZES || !sizes_are_sound((const int64_t *)(void *)memory)) {
         return "expected a model's record";
     }
-    *s = sizes_of(memory);
+    memcpy(s, memory, sizeof *s);
     if (model_numbers_size(s) != length) {
         return "expected a model's record of another length";
     }
@@ -522,40 +523,30 @@ static void open_fork(
     const long n = (long)m->s.n, width = (long)m->s.width;
     const double *map = m->disturbance_map + output * width;
     double *P = h->covariance;
-    switch (fork) {
-    case JUMPED:
-        if (m->disturbed[output] == 0) { /* a sensor that lies */
-            if (*h->kind != DRIFT) {
-                clear_auxiliary(m, h, first_of_its_own(m, at, DRIFT), width);
-                *h->kind = DRIFT;
-            }
-            P[(n + 1 + output) * width + n + 1 + output] += innovation * innovation;
-            return;
+    if (fork == JUMPED && m->disturbed[output] == 0) { /* a faulty sensor */
+        if (*h->kind != DRIFT) {
+            clear_auxiliary(m, h, first_of_its_own(m, at, DRIFT), width);
+            *h->kind = DRIFT;
         }
-        for (long i = 0; i < n; i++) {
-            if (map[i] != 0.0) {
-                P[i * width + i] += innovation * innovation;
-            }
-        }
+        P[(n + 1 + output) * width + n + 1 + output] += innovation * innovation;
         return;
-    case HIT: /* of what makes the innovation within a period, if the arm can be so fast */
-        for (long i = 1; i < 4; i += 2) {
-            const double needed = fabs(innovation) / *m->period / m->scale[i];
-            const double std = minimum(needed, m->domain[i]);
-            P[i * width + i] += std * std;
-        }
-        return;
-    default:
-        for (long i = 0; i < m->s.plant; i++) {
+    }
+    for (long i = 0; i < n; i++) {
+        double std = 0.0;
+        if (fork == JUMPED) {
+            std = map[i] != 0.0 ? innovation : 0.0;
+        } else if (fork == HIT && (i == 1 || i == 3)) {
+            /* The speed that makes the innovation within a period, if the arm can be so fast. */
+            std = minimum(fabs(innovation) / *m->period / m->scale[i], m->domain[i]);
+        } else if (fork == MOVED && i < m->s.plant) {
             /* As far as the sample is away, so that the disturbance stays what it was. */
             const double by = m->C[output * width + i];
             /* An angle that is late has its velocity in it, but that is not what is away. */
             const int is_late = i % 2 == 1 && m->C[output * width + i - 1] != 0.0
                                 && *m->design_flow.kind == KIND_ARM;
-            const double seen = by != 0.0 && !is_late ? fabs(innovation / by) : 0.0;
-            const double std = maximum(m->domain[i], seen);
-            P[i * width + i] += std * std;
+            std = maximum(m->domain[i], by != 0.0 && !is_late ? fabs(innovation / by) : 0.0);
         }
+        P[i * width + i] += std * std;
     }
 }
 

@@ -117,13 +117,7 @@ typedef struct {
 } estimator_sizes;
 enum { ESTIMATOR_SIZES = sizeof(estimator_sizes) / sizeof(int64_t) };
 
-/* Return the sizes that some numbers are, and whether they belong together. */
-static inline estimator_sizes sizes_of(const void *numbers)
-{
-    estimator_sizes s;
-    memcpy(&s, numbers, sizeof s);
-    return s;
-}
+/* Return whether some numbers are sizes that belong together. */
 int sizes_are_sound(const int64_t *numbers);
 
 /* What is remembered of one output. */
