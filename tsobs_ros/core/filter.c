@@ -79,14 +79,6 @@ void leave_certified(const model *m, const state *at, const hypothesis *h, int64
 
 /* --- correction --- */
 
-/* Variance of the white noise of an output's sample. */
-static double white_of(const model *m, const state *at, const hypothesis *h, long output)
-{
-    const double scale = noise_of(m, at, output);
-    const double factor = *h->kind == LOUD ? m->constants[NOISE_FACTOR] : 1.0;
-    return m->R[output * m->s.p + output] * (scale * scale * factor);
-}
-
 /* An output's sample as a hypothesis expects it: the innovation, the variance of what the filter
  * knows of it and, by the parameters, of all, the logarithm of the likelihood, and whether it is no
  * outlier's. */
@@ -102,7 +94,8 @@ static outlook expect(
 {
     const long n = (long)m->s.n, p = (long)m->s.p, width = (long)m->s.width;
     const long used = states_in_use(m, h), place = part_of(m, h, i);
-    const double *C = m->C + i * width;
+    const double *C = m->C + i * width, scale = noise_of(m, at, i);
+    const double factor = *h->kind == LOUD ? m->constants[NOISE_FACTOR] : 1.0;
     double expected = dot(C, h->x, n);
     outlook of = {0.0, 0.0, 0.0, 0.0, 0};
     if (*m->gain_mode == GAIN_OPEN) {
@@ -115,7 +108,6 @@ static outlook expect(
     }
     of.innovation = at->y[i] - expected;
     if (*h->certified != 0) {
-        const double scale = noise_of(m, at, i);
         of.known = scale * scale * m->innovation_covariance[i * p + i];
         return of;
     }
@@ -124,7 +116,7 @@ static outlook expect(
         effect->crossed[j] = dot(C, row, n) + (place < 0 ? 0.0 : row[place]);
     }
     of.known = dot(C, effect->crossed, n) + (place < 0 ? 0.0 : effect->crossed[place])
-               + white_of(m, at, h, i);
+               + m->R[i * p + i] * (scale * scale * factor);
     return of;
 }
 
@@ -472,6 +464,24 @@ static void step_hypothesis(
         congruence(F, scratch->square, added, scratch->squares, used);
         copy_matrix(scratch->square, used, h->covariance, width, used, used);
     }
+}
+
+/* Return the number of nominal steps in a duration [s], and write the length of a last one, which
+ * is 0 or up to STRETCH periods, as stamps jitter. */
+#define STRETCH 1.25
+static int64_t cut_into_steps(double duration, double period, double *rest)
+{
+    int64_t whole = (int64_t)floor(duration / period);
+    *rest = duration - (double)whole * period;
+    if (*rest < 0.0) {
+        whole -= 1;
+        *rest += period;
+    }
+    if (whole > 0 && 0.0 < *rest && *rest <= (STRETCH - 1.0) * period) {
+        whole -= 1;
+        *rest += period;
+    }
+    return whole;
 }
 
 /* Move over a time in nominal steps and a last one, each with the torque that reaches the motor in

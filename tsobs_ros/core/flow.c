@@ -74,21 +74,6 @@ void flow_over(
     }
 }
 
-int64_t cut_into_steps(double duration, double period, double *rest)
-{
-    int64_t whole = (int64_t)floor(duration / period);
-    *rest = duration - (double)whole * period;
-    if (*rest < 0.0) {
-        whole -= 1;
-        *rest += period;
-    }
-    if (whole > 0 && 0.0 < *rest && *rest <= (STRETCH - 1.0) * period) {
-        whole -= 1;
-        *rest += period;
-    }
-    return whole;
-}
-
 linear_step other_step(const flow *f, double duration, const flow_step *work)
 {
     const linear_step step = {duration, work->phi, work->gamma, work->noise};

@@ -37,7 +37,6 @@ void rule_weights(
 
 #define SERIES_TERMS 60 /* most rows of a series of Taylor coefficients */
 #define SHORTEST 1e-6   /* least period [s], so that those of any duration can be counted */
-#define STRETCH 1.25    /* a step may be longer than nominal by so much: stamps jitter */
 
 /* Numbers of scratch that `flow_over` needs for n states and m inputs. */
 static inline size_t flow_over_scratch_size(long n, long m)
@@ -52,10 +51,6 @@ static inline size_t flow_over_scratch_size(long n, long m)
 void flow_over(
     const double *series, long terms, double reach, double duration, double *phi, double *gamma,
     double *noise, double *scratch, long n, long m);
-
-/* Return the number of nominal steps in a duration [s], and write the length of a last one, which
- * is 0 or up to STRETCH periods. */
-int64_t cut_into_steps(double duration, double period, double *rest);
 
 /* --- models --- */
 

@@ -8,13 +8,6 @@
 #include "flow.h"
 #include "trigonometry.h"
 
-/* Return x within 0 and 1; NaN stays. */
-static double clipped(double x)
-{
-    const double least = x < 0.0 ? 0.0 : x;
-    return least > 1.0 ? 1.0 : least;
-}
-
 /* 1 between b and c, falling in straight lines to 0 at a and d, of which two may be infinite. */
 static double trapezoid(double z, const double *corners, double *slope)
 {
@@ -66,7 +59,8 @@ static double share_of_sine(double z, double half_width, double bottom, double *
     const double fall = is_small ? -z / 3.0 + z * z * z / 30.0 : (z * cos - sin) / (z * z);
     const double ratio = z != 0.0 ? sin / z : 1.0;
     *slope = fall / (1.0 - bottom);
-    return clipped((ratio - bottom) / (1.0 - bottom));
+    const double grade = (ratio - bottom) / (1.0 - bottom); /* within 0 and 1 but for rounding */
+    return grade < 0.0 ? 0.0 : grade > 1.0 ? 1.0 : grade;
 }
 
 /* Return the grade at z and write its slope, at a corner that of one side; both are NaN if z is,

@@ -91,18 +91,16 @@ static PyObject *call(const signature *of, PyObject *const *given, Py_ssize_t co
     argument taken[MAX_ARGUMENTS];
     const Py_ssize_t expected = (Py_ssize_t)strlen(of->format);
     PyObject *result = NULL;
-    int place = 0;
+    int place = 0, are_right = 1;
     if (count != expected) {
         return PyErr_Format(PyExc_TypeError, "%s: expected %zd arguments, got %zd", of->name,
                             expected, count);
     }
-    while (place < count && take(of, place, given[place], &taken[place])) {
-        place++;
+    for (; place < count && are_right; place++) {
+        are_right = take(of, place, given[place], &taken[place]);
     }
-    if (place == count) {
+    if (are_right) {
         result = of->body(of, taken);
-    } else if (taken[place].held) {
-        place++;
     }
     while (place-- > 0) {
         if (taken[place].held) {
