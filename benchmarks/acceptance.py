@@ -16,7 +16,7 @@ from multiprocessing import Pool
 from typing import Any
 
 import numpy as np
-from acceptance_demands import Demand, cost_demands, demands, ratio_of
+from acceptance_demands import PLAIN, Demand, cost_demands, demands, ratio_of
 from acceptance_runs import Found, Outcome, high_gain, kalman, ours, outcome
 from common import design_of, parser, use_one_thread
 from observer_step import step_costs
@@ -27,7 +27,7 @@ from tsobs_ros.design.request import DisturbanceTerm
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation import baselines
 from tsobs_ros.simulation.plant import Scenario, Trajectories
-from tsobs_ros.simulation.scenarios import PLAIN, SCENARIOS, simulate
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 _CHUNK = 10
 _TONE = 3.0

@@ -94,11 +94,17 @@ COVERED = (
 INSIDE_BAR = 0.97
 """Share of samples within three bounds, of the worst channel."""
 
+PLAIN = (
+    "noise", "bias_step", "sinusoid", "drift", "ramp", "stiff", "stiff_bias_step",
+    "soft_heavy_bias_step", "stiff_sinusoid", "outliers", "dropouts", "stiff_dropouts",
+)  # fmt: skip
+"""Scenarios without what no design foresees, in which all observers run."""
+
 _AS_DESIGNED = ("noise", "stiff", "bias_step", "stiff_bias_step", "outliers", "dropouts",
                 "stiff_dropouts")  # fmt: skip
 """Scenarios that the design, with what is learnt and supervised, is for."""
 
-_JUDGED = SCENARIOS.keys() - {"sinusoid", "drift", "ramp", "soft_heavy_bias_step", "stiff_sinusoid"}
+_JUDGED = SCENARIOS.keys() - set(PLAIN) | set(_AS_DESIGNED)
 """Scenarios with demands on the error beside the rivals' and on the bounds."""
 
 _UNLEARNT = {
