@@ -154,6 +154,12 @@ def record(ros: Any, node: Any, bag: Path, source: tuple[str, dict[str, Any]], *
     publishing = start(ros, name, wait_for_subscribers=2, wait_timeout=0.0, **parameters)
     ros.spin_until(lambda: publishing.finished, TIMEOUT, "the end of the run")
     if "use_sim_time" in of:  # the last sample may have come after the last tick
+        for publisher in publishing.publishers:
+            assert publisher.wait_for_all_acked(Duration(seconds=10))
+        nodes = estimating, recording  # no clock of the player may come after this one
+        ros.spin_until(
+            lambda: len({each.get_clock().now().nanoseconds for each in nodes}) == 1, what="a clock"
+        )
         clock = node.create_publisher(Clock, "/clock", 10)
         ros.spin_until(lambda: clock.get_subscription_count() == 2, what="the clock's match")
         clock.publish(Clock(clock=to_stamp(estimating.get_clock().now().nanoseconds + PERIOD)))
