@@ -141,6 +141,11 @@ def test_what_makes_no_sense_is_refused(design: Design, options, match) -> None:
         call()
 
 
+def test_text_is_no_setting_of_another_type() -> None:
+    with pytest.raises(ts.TsobsError, match="parameter 'adapt': expected true or false, got"):
+        ts.ObserverSettings(adapt="false")  # type: ignore[arg-type]
+
+
 def test_estimates_from_arrays_are_those_of_a_tracker(design: Design) -> None:
     run = ts.simulate(design, duration=2.0, seed=2)
 

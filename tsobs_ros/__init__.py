@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from tsobs_ros.exported import export_c as export_c
     from tsobs_ros.identification.excitation import excite as excite
     from tsobs_ros.identification.fit import fit as fit
+    from tsobs_ros.identification.result import Fit as Fit
     from tsobs_ros.methods import ObserverSettings as ObserverSettings
     from tsobs_ros.methods import make_tracker as make_tracker
     from tsobs_ros.model.arm import ElasticJointArm as ElasticJointArm

@@ -105,7 +105,7 @@ class Setting:
         return f"expected {expected}{self.unit and f' {self.unit}'}"
 
     def accepted(self, value: Any) -> Any:
-        """Return a value, or its text, in the setting's type; None if it is refused."""
+        """Return a value in the setting's type; None if it is refused, as text for a number is."""
         if not self.is_array:
             return self._accepted(value)
         if value is None:  # rcl hands `name: []` over like this
@@ -116,24 +116,27 @@ class Setting:
         return None if None in elements else elements
 
     def converted(self, value: Any) -> Any:
-        """Return a value in the setting's type.
+        """Return a value, or its text as on the command line, in the setting's type.
 
         Raises:
             ParameterError: It is of another type, not finite or out of range.
         """
-        found = self.accepted(value)
+        parsed = value
+        if isinstance(value, str) and not self.is_array:
+            with suppress(KeyError, ValueError):
+                words = {"true": True, "false": False}
+                parsed = words[value.lower()] if self.type is bool else self.type(value)
+        found = self.accepted(parsed)
         if found is None:
-            raise ParameterError(
-                f"parameter '{self.name}': {self.expectation}, got {in_yaml(value)}"
-            )
+            raise ParameterError(self.refusal(value))
         return found
+
+    def refusal(self, value: Any) -> str:
+        """Return the text of an error about a value."""
+        return f"parameter '{self.name}': {self.expectation}, got {in_yaml(value)}"
 
     def _accepted(self, value: Any) -> Any:
         """Return a value in the type of a setting or of its elements; None if it is refused."""
-        if isinstance(value, str):  # as on the command line
-            with suppress(KeyError, ValueError):
-                words = {"true": True, "false": False}
-                value = words[value.lower()] if self.type is bool else self.type(value)
         if isinstance(value, bool) != (self.type is bool):
             return None
         if not isinstance(value, _TYPES[self.type][3]):
@@ -188,9 +191,10 @@ def check(record: Any, name: str = "") -> None:
     """
     for full_name, value in values_of(record).items():
         rule = settings_of(type(record))[full_name]
-        if name and rule.accepted(value) is None:
-            raise ModelError(f"{name} {full_name}: {rule.expectation}, got {value!r}")
-        rule.converted(value)
+        if rule.accepted(value) is None:
+            if name:
+                raise ModelError(f"{name} {full_name}: {rule.expectation}, got {value!r}")
+            raise ParameterError(rule.refusal(value))
 
 
 def changed(record: T, values: Mapping[str, Any]) -> T:

@@ -25,6 +25,7 @@ from tsobs_ros.simulation.plant import Mismatch
 from tsobs_ros.yaml_files import read_text, yaml_mapping, yaml_text
 
 FORMAT, VERSION = "tsobs_ros campaign", 1
+CAMPAIGN = "campaign.yaml"
 
 _HEADER = "# What this folder has the runs of, written by `tsobs campaign`.\n"
 

@@ -19,7 +19,13 @@ import pyarrow.parquet as parquet
 
 from tsobs_ros import __version__
 from tsobs_ros.campaign.batches import Columns, compute
-from tsobs_ros.campaign.definition import Campaign, CampaignError, load_campaign, parse_campaign
+from tsobs_ros.campaign.definition import (
+    CAMPAIGN,
+    Campaign,
+    CampaignError,
+    load_campaign,
+    parse_campaign,
+)
 from tsobs_ros.campaign.drawing import check
 from tsobs_ros.design.file import design_text, load_design
 from tsobs_ros.files import write_whole, written_whole
@@ -30,7 +36,7 @@ PART = 100
 Part: TypeAlias = tuple[int, int]
 """A part's first run, and the run after its last."""
 
-CAMPAIGN, DESIGN, RUNS = "campaign.yaml", "campaign.design.yaml", "runs"
+DESIGN, RUNS = "campaign.design.yaml", "runs"
 SUMMARY = ("summary.json", "summary.txt")
 _IDENTITY = b"tsobs_ros campaign"
 _CONNECT_TIMEOUT = 30

@@ -3,12 +3,19 @@
 """`tsobs campaign`: thousands of simulated runs, here or on a cluster."""
 
 import argparse
-import json
-import sys
 import time
 from pathlib import Path
 
-from tsobs_ros.cli.common import Commands, add_command, at_least_one, keywords, progress, show
+from tsobs_ros.cli.common import (
+    Commands,
+    add_command,
+    at_least_one,
+    json_text,
+    keywords,
+    note,
+    progress,
+    show,
+)
 from tsobs_ros.errors import complain, printable
 from tsobs_ros.files import write_whole
 
@@ -40,9 +47,9 @@ def run(options: argparse.Namespace) -> int:
         options.parser.error("expected one of FILE and --rerun ID DIR")
     if options.threads is not None and options.scheduler is not None:
         options.parser.error("--workers is for this machine, not for a cluster")
-    if options.rerun is not None and not options.rerun[0].isdecimal():
-        options.parser.error(f"--rerun: expected the number of a run, got {options.rerun[0]}")
     if options.rerun is not None:
+        if not options.rerun[0].isdecimal():
+            options.parser.error(f"--rerun: expected the number of a run, got {options.rerun[0]}")
         return _rerun(options)
     from tsobs_ros.campaign.definition import load_campaign
     from tsobs_ros.campaign.folder import SUMMARY, run_campaign
@@ -61,16 +68,15 @@ def run(options: argparse.Namespace) -> int:
             return 1
     summary = summarise(campaign, columns)
     text = render(summary)
-    for name, content in zip(SUMMARY, (json.dumps(summary, indent=2), text), strict=True):
+    for name, content in zip(SUMMARY, (json_text(summary), text), strict=True):
         write_whole(options.output / name, content + "\n")
-    print(f"{time.monotonic() - begin:.1f} s", file=sys.stderr)
+    note(f"{time.monotonic() - begin:.1f} s")
     show(summary, printable(text, newline="\n"), options.json)
     return 0
 
 
 def _rerun(options: argparse.Namespace) -> int:
-    from tsobs_ros.campaign.definition import load_campaign
-    from tsobs_ros.campaign.folder import CAMPAIGN
+    from tsobs_ros.campaign.definition import CAMPAIGN, load_campaign
     from tsobs_ros.campaign.rerun import rerun
     from tsobs_ros.report.bag_report import make_bag_report
 

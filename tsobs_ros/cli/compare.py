@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
 def _on_scenarios(options: argparse.Namespace) -> int:
     from tsobs_ros.comparison import DEFAULT_SCENARIOS, compare_scenarios, render_scenarios
     from tsobs_ros.design.file import load_design
-    from tsobs_ros.files import require_new, written_whole
+    from tsobs_ros.files import require_new, write_whole
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.settings import changed
 
@@ -94,8 +94,7 @@ def _on_scenarios(options: argparse.Namespace) -> int:
         )
     text = render_scenarios(found)
     if options.output:
-        with written_whole(options.output, force=options.force) as folder:
-            (folder / FILE).write_text(json_text(found) + "\n", encoding="utf-8")
+        write_whole(options.output / FILE, json_text(found) + "\n", force=options.force)
         text += f"\n\nwrote {printable(str(options.output / FILE))}"
     seconds = time.monotonic() - begin
     show(found, f"{text}\n{runs} runs in {seconds:.0f} s", options.json)

@@ -113,8 +113,7 @@ def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:
             each other.
     """
     known = settings_of(make)
-    taken = {name: known[name].converted(value) for name, value in given.items() if name in known}
-    built: P = changed(make(), taken)
+    built: P = changed(make(), {name: each for name, each in given.items() if name in known})
     values = values_of(built)
     for name, entry in known.items():
         _declare(node, entry, values[name])

@@ -1,3 +1,3 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The published method: its systems, observer, design, examples, claims and figures."""
+"""The published method: its systems, observer, design, examples and claims."""

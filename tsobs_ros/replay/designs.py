@@ -162,15 +162,15 @@ def _of_records(reader: BagReader, topic: str) -> RecordedObserver:
             raise DesignFileError(f"more than {_MAX_RECORDS} different messages")
     first, *others = map(read_record, texts)
     values = first.parameters.items()
-    changed = sorted({name for one in others for name, _ in one.parameters.items() ^ values})
+    differing = sorted({name for one in others for name, _ in one.parameters.items() ^ values})
     remark = (
         "note: parameters of the observer were changed while it ran: "
-        f"{', '.join(changed)}; the first values are used"
+        f"{', '.join(differing)}; the first values are used"
     )
     designs: dict[str, dict[str, PublishedDesign]] = {}
     for one in (design for record in (first, *others) for design in record.designs):
         for joint in one.joints:
             designs.setdefault(joint, {}).setdefault(one.text, one)
     by_joint = {joint: tuple(each.values()) for joint, each in designs.items()}
-    remarks = (remark,) if changed else ()
+    remarks = (remark,) if differing else ()
     return RecordedObserver(topic, by_joint, first.parameters, first.measurements, remarks)

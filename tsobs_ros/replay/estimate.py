@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import chain, product
 from operator import attrgetter
 from pathlib import Path
@@ -244,7 +244,9 @@ class Run:
     def _estimate(self) -> None:
         """Make the estimates of the window, each joint on its own, and count."""
         samples, ticks, _ = self.window
-        results = [self._run_joint(joint) for joint in range(len(self.trackers))]
+        joints = range(len(self.trackers))
+        with ThreadPoolExecutor(min(len(joints), os.cpu_count() or 1)) as pool:
+            results = list(pool.map(self._run_joint, joints))
         done: Flags = np.any([one.there for one in results], axis=0) & ticks.estimated
         if self.windows.at_samples:
             done &= np.any([one.newest == ticks.stamps for one in results], axis=0)
@@ -331,7 +333,7 @@ class Run:
             found += [f"warning: {name}: {text}"] if off else []
         return found
 
-    @property
+    @cached_property
     def events(self) -> list[JointEvent]:
         """What the node would have logged, known after the last window."""
         found = list[JointEvent]()
@@ -351,9 +353,10 @@ class Run:
         found = ((joint, health_of(own.values)) for joint, (own, _) in self._healths.items())
         return {joint: one for joint, one in found if one is not None}
 
-    @property
+    @cached_property
     def _healths(self) -> dict[str, tuple[Series, Flags]]:
-        """The published health of each joint, and whether there was a restart before it."""
+        """The published health of each joint, and whether there was a restart before it, known
+        after the last window."""
         if not self._slow:
             return {}
         stamps, log_times, values, restarted = map(np.concatenate, zip(*self._slow, strict=True))
