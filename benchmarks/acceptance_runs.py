@@ -21,10 +21,9 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.baselines import GATE, extended_kalman
 from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, Rows
 from tsobs_ros.estimation.records import Hypothesis
-from tsobs_ros.methods import ObserverSettings, make_tracker
+from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.report.metrics import SIGMAS
-from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.signals import BiasStep
 
@@ -156,14 +155,9 @@ def kalman(
     )
     if not resets:
         filter_.model["constants"][0, CONSTANTS["REJECTING"]] = 0.0
-    ekf = make_tracker(design, estimator=filter_)
-    stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
-    rows = []
-    for y, u in zip(runs.measurements, runs.torques, strict=True):
-        ekf.reset()
-        rows.append(ekf.follow(stamps, y, u))
+    rows = observe(design, runs, estimator=filter_).rows
     x, std, disturbance, disturbance_std, theta = (
-        np.stack([row[name] for row in rows])
+        np.asarray(rows[name])
         for name in ("state", "state_bound", "disturbance", "disturbance_bound", "parameters")
     )
     to_design = design.arm_request.arm.from_physical

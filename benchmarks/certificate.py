@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from common import at_least, design_of, parser, show, use_one_thread
 
+from tsobs_ros.campaign.batches import stamps_of
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
@@ -27,7 +28,6 @@ from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import GaussMarkov, Multisine, Sine
@@ -113,7 +113,7 @@ def _campaign(
         part = Plant(scenario, seeds).run(instants[-1] + 1)
         truth = np.concatenate([part.states, part.disturbances], axis=2)
         drawn = rng.standard_normal(truth[:, 0].shape) @ np.linalg.cholesky(X).T
-        stamps = NANOSECONDS + np.round(part.times * NANOSECONDS).astype(np.int64)
+        stamps = stamps_of(part.times)
         for index, errors in zip(instants, found, strict=True):
             rows, seen = [], slice(index + 1)
             # A last sample that is lost leaves the estimate as it is just before it.

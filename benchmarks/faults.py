@@ -37,6 +37,7 @@ from tsobs_ros.simulation.signals import (
 _ONSET, _SETTLED, _STUCK = 30.0, 5.0, 20.0
 _NOISE = Scenario()
 _ENCODER = Sensor(noise_std=0.0, resolution=math.tau / 1024)
+_OUTLIERS = Sensor(outlier_probability=0.1, outlier_size=math.pi, outlier_is_uniform=True)
 
 
 class _Case(NamedTuple):
@@ -58,7 +59,7 @@ def _noise(**changes: Any) -> _Case:
 _CASES = {
     "noise": _Case(FaultKind.NONE),
     "1 % outliers": _Case(FaultKind.NONE, arm_with(Sensor(outlier_probability=0.01))),
-    "10 % outliers": _Case(FaultKind.NONE, arm_with(Sensor(outlier_probability=0.1))),
+    "10 % outliers": _Case(FaultKind.NONE, arm_with(_OUTLIERS)),
     "10-bit encoder": _Case(FaultKind.NONE, arm_with(_ENCODER)),
     "bias .1": _fault(FaultKind.BIAS, BiasStep(0.1, _ONSET)),
     "bias .03": _fault(FaultKind.BIAS, BiasStep(0.03, _ONSET)),

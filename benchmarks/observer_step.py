@@ -23,6 +23,7 @@ from common import at_least, design_of, parser, show, timed, use_one_thread
 from scipy.linalg import block_diag
 
 import tsobs_ros as ts
+from tsobs_ros.campaign.batches import stamps_of
 from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.design.file import load_design
@@ -268,7 +269,7 @@ def _worst(design: Design, turns: int) -> dict[str, float]:
 def _batch(design: Design, runs: Trajectories, arms: int, turns: int) -> dict[str, float]:
     """Return the arm-steps per second of whole runs, on one core and on all; medians."""
     estimator, cores = design.supervised(), len(os.sched_getaffinity(0))
-    stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
+    stamps = stamps_of(runs.times)
     copies = -(-arms // len(runs.states))
     y = np.tile(runs.measurements, (copies, 1, 1))[:arms]
     u = np.tile(runs.torques, (copies, 1, 1))[:arms]
@@ -304,7 +305,7 @@ def _late(design: Design, count: int, turns: int) -> dict[str, float]:
     """Return the median times to use samples that come together [s], by their order."""
     runs = simulate(SCENARIOS["noise"], [1], (count + 2) * design.request.period)
     y, u = runs.measurements[0, :count], runs.torques[0, :count]
-    stamps = NANOSECONDS + np.round(runs.times[:count] * NANOSECONDS).astype(np.int64)
+    stamps = stamps_of(runs.times[:count])
     limits = {"x_max": design.arm_request.x_max, "history": 2.0 * count * design.request.period}
     now, order = int(stamps[-1]), np.arange(count)
     orders = {"ascending": order, "descending": order[::-1]}
@@ -334,7 +335,7 @@ def _outputs(design: Design, turns: int) -> dict[str, float]:
         (synthesise(request), Scenario(outputs=sensors)),
     ):
         tracker, runs = make_tracker(design_), simulate(scenario, [1], 60.0)
-        stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
+        stamps = stamps_of(runs.times)
         shape = tracker.estimator.shape
         name = (
             f"{shape.p} outputs, {shape.n} states" if shape.p > 1 else f"1 output, {shape.n} states"

@@ -29,6 +29,9 @@ from tsobs_ros.errors import ModelError, ParameterError
 
 T = TypeVar("T")
 
+MIN_RATE = 0.01
+"""Least rate of samples and of estimates [Hz]."""
+
 _KEY = "tsobs_ros.setting"
 # Of each type: what ROS calls it, one and several of it in words, and what counts as one.
 _TYPES: Mapping[type, tuple[str, str, str, Any]] = {

@@ -20,7 +20,7 @@ import pytest
 import zstandard
 from foreign import CHANNEL, SCHEMA, STRING, Entry, cdr, places, write_mcap
 from mcap.opcode import Opcode
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
@@ -41,10 +41,10 @@ def scanned(data: bytes) -> list[tuple[bytes, int, int]]:
         stream.write(data)
         stream.flush()
         return [
-            (message, log_time, publish_time)
+            (content.data[begin : begin + size], log_time, publish_time)
             for part in FileWalker(stream, len(data)).parts()
-            if part.content
-            for _, log_time, publish_time, message in part.content.messages()
+            if (content := part.content)
+            for _, log_time, publish_time, begin, size, _ in content.rows.tolist()
         ]
 
 
@@ -389,3 +389,29 @@ def test_damaged_bags(
 ) -> None:
     for seed in seeds:
         attack(tmp_path / str(seed), kind, seed)
+
+
+def filled(path: Path, topics: list[str], **options: Any) -> Path:
+    """Write a file of small chunks with ten messages of each of some channels."""
+    writer = Writer(str(path), chunk_size=100, compression=CompressionType.NONE, **options)
+    writer.start("ros2", "")
+    schema = writer.register_schema(STRING, "ros2msg", b"string data")
+    for place, topic in enumerate(topics):
+        channel = writer.register_channel(topic, "cdr", schema)
+        for time in range(10 * place + 1, 10 * place + 11):
+            writer.add_message(channel, time, cdr("abcd"), time)
+    writer.finish()
+    return path
+
+
+def test_what_is_lost_of_both_channels_of_a_topic_is_missing(tmp_path: Path) -> None:
+    data = bytearray(filled(tmp_path / "two.mcap", ["/a", "/a"]).read_bytes())
+    data[data.find(b"abcd")] ^= 1
+    data[data.rfind(b"abcd")] ^= 1
+    report, there = recovered(tmp_path, bytes(data))
+    assert report.files[0].missing == {"/a": 20 - len(there)} != {"/a": 0}
+
+
+def test_a_bag_without_message_indexes_is_summarised(tmp_path: Path) -> None:
+    path = filled(tmp_path / "no_index.mcap", ["/a", "/b"], index_types=IndexType.CHUNK)
+    assert summarise(path)["messages"] == 20

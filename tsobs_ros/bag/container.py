@@ -85,11 +85,6 @@ class Records(NamedTuple):
     data: bytes
     rows: Rows
 
-    def messages(self) -> Iterator[tuple[int, int, int, bytes]]:
-        """Yield channel, log time, publish time and data of each message."""
-        for channel, log_time, publish_time, begin, size, _ in self.rows.tolist():
-            yield channel, log_time, publish_time, self.data[begin : begin + size]
-
     def descriptions(self) -> Iterator[bytes]:
         """Yield the records between the messages: schemas and channels."""
         begins = np.append(self.rows["begin"] - MESSAGE.size, len(self.data))

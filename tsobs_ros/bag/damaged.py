@@ -96,7 +96,9 @@ class DamagedFile:
         except OSError as error:
             self.error = error.strerror or str(error)
         names = {id_: topic.name for id_, topic in self.described.topics.items()}
-        stated = Counter({names.get(id_, f"channel {id_}"): n for id_, n in counts.items()})
+        stated = Counter[str]()
+        for id_, number in counts.items():
+            stated[names.get(id_, f"channel {id_}")] += number
         self.missing = stated - self.kept
 
     def _keep(self, part: Part, content: Records) -> Records:

@@ -204,7 +204,10 @@ class FileWriter:
     def close(self) -> None:
         """Force everything to the disk; the descriptor is released even if that fails."""
         if not self._stream.closed:
-            self._chunks.clear()
+            # Of a recording of many files only counts are kept.
+            self._compress = bytes
+            for held in (self._chunks, self.schemas, self.channels, self._schema_ids):
+                held.clear()
             with self._stream:
                 os.fsync(self._stream.fileno())
 

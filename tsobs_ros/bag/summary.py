@@ -125,10 +125,10 @@ def _durations(reader: BagReader) -> dict[str, int]:
         first, last = 2**63, 0
         for span in sorted(own, key=attrgetter("start")):
             if span.start < first:
-                first = min(first, *times(span).get(name, ()))
+                first = min(first, *times(span).get(name, (first,)))
         for span in sorted(own, key=attrgetter("end"), reverse=True):
             if span.end > last:
-                last = max(last, *times(span).get(name, ()))
+                last = max(last, *times(span).get(name, (last,)))
         durations[name] = last - first
     return durations
 

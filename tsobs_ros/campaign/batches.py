@@ -73,10 +73,10 @@ def observe(
         restart_after=settings.stale_after,
         max_steps=1,
     )
-    rows, events = [], []
+    rows, events, stamps = [], [], stamps_of(runs.times)
     for y, u in zip(runs.measurements, runs.torques, strict=True):
         tracker.reset()
-        rows.append(tracker.follow(stamps_of(runs.times), y, u))
+        rows.append(tracker.follow(stamps, y, u))
         events.append(tracker.events)
     return Observed(np.stack(rows), tuple(events))
 

@@ -76,8 +76,8 @@ double correct_hypothesis(const model *m, const state *at, hypothesis *h, correc
 double correct_by(
     const model *m, const state *at, hypothesis *h, long output, int adapt, correction *effect);
 
-/* Predict over a time with held inputs; `forgotten`: variance that an unknown torque gains in a second, below 0 if
- * the torque is known. */
+/* Predict over a time with held inputs; `forgotten`: variance that an unknown torque gains in a
+ * second, 0 if the torque is known. */
 void predict_hypothesis(
     const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
     work *scratch);

@@ -14,6 +14,6 @@ def evaluate(function: str, values: ArrayLike) -> NDArray[np.float64]:
     >>> evaluate("sine", 0.5).item()
     0.479425538604203
     """
-    result = np.array(values, np.float64)
+    result = np.array(values, np.float64, order="C")
     native.elementary(function, result)
     return result

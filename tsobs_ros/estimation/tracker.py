@@ -153,7 +153,10 @@ class Tracker:
         self.memory[:] = self._unused
 
     def forget(self) -> None:
-        """Forget all measurements, but not the counts."""
+        """Forget all measurements, but not the counts of them and of failures."""
+        judged = self.state["judged"]
+        self.memory["refused"] += judged
+        self.memory["accepted"] -= judged.sum()
         self.memory["bad_outputs"] += self.state["failures"]
         for name in ("first", "length", "has_base", "coasted_periods"):
             self.memory[name] = 0
@@ -298,7 +301,7 @@ class Tracker:
         self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike
     ) -> tuple[Stamps, Array, Array]:
         shape, times = self.estimator.shape, np.array(stamps, np.int64)
-        samples, inputs = np.array(y, np.float64), np.array(u, np.float64)
+        samples, inputs = (np.array(each, np.float64, order="C") for each in (y, u))
         count = len(times)
         if samples.shape != (count, shape.p) or inputs.shape != (count, shape.m):
             raise ModelError(

@@ -39,6 +39,7 @@ from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.parameters import ManagedParameters, converted, declare, updated
 from tsobs_ros.nodes.runtime import EXPECTED, Ticker
 from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.settings import values_of
 
 # How long the answer to a shutdown request may be on its way [s]; it is lost with the node.
 _FAREWELL = 0.5
@@ -311,8 +312,8 @@ class ManagedNode(LifecycleNode, Generic[P]):
         return SetParametersResult(successful=True)
 
     def _take_set(self, accepted: Sequence[Parameter]) -> None:
-        self.parameters = updated(self.parameters, accepted)
-        if self.configured:
+        before, self.parameters = values_of(self.parameters), updated(self.parameters, accepted)
+        if self.configured and values_of(self.parameters) != before:
             self.retune(self.parameters)
 
     def _attempt(self, what: str, step: Callable[[], None]) -> TransitionCallbackReturn:

@@ -20,14 +20,11 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import DIRECT, SIDES, ElasticJointArm, TorquePath
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.settings import setting
+from tsobs_ros.settings import MIN_RATE, setting
 from tsobs_ros.simulation.motion import ArmMotion, Friction, Motion, Payload, SystemMotion
 from tsobs_ros.simulation.sensor import Disturbance, Output, SimulatedOutput
 from tsobs_ros.simulation.signals import Numbers, Signal, Sine, StuckSensor
 from tsobs_ros.simulation.streams import Source, TorqueDelay
-
-MIN_RATE = 0.01
-"""Least rate of samples [Hz]."""
 
 _BLOCK = 2**16
 """Samples of all runs that are moved at a time, so that the memory stays bounded."""

@@ -9,8 +9,7 @@ from tsobs_ros.estimation.events import COAST_AFTER
 from tsobs_ros.estimation.health import DisturbanceLimits
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes.parameters import JointParameters
-from tsobs_ros.settings import live_setting, setting
-from tsobs_ros.simulation.plant import MIN_RATE
+from tsobs_ros.settings import MIN_RATE, live_setting, setting
 
 
 @dataclass(frozen=True)

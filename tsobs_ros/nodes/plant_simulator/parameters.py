@@ -183,7 +183,9 @@ class PlantSimulatorParameters(JointParameters):
     def requests(self) -> dict[str, ArmRequest | TSRequest]:
         """What describes each joint."""
         shipped = str(config_path(SHIPPED_DESIGN))
-        return {joint: _read(request_in, path or shipped) for joint, path in self.design_of.items()}
+        paths = {joint: path or shipped for joint, path in self.design_of.items()}
+        read = {path: _read(request_in, path) for path in dict.fromkeys(paths.values())}
+        return {joint: read[path] for joint, path in paths.items()}
 
     @property
     def sample_rate(self) -> float:
