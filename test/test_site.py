@@ -18,7 +18,6 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
-EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 TEXT = "\n".join(path.read_text(encoding="utf-8") for path in PAGES)
 
 

@@ -25,7 +25,6 @@ from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 DESIGN = load_design(config_path(FIXED_DESIGN))
 ESTIMATOR = load_design(config_path(SHIPPED_DESIGN)).supervised()
-FLOW = DESIGN.request.flow
 COUNT = 3
 SIZES = np.array([2, 1, 0, 1, 1, 1])
 

@@ -31,7 +31,6 @@ ROOT = Path(__file__).resolve().parents[2]
 CORE = ROOT / "tsobs_ros" / "core"
 PROGRAM = ROOT / "examples" / "c" / "step_log.c"
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Werror")
-FIRST = 10**9
 
 
 def run(*command: Any, **options: Any) -> "subprocess.CompletedProcess[str]":

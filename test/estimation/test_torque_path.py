@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import settings
 
 import tsobs_ros as ts
 from tsobs_ros.checks import Array
@@ -19,7 +18,6 @@ from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import METHODS
 from tsobs_ros.model.arm import TorquePath
 
-PROPERTY = settings(max_examples=12)
 DESIGN = ts.load_design()
 BOTH = ts.load_design(Path(__file__).parent / "data" / "both_encoders.design.yaml")
 PERIOD = DESIGN.request.period

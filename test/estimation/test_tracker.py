@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator, TorqueLimits
@@ -23,7 +22,6 @@ from tsobs_ros.model.arm import TorquePath
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
-Array = NDArray[np.float64]
 SECOND = 1_000_000_000
 PERIOD = 5_000_000
 BEGIN = 100 * SECOND

@@ -12,7 +12,6 @@ from player.bags import regular, texts, write_bag
 from rclpy.parameter import Parameter
 
 Play = Callable[..., Any]
-S = 10**9
 
 
 @pytest.fixture
