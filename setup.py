@@ -151,7 +151,7 @@ setup(
         ],  # cvxpy adds 150 MB of solvers that are not used
         "report": ["matplotlib", "plotly", "tqdm", "mcap-ros2-support"],
         "export": ["mcap-ros2-support", "pyarrow"],
-        "campaign": ["distributed", "pyarrow", "tqdm"],
+        "campaign": ["pyarrow", "tqdm"],
         "watch": ["rich"],
         "docs": ["furo", "latex2mathml", "myst-parser", "sphinx"],
         "test": [

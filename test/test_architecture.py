@@ -41,8 +41,6 @@ HOME: dict[str, set[str]] = {
     "matplotlib": {"report"},
     "plotly": {"report"},
     "pyarrow": {"campaign", "report"},
-    "distributed": {"campaign"},
-    "dask": {"campaign"},
     "rich": {"cli"},
 }
 ROS_INTERFACES = {"rcl_interfaces", "builtin_interfaces", "std_srvs"}

@@ -22,7 +22,6 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("matplotlib", "plotly", "tqdm", "mcap_ros2"), _REPORT),
     "pyarrow": ("pyarrow", "mcap-ros2-support"),
     "rich": ("rich",),
-    "distributed": ("distributed", "pyarrow"),
 }
 """Modules that may be missing, each with what to install then."""
 CORE = "tsobs_ros.core.native"

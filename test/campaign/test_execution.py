@@ -3,10 +3,7 @@
 """Campaigns as a whole: the numbers depend on nothing but the campaign."""
 
 import json
-import signal
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -74,67 +71,6 @@ def test_neither_threads_nor_interruptions_change_a_bit(
     assert times == {path: path.stat().st_mtime_ns for path in (folder / "runs").iterdir()}
     assert run_campaign(short.with_runs(30), folder)["run"].tolist() == list(range(30))
     assert files_of(folder) == expected
-
-
-@pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[tuple[str, list[Any]]]:
-    """Yield the address and the processes of a scheduler and two workers."""
-    distributed: Any = pytest.importorskip("distributed")
-    file = tmp_path / "scheduler.json"
-    common = ("--no-dashboard", "--scheduler-file", str(file))
-    options = ("--port", "0", "--host", "127.0.0.1"), *[("--no-nanny",)] * 2
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-m", f"distributed.cli.dask_{what}", *common, *option],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        for what, option in zip(("scheduler", "worker", "worker"), options, strict=True)
-    ]
-    try:
-        with distributed.Client(scheduler_file=str(file), set_as_default=False) as client:
-            client.wait_for_workers(2)  # both then have parts that are not done
-            address = str(client.scheduler.address)
-        yield address, processes
-    finally:
-        for process in processes:
-            process.kill()
-            process.wait()
-
-
-@pytest.mark.slow
-def test_a_cluster_whose_worker_is_killed_gives_the_same_bits(
-    short: Campaign, done: Path, tmp_path: Path, cluster: tuple[str, list[Any]]
-) -> None:
-    address, (_, worker, _) = cluster
-    seen: list[int] = []
-
-    def progress(runs: int) -> None:
-        if runs and not sum(seen):
-            worker.send_signal(signal.SIGKILL)
-        seen.append(runs)
-
-    run_campaign(short, tmp_path / "campaign", scheduler=address, progress=progress)
-    assert worker.wait(20.0) == -signal.SIGKILL
-    assert sum(seen) == 250
-    assert files_of(tmp_path / "campaign") == files_of(done)
-
-
-@pytest.mark.slow
-def test_a_scheduler_that_goes_away_ends_the_campaign_with_one_line(
-    short: Campaign, tmp_path: Path, cluster: tuple[str, list[Any]]
-) -> None:
-    address, (scheduler, *_) = cluster
-    with pytest.raises(CampaignError, match=r"scheduler tcp.*the same command goes on with"):
-        run_campaign(
-            short, tmp_path / "campaign", scheduler=address,
-            progress=lambda runs: scheduler.kill() if runs else None,
-        )  # fmt: skip
-
-
-def test_a_scheduler_that_is_not_there(short: Campaign, tmp_path: Path) -> None:
-    with pytest.raises(CampaignError, match="scheduler tcp//nowhere: cannot be reached"):
-        run_campaign(short, tmp_path / "campaign", scheduler="tcp//nowhere")
 
 
 def test_the_certified_bound_holds_if_its_premises_do(write: Callable[..., Path]) -> None:
@@ -210,6 +146,7 @@ def test_the_command_shows_and_refuses(
     assert main(["campaign", other, "--output", str(tmp_path)]) == 1
     assert "summary.txt: exists already; choose another folder" in capsys.readouterr().err
     again = ["--rerun", "one", str(done), "--output", "x"]
-    for wrong in ([], [other, *again], again, [other]):
+    good = [*again[:1], "1", *again[2:]]
+    for wrong in ([], [other, *again], again, [other], [*good, "--runs", "2"]):
         with pytest.raises(SystemExit, match="2"):
             main(["campaign", *wrong])

@@ -22,7 +22,7 @@ from tsobs_ros.schema import decode, encode, naming
 from tsobs_ros.settings import changed
 from tsobs_ros.simulation.motion import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch
-from tsobs_ros.yaml_files import read_text, yaml_mapping, yaml_text
+from tsobs_ros.yaml_files import read_yaml, yaml_text
 
 FORMAT, VERSION = "tsobs_ros campaign", 1
 CAMPAIGN = "campaign.yaml"
@@ -175,22 +175,14 @@ def load_campaign(path: str | PathLike[str]) -> Campaign:
         TsobsError: An entry does not fit the design.
     """
     path = Path(path)
-    entries = parse_campaign(read_text(path), str(path))
-    near = path.parent / entries.design
+    data = read_yaml(path)
     with naming(path):
-        return Campaign(
-            entries, load_design(near if near.is_file() else config_path(entries.design))
-        )
-
-
-def parse_campaign(text: str, name: str) -> CampaignEntries:
-    """Return the entries of a campaign file's text; `name` is the file, for errors."""
-    data = yaml_mapping(text, name)
-    with naming(name):
         file = decode(data, _File)
-    if (file.format, file.version) != (FORMAT, VERSION):
-        raise DesignFileError(
-            f"{name}: expected format {FORMAT!r} of version {VERSION}, got {file.format!r} of "
-            f"version {file.version!r}"
-        )
-    return file.campaign
+        if (file.format, file.version) != (FORMAT, VERSION):
+            raise DesignFileError(
+                f"expected format {FORMAT!r} of version {VERSION}, got {file.format!r} of version "
+                f"{file.version!r}"
+            )
+        name = file.campaign.design
+        near = path.parent / name
+        return Campaign(file.campaign, load_design(near if near.is_file() else config_path(name)))

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""`tsobs campaign`: thousands of simulated runs, here or on a cluster."""
+"""`tsobs campaign`: thousands of simulated runs."""
 
 import argparse
 import time
@@ -11,7 +11,6 @@ from tsobs_ros.cli.common import (
     add_command,
     at_least_one,
     json_text,
-    keywords,
     note,
     progress,
     show,
@@ -32,9 +31,8 @@ def add_parser(commands: Commands) -> None:
     add("--runs", type=at_least_one, metavar="N", help="instead of the file's")
     add(
         "--workers", type=at_least_one, metavar="N", dest="threads",
-        help="threads of this machine (default: its cores)",
+        help="threads (default: as many as cores)",
     )  # fmt: skip
-    add("--scheduler", metavar="ADDRESS", help="of a Dask cluster, such as tcp://10.0.0.1:8786")
     add(
         "--rerun", nargs=2, metavar=("ID", "DIR"),
         help="make one run of a campaign again, as a bag and a report in --output",
@@ -45,9 +43,9 @@ def run(options: argparse.Namespace) -> int:
     """Run a campaign, or make one of its runs again."""
     if (options.campaign is None) == (options.rerun is None):
         options.parser.error("expected one of FILE and --rerun ID DIR")
-    if options.threads is not None and options.scheduler is not None:
-        options.parser.error("--workers is for this machine, not for a cluster")
     if options.rerun is not None:
+        if options.runs or options.threads:
+            options.parser.error("--runs, --workers: are for FILE, not for --rerun")
         if not options.rerun[0].isdecimal():
             options.parser.error(f"--rerun: expected the number of a run, got {options.rerun[0]}")
         return _rerun(options)
@@ -61,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     with progress(campaign.entries.runs, " runs", quiet=options.json) as advance:
         try:
             columns = run_campaign(
-                campaign, options.output, progress=advance, **keywords(options, run_campaign)
+                campaign, options.output, threads=options.threads, progress=advance
             )
         except KeyboardInterrupt:
             complain("interrupted; the same command goes on with the runs that are missing")
