@@ -18,9 +18,10 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.cramer_rao import cramer_rao_std
-from tsobs_ros.methods import METHODS, ObserverSettings, make_estimator
+from tsobs_ros.methods import METHODS, ObserverSettings
 from tsobs_ros.model.disturbance import DisturbanceTerm, sum_of
 from tsobs_ros.model.flow import ArmFlow
+from tsobs_ros.replay.estimate import Observer, without_misfits
 from tsobs_ros.report.comparison import aligned, number_text
 from tsobs_ros.report.metrics import RunMetrics, measure
 from tsobs_ros.report.quantities import JUMP
@@ -95,11 +96,9 @@ def compare_scenarios(
     scenario's, unless a duration is given [s].
 
     Raises:
-        ModelError: A name is unknown, there are no seeds, no observer can observe the arm, or it
-            has not the link angle as its only output.
+        ModelError: A name is unknown, no observer can observe the arm, or it has not the link
+            angle as its only output.
     """
-    if seeds < 1:
-        raise ModelError(f"seeds: expected at least 1, got {seeds!r}")
     check_names("scenario", scenarios, SCENARIOS)
     request = design.arm_request
     unfit = request.torque_sides or request.sensors[0].delay
@@ -108,26 +107,20 @@ def compare_scenarios(
             "scenarios: expected a design with the link angle as its only output, without delay "
             f"and torque disturbance, got {', '.join(request.output_names)}"
         )
-    contenders, remarks = dict[str, ObserverSettings](), list[str]()
-    for name in methods:
-        chosen = replace(settings or ObserverSettings(), method=name)
-        try:
-            make_estimator(design, chosen)
-            contenders[name] = chosen
-        except ModelError as error:
-            remarks.append(f"{name} is left out: {error}")
-    if not contenders:
-        raise ModelError("; ".join(remarks))
+    settings = settings or ObserverSettings()
+    each = [Observer(name, replace(settings, method=name), (design,)) for name in methods]
+    observers, remarks = without_misfits(each)
 
     def compared(name: str) -> dict[str, Any]:
         scenario = fitted(SCENARIOS[name], design)
         runs = simulate(scenario, range(seeds), duration)
         found, thetas = dict[str, Any](), {}
-        for method, chosen in contenders.items():
-            if method in HIGH_GAIN:
+        for one in observers:
+            chosen = one.settings
+            if one.name in HIGH_GAIN:
                 chosen = _tuned(design, chosen, runs)
-                thetas[method] = chosen.theta
-            found[method] = scores(_measured(design, chosen, runs))
+                thetas[one.name] = chosen.theta
+            found[one.name] = scores(_measured(design, chosen, runs))
             advance(seeds)
         reason = why_unbounded(scenario)
         found |= {} if reason else {BOUND: _bound(scenario, runs)}
@@ -135,20 +128,20 @@ def compare_scenarios(
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         rows = dict(zip(scenarios, pool.map(compared, scenarios), strict=True))
-    notes = [
-        f"normalised RMSE of the four states over what counts as settled; root mean square "
-        f"over {seeds} runs"
-    ]
-    for name, row in rows.items():
-        if row["unbounded"]:
-            notes.append(f"no bound for {name}: it has {row['unbounded']}")
-    bound = [BOUND] * any(BOUND in row for row in rows.values())
-    about = {name: ABOUT[name] for name in (*contenders, *bound)}
+    names = [one.name for one in observers]
+    names += [BOUND] * any(BOUND in row for row in rows.values())
+    unbounded = {name: row["unbounded"] for name, row in rows.items() if row["unbounded"]}
     return {
         "seeds": seeds,
-        "observers": about,
+        "observers": {name: ABOUT[name] for name in names},
         "scenarios": rows,
-        "notes": [*notes, *_BIASED, *remarks],
+        "notes": [
+            "normalised RMSE of the four states over what counts as settled; root mean square "
+            f"over {seeds} runs",
+            *(f"no bound for {name}: it has {reason}" for name, reason in unbounded.items()),
+            *_BIASED,
+            *remarks,
+        ],
     }
 
 
@@ -179,12 +172,10 @@ def scores(runs: Sequence[RunMetrics]) -> dict[str, Any]:
 
 def _root_mean(values: Sequence[float | None]) -> float | None:
     """Return the root mean square; infinite if a run diverged, None if no run has a value."""
-    known = [value for value in values if value is not None]
-    if not known:
+    if all(value is None for value in values):
         return None
     with np.errstate(over="ignore"):
-        mean = float(np.mean(np.square(known)))
-    return math.sqrt(mean) if math.isfinite(mean) and len(known) == len(values) else math.inf
+        return math.sqrt(np.mean([np.inf if one is None else np.square(one) for one in values]))
 
 
 def fitted(scenario: Scenario, design: Design) -> Scenario:

@@ -86,12 +86,10 @@ def _on_scenarios(options: argparse.Namespace) -> int:
     settings = changed(ObserverSettings(), given_parameters(options))
     design = load_design(*options.design)
     scenarios, methods = options.scenario or DEFAULT_SCENARIOS, options.method or METHODS
-    runs = len(scenarios) * (options.seeds or 20)
-    plan = (design, scenarios, options.seeds or 20, methods)
+    seeds, more = options.seeds or 20, {"settings": settings, "duration": options.duration}
+    runs = len(scenarios) * seeds
     with progress(runs * len(methods), " runs", quiet=options.json) as advance:
-        found = compare_scenarios(
-            *plan, settings=settings, duration=options.duration, advance=advance
-        )
+        found = compare_scenarios(design, scenarios, seeds, methods, **more, advance=advance)
     text = render_scenarios(found)
     if options.output:
         write_whole(options.output / FILE, json_text(found) + "\n", force=options.force)

@@ -26,16 +26,13 @@ that takes a constant for known is biased in it. It may have smaller errors if t
 takes it for.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.model.arm import LINK_VELOCITY
 from tsobs_ros.model.flow import ArmFlow
-
-_CHUNK = 1000
-"""Samples whose derivatives are in memory at once."""
 
 
 def cramer_rao_std(
@@ -64,11 +61,13 @@ def cramer_rao_std(
     count, size = states.shape[1], 1 + flow.state_count
     noise, unit = np.zeros((size, size)), np.eye(size)
     noise[1:, 1:] = flow.nominal.noise
+    root = np.linalg.inv(np.linalg.cholesky(flow.nominal.noise))
     C = np.append(1.0, flow.output_matrix[0])
     P = np.diag(np.append(offset_std, initial_std) ** 2.0)
     found = np.empty((count, size, size))
-    for place, (F, spread) in enumerate(_derivatives(flow, states)):
+    for place in range(count):
         if place > 0:
+            F, spread = _derivative(flow, root, *states[:, place - 1 : place + 1, 0].T)
             P = F @ np.linalg.solve(unit + P @ spread, P) @ F.T + noise
             P = 0.5 * (P + P.T)
         if place in jumps:
@@ -84,19 +83,17 @@ def cramer_rao_std(
     return np.asarray(np.sqrt(np.einsum("ai,tij,aj->ta", read, found, read)))
 
 
-def _derivatives(flow: ArmFlow, states: Array) -> Iterator[tuple[Array, Array]]:
-    """Yield F̄ of the step to each sample, and V."""
-    n, step, (runs, count) = flow.state_count, flow.nominal, states.shape[:2]
-    root = np.linalg.inv(np.linalg.cholesky(step.noise))
-    for begin in range(0, count, _CHUNK):
-        after = np.arange(begin, min(begin + _CHUNK, count))
-        before = np.maximum(after - 1, 0)
-        slopes = [step.half_kick * np.cos(states[:, each, 0]) for each in (before, after)]
-        # Half a kick by gravity, the linear flow, half a kick; the constant stays.
-        A = np.zeros((runs, len(after), 1 + n, 1 + n))
-        A[..., 0, 0], A[..., 1:, 1:] = 1.0, step.phi
-        A[..., 1:, 1] -= slopes[0][..., np.newaxis] * step.phi[:, LINK_VELOCITY]
-        A[..., 1 + LINK_VELOCITY, :] -= slopes[1][..., np.newaxis] * A[..., 1, :]
-        mean = A.mean(axis=0)
-        white = np.moveaxis(root @ (A - mean)[..., 1:, :], 0, 1).reshape(len(after), runs * n, -1)
-        yield from zip(mean, np.swapaxes(white, 1, 2) @ white / runs, strict=True)
+def _derivative(flow: ArmFlow, root: Array, before: Array, after: Array) -> tuple[Array, Array]:
+    """Return F̄ of a step of all runs between link angles, shape (runs,), and V.
+
+    The root is of the inverse of the step's noise.
+    """
+    step, n = flow.nominal, flow.state_count
+    # Half a kick by gravity, the linear flow, half a kick; the constant stays.
+    A = np.zeros((len(before), 1 + n, 1 + n))
+    A[:, 0, 0], A[:, 1:, 1:] = 1.0, step.phi
+    A[:, 1:, 1] -= np.multiply.outer(step.half_kick * np.cos(before), step.phi[:, LINK_VELOCITY])
+    A[:, 1 + LINK_VELOCITY] -= (step.half_kick * np.cos(after))[:, np.newaxis] * A[:, 1]
+    mean = A.mean(axis=0)
+    white = (root @ (A - mean)[:, 1:]).reshape(len(before) * n, -1)
+    return mean, white.T @ white / len(before)
