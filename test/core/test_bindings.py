@@ -63,11 +63,8 @@ def calls() -> dict[str, dict[str, Any]]:
         "newest": zeros(COUNT, kind=int), "there": zeros(COUNT, kind=int),
         "rows": zeros(COUNT, width), "stale_after": 10**18,
     }  # fmt: skip
-    arm = np.ones(2 * record_type("simulated_arm").itemsize // 8)
-    system = np.ones(record_type("simulated_system", SIZES).itemsize // 8)
-    for plant in (arm[:20], arm[20:], system):
-        plant.view(np.int64)[0] = 5
-    moves = {"kicks": zeros(2, 3, 10)}
+    plant = np.ones(record_type("simulated_plant", SIZES).itemsize // 8)
+    plant.view(np.int64)[0] = 5
     return {
         "estimator_correct": {**estimator, "y": zeros(1), "corrections": corrections},
         "estimator_predict": {
@@ -85,25 +82,21 @@ def calls() -> dict[str, dict[str, Any]]:
             "shapes": zeros(2, kind=int), "parameters": zeros(2, 4), "z": zeros(3),
             "weights": zeros(3, 2), "r": 2, "q": 1,
         },
-        "simulate_arms": {
-            "arms": arm, "carried": np.array([0, 1, 0]), "inputs": zeros(2, 3), **moves,
-            "present": zeros(2, 4), "states": zeros(2, 3, 4), "torques": zeros(2, 3, 2),
-        },
-        "simulate_systems": {
-            "sizes": SIZES, "system": system, "inputs": zeros(2, 3, 1), **moves,
-            "present": zeros(2, 2), "states": zeros(2, 3, 2), "truths": zeros(2, 3, 1),
+        "simulate": {
+            "sizes": SIZES, "plant": plant, "inputs": zeros(2, 3, 1), "kicks": zeros(2, 3, 10),
+            "present": zeros(2, 2), "states": zeros(2, 3, 2), "outputs": zeros(2, 3, 1),
         },
     }  # fmt: skip
 
 
 # They say how much there is of all else.
-COUNTING = {"stamps", "tick_stamps", "x", "z", "present", "carried"}
+COUNTING = {"stamps", "tick_stamps", "x", "z", "present"}
 CASES = [
     (function, name)
     for function, arguments in calls().items()
     for name, argument in arguments.items()
     if isinstance(argument, np.ndarray) and argument.size and name not in COUNTING
-    and (function, name) != ("simulate_systems", "states")
+    and (function, name) != ("simulate", "states")
 ]  # fmt: skip
 
 
@@ -129,9 +122,9 @@ def test_an_array_that_is_too_short_is_refused_and_nothing_is_changed(
         ("flow_over", {"duration": np.inf}, "duration: expected a finite"),
         ("flow_over", {"n": 4097}, "expected sizes within their limits"),
         ("weights_of_each", {"q": 0}, "expected sizes within their limits"),
-        ("simulate_arms", {"carried": np.array([0, 2, 0])}, "carried: expected 0 or 1"),
-        ("simulate_systems", {"sizes": -SIZES}, "expected sizes within their limits"),
-        ("simulate_systems", {"sizes": SIZES * 10_000}, "expected sizes within their limits"),
+        ("simulate", {"sizes": -SIZES}, "expected sizes within their limits"),
+        ("simulate", {"sizes": SIZES * 10_000}, "expected sizes within their limits"),
+        ("simulate", {"sizes": SIZES * [1, 1, 1, 1, 0, 0]}, "expected the sizes of an arm"),
     ],
 )
 def test_numbers_out_of_range_are_refused(

@@ -158,7 +158,7 @@ static int is_duration(const signature *of, const argument *t)
 
 /* --- layouts of records, and constants --- */
 
-enum { FLOW_SIZES = sizeof(flow_sizes) / 8, SYSTEM_SIZES = sizeof(system_sizes) / 8 };
+enum { FLOW_SIZES = sizeof(flow_sizes) / 8, PLANT_SIZES = sizeof(plant_sizes) / 8 };
 
 /* Append a new row to a list, or end it: it is NULL if that failed before, or fails. */
 static void append(PyObject **list, PyObject *row)
@@ -199,8 +199,7 @@ BIND(layout, "sd")
         RECORD("model", MODEL_FIELDS, ESTIMATOR_SIZES, estimator_sizes)
         RECORD("flow", FLOW_FIELDS, FLOW_SIZES, flow_sizes)
         RECORD("flow_step", STEP_FIELDS, FLOW_SIZES, flow_sizes)
-        RECORD("simulated_system", SIMULATED_SYSTEM_FIELDS, SYSTEM_SIZES, system_sizes)
-        RECORD("simulated_arm", SIMULATED_ARM_FIELDS, 0, void)
+        RECORD("simulated_plant", SIMULATED_PLANT_FIELDS, PLANT_SIZES, plant_sizes)
         RECORD("history", HISTORY_FIELDS, 0, void)
     }
     return PyErr_Occurred() ? NULL : refuse(of, "expected a record and its sizes");
@@ -270,54 +269,31 @@ BIND(flow_over, "diffDDDDii")
     Py_RETURN_NONE;
 }
 
-BIND(simulate_arms, "ddddDDD")
+BIND(simulate, "dDddDDD")
 {
-    const int64_t runs = t[4].length / 4, samples = t[1].length, all = runs * samples;
-    const int64_t size = (int64_t)simulated_arm_size(NULL);
-    if (!HAVE(0, 2 * size) || !HAVE(2, all) || !HAVE(5, 4 * all, 2 * all)) {
+    const plant_sizes *s = t[0].bytes;
+    if (!HAVE(0, PLANT_SIZES) || !are_sizes(of, t[0].counts, PLANT_SIZES, 0) ||
+        !are_sizes(of, &s->n, 1, 1)) {
         return NULL;
     }
-    const simulated_arm arms[2] = {simulated_arm_view(NULL, t[0].numbers),
-                                   simulated_arm_view(NULL, t[0].numbers + size)};
-    for (int64_t k = 0; k < samples; k++) {
-        if (t[1].counts[k] != 0 && t[1].counts[k] != 1) {
-            return refuse(of, "carried: expected 0 or 1");
-        }
-    }
-    for (int i = 0; i < 2; i++) {
-        if (t[3].length > 0 && all > 0 && *arms[i].substeps > t[3].length / (2 * all)) {
-            return refuse(of, "expected noise of each substep");
-        }
-    }
-    Py_BEGIN_ALLOW_THREADS
-    simulate_arms(
-        arms, t[1].counts, t[2].numbers, t[3].length > 0 ? t[3].numbers : NULL, t[4].numbers,
-        t[5].numbers, t[6].numbers, (long)runs, (long)samples);
-    Py_END_ALLOW_THREADS
-    Py_RETURN_NONE;
-}
-
-BIND(simulate_systems, "dDddDDD")
-{
-    const system_sizes *s = t[0].bytes;
-    if (!HAVE(0, SYSTEM_SIZES) || !are_sizes(of, &s->n, 1, 1) ||
-        !are_sizes(of, t[0].counts, SYSTEM_SIZES, 0) ||
-        !HAVE(1, (int64_t)simulated_system_size(s))) {
-        return NULL;
-    }
-    const simulated_system system = simulated_system_view(s, t[1].numbers);
-    const int64_t runs = t[4].length / s->n;
+    const int64_t held = s->m + s->scheduled, runs = t[4].length / s->n;
     const int64_t samples = runs > 0 ? t[5].length / (s->n * runs) : 0, all = runs * samples;
-    if (!HAVE(2, all * (s->m + s->scheduled)) || !HAVE(6, all * s->p)) {
+    const int64_t size = (int64_t)simulated_plant_size(s);
+    const double *kicks = t[3].length > 0 ? t[3].numbers : NULL;
+    if (s->rules == 0 && (s->n != 4 || held != ARM_INPUTS || s->p != 2)) {
+        return refuse(of, "expected the sizes of an arm");
+    }
+    if (!HAVE(1, size, all * held) || !HAVE(6, all * s->p)) {
         return NULL;
     }
-    if (t[3].length > 0 && all > 0 && *system.substeps > t[3].length / (s->n * all)) {
+    const simulated_plant plant = simulated_plant_view(s, t[1].numbers);
+    if (kicks != NULL && all > 0 && *plant.substeps > t[3].length / (noisy_count(s) * all)) {
         return refuse(of, "expected noise of each substep");
     }
     Py_BEGIN_ALLOW_THREADS
-    simulate_systems(
-        &system, s, t[2].numbers, t[3].length > 0 ? t[3].numbers : NULL, t[4].numbers,
-        t[5].numbers, t[6].numbers, (long)runs, (long)samples);
+    simulate(
+        &plant, s, t[2].numbers, kicks, t[4].numbers, t[5].numbers, t[6].numbers, (long)runs,
+        (long)samples);
     Py_END_ALLOW_THREADS
     Py_RETURN_NONE;
 }
@@ -575,8 +551,7 @@ static PyMethodDef methods[] = {
     METHOD(elementary),
     METHOD(weights_of_each),
     METHOD(flow_over),
-    METHOD(simulate_arms),
-    METHOD(simulate_systems),
+    METHOD(simulate),
     METHOD(estimator_correct),
     METHOD(estimator_predict),
     METHOD(estimator_read),

@@ -32,11 +32,8 @@ def weights_of_each(
 def flow_over(*arguments: Any) -> None:
     """Write Φ, Γ and Q over a duration [s]; scratch has n (4 n + 2 m) numbers."""
 
-def simulate_arms(*arguments: Any) -> None:
-    """Move two arms' records, without and with the payload, over samples; see simulate.h."""
-
-def simulate_systems(*arguments: Any) -> None:
-    """Move T–S systems over samples; see simulate.h."""
+def simulate(*arguments: Any) -> None:
+    """Move plants over samples by their sizes and record; see simulate.h."""
 
 def messages_split(data: bytes | memoryview, found: Numbers, /) -> int:
     """Write the fields of each message in some records, and return their number or -1."""

@@ -32,155 +32,122 @@ static double twist_of(const simulated_arm *arm, const double *x)
     return turn > free ? turn - free : turn < -free ? turn + free : 0.0;
 }
 
-/* Write the slope of an arm's state x, (4), by the motor's drive and the link's brake [rad/s2]. */
-static void arm_slope(
-    const simulated_arm *arm, const double *x, double drive, double brake, double *slope)
+/* Return the arm that moves, which is another one with the payload, and what is held of it. */
+static simulated_arm arm_in(const simulated_plant *plant, const double **held)
 {
-    const double twist = twist_of(arm, x);
+    *held = plant->signals + 4;
+    return simulated_arm_view(
+        NULL, plant->arms + ((*held)[IS_LOADED] != 0.0 ? simulated_arm_size(NULL) : 0));
+}
+
+/* Write the slope of an arm's state. */
+static void arm_slope(const simulated_plant *plant, double *slope)
+{
+    const double *x = plant->signals, *held;
+    const simulated_arm arm = arm_in(plant, &held);
+    const double twist = twist_of(&arm, x);
+    /* Subtracted, so that a push of zero changes no bit, the sign of a zero included. */
+    const double drive =
+        held[DRIVE] / *arm.motor_inertia - (0.0 - held[ON_MOTOR]) / *arm.motor_inertia;
+    const double brake = (0.0 - held[ON_LINK]) / *arm.link_inertia;
     slope[0] = x[1];
-    slope[1] = *arm->link_spring * twist - *arm->gravity * sine(x[0]) - *arm->link_drag * x[1] -
-               rub(*arm->link_rub, x[1]) - brake;
+    slope[1] = *arm.link_spring * twist - *arm.gravity * sine(x[0]) - *arm.link_drag * x[1] -
+               rub(*arm.link_rub, x[1]) - brake;
     slope[2] = x[3];
-    slope[3] = drive - *arm->motor_spring * twist - *arm->motor_drag * x[3] -
-               rub(*arm->motor_rub, x[3]);
+    slope[3] =
+        drive - *arm.motor_spring * twist - *arm.motor_drag * x[3] - rub(*arm.motor_rub, x[3]);
 }
 
-/* Move an arm's state x, (4), by one integration step. */
-static void step_arm(const simulated_arm *arm, double drive, double brake, double *x)
+/* Write the torques that an arm without friction and payload would need: less friction, the spring's
+ * torque that play lacks, and on the link less what turns the payload and holds it,
+ * dJ q1'' + dmgl sin q1. */
+static void arm_outputs(const simulated_plant *plant, double *torques)
 {
-    const double h = *arm->substep;
-    double slopes[4][4], at[4];
-    memcpy(at, x, sizeof at);
-    for (int stage = 0; stage < 4; stage++) {
-        const double time = stage == 2 ? h : 0.5 * h;
-        arm_slope(arm, at, drive, brake, slopes[stage]);
-        for (int i = 0; i < 4; i++) {
-            at[i] = x[i] + time * slopes[stage][i];
-        }
-    }
-    for (int i = 0; i < 4; i++) {
-        x[i] += h / 6.0 * (slopes[0][i] + 2.0 * (slopes[1][i] + slopes[2][i]) + slopes[3][i]);
-    }
-}
-
-/* Turn pushes on motor and link into the torques that an arm without friction and payload would
- * need: less friction, the spring's torque that play lacks, and on the link less what turns the
- * payload and holds it, dJ q1'' + dmgl sin q1. */
-static void less_friction_and_payload(const simulated_arm *arm, const double *x, double *torques)
-{
-    const double push = torques[1], inertia = *arm->added_inertia, weight = *arm->added_gravity;
-    torques[0] = torques[0] - *arm->motor_viscous * x[3] - rub(*arm->motor_coulomb, x[3]);
-    torques[1] = push - *arm->link_viscous * x[1] - rub(*arm->link_coulomb, x[1]);
-    if (*arm->free_play > 0.0) {
-        const double slack = x[2] - x[0] - twist_of(arm, x);
-        torques[0] += *arm->motor_inertia * *arm->motor_spring * slack;
-        torques[1] -= *arm->link_inertia * *arm->link_spring * slack;
+    const double *x = plant->signals, *held;
+    const simulated_arm arm = arm_in(plant, &held);
+    const double inertia = *arm.added_inertia, weight = *arm.added_gravity;
+    torques[0] = held[ON_MOTOR] - *arm.motor_viscous * x[3] - rub(*arm.motor_coulomb, x[3]);
+    torques[1] = held[ON_LINK] - *arm.link_viscous * x[1] - rub(*arm.link_coulomb, x[1]);
+    if (*arm.free_play > 0.0) {
+        const double slack = x[2] - x[0] - twist_of(&arm, x);
+        torques[0] += *arm.motor_inertia * *arm.motor_spring * slack;
+        torques[1] -= *arm.link_inertia * *arm.link_spring * slack;
     }
     if (inertia > 0.0 || weight > 0.0) {
         double slope[4];
-        arm_slope(arm, x, 0.0, (0.0 - push) / *arm->link_inertia, slope);
+        arm_slope(plant, slope);
         torques[1] -= inertia * slope[1] + weight * sine(x[0]);
     }
 }
 
-void simulate_arms(
-    const simulated_arm *arms, const int64_t *carried, const double *inputs, const double *kicks,
-    double *present, double *states, double *torques, long runs, long samples)
-{
-    for (long run = 0; run < runs; run++) {
-        double *x = present + 4 * run;
-        for (long k = 0; k < samples; k++) {
-            const simulated_arm *arm = &arms[carried[k]];
-            /* Subtracted, so that a push of zero changes no bit, the sign of a zero included. */
-            const double drive =
-                *inputs++ / *arm->motor_inertia - (0.0 - torques[0]) / *arm->motor_inertia;
-            const double brake = (0.0 - torques[1]) / *arm->link_inertia;
-            memcpy(states, x, 4 * sizeof *x);
-            less_friction_and_payload(arm, x, torques);
-            for (int64_t step = 0; step < *arm->substeps; step++) {
-                step_arm(arm, drive, brake, x);
-                if (kicks != NULL) {
-                    x[1] += *arm->link_kick * *kicks++;
-                    x[3] += *arm->motor_kick * *kicks++;
-                }
-            }
-            states += 4;
-            torques += 2;
-        }
-    }
-}
-
-/* Write the weights of a system's rules. */
-static void weigh(const simulated_system *system, const system_sizes *s)
-{
-    multiply(system->premise, system->signals, system->z, s->premises, SIGNALS(s), 1);
-    rule_weights(
-        system->shapes, system->parameters, system->z, system->weights, NULL, s->rules,
-        s->premises);
-}
-
-/* Write sum h_i M_i of the first `width` signals, for matrices M_i (rows, width). */
+/* Write sum h_i M_i of a system's first `width` signals, for matrices M_i (rows, width). */
 static void blend(
-    const simulated_system *system, const system_sizes *s, const double *matrices, long rows,
+    const simulated_plant *plant, const plant_sizes *s, const double *matrices, long rows,
     long width, double *result)
 {
+    multiply(plant->premise, plant->signals, plant->z, s->premises, SIGNALS(s), 1);
+    rule_weights(
+        plant->shapes, plant->parameters, plant->z, plant->weights, NULL, s->rules, s->premises);
     for (long row = 0; row < rows; row++) {
         result[row] = 0.0;
         for (long rule = 0; rule < s->rules; rule++) {
             const double *line = matrices + (rule * rows + row) * width;
-            result[row] += system->weights[rule] * dot(line, system->signals, width);
+            result[row] += plant->weights[rule] * dot(line, plant->signals, width);
         }
     }
 }
 
-/* Move a system's state, the first of the signals, by one integration step. */
-static void step_system(const simulated_system *system, const system_sizes *s)
+/* Move a plant's state, the first of the signals, by one integration step. */
+static void step(const simulated_plant *plant, const plant_sizes *s)
 {
-    const double h = *system->substep;
-    double *x = system->signals;
-    for (long i = 0; i < s->n; i++) {
-        system->start[i] = x[i];
-        system->total[i] = 0.0;
-    }
-    for (int stage = 0; stage < 4; stage++) {
-        const double share = stage == 0 || stage == 3 ? 1.0 : 2.0;
+    const long n = s->n;
+    const double h = *plant->substep;
+    double *x = plant->signals, *start = plant->start, *slope = plant->slopes;
+    memcpy(start, x, (size_t)n * sizeof *x);
+    for (int stage = 0; stage < 4; stage++, slope += n) {
         const double time = stage == 2 ? h : 0.5 * h;
-        weigh(system, s);
-        blend(system, s, system->rates, s->n, s->n + s->m, system->slope);
-        for (long i = 0; i < s->n; i++) {
-            system->total[i] += share * system->slope[i];
-            x[i] = system->start[i] + time * system->slope[i];
+        if (s->rules == 0) {
+            arm_slope(plant, slope);
+        } else {
+            blend(plant, s, plant->rates, n, n + s->m, slope);
+        }
+        for (long i = 0; i < n; i++) {
+            x[i] = start[i] + time * slope[i];
         }
     }
-    for (long i = 0; i < s->n; i++) {
-        x[i] = system->start[i] + h / 6.0 * system->total[i];
+    slope = plant->slopes;
+    for (long i = 0; i < n; i++, slope++) {
+        x[i] = start[i] + h / 6.0 * (slope[0] + 2.0 * (slope[n] + slope[2 * n]) + slope[3 * n]);
     }
 }
 
-void simulate_systems(
-    const simulated_system *system, const system_sizes *s, const double *inputs,
-    const double *kicks, double *present, double *states, double *truths, long runs, long samples)
+void simulate(
+    const simulated_plant *plant, const plant_sizes *s, const double *inputs, const double *kicks,
+    double *present, double *states, double *outputs, long runs, long samples)
 {
-    const size_t state = (size_t)s->n * sizeof *present;
-    const long held = s->m + s->scheduled;
-    double *x = system->signals;
-    for (long run = 0; run < runs; run++, present += s->n) {
-        memcpy(x, present, state);
+    const long n = s->n, held = s->m + s->scheduled;
+    const long noisy = noisy_count(s), stride = n / noisy;
+    double *x = plant->signals;
+    for (long run = 0; run < runs; run++, present += n) {
+        memcpy(x, present, (size_t)n * sizeof *x);
         for (long k = 0; k < samples; k++) {
-            memcpy(x + s->n, inputs, (size_t)held * sizeof *x);
-            memcpy(states, x, state);
-            weigh(system, s);
-            blend(system, s, system->outputs, s->p, s->n, truths);
-            for (int64_t step = 0; step < *system->substeps; step++) {
-                step_system(system, s);
-                for (long i = 0; kicks != NULL && i < s->n; i++) {
-                    x[i] += system->strengths[i] * *kicks++;
+            memcpy(x + n, inputs, (size_t)held * sizeof *x);
+            memcpy(states, x, (size_t)n * sizeof *x);
+            if (s->rules == 0) {
+                arm_outputs(plant, outputs);
+            } else {
+                blend(plant, s, plant->outputs, s->p, n, outputs);
+            }
+            for (int64_t taken = 0; taken < *plant->substeps; taken++) {
+                step(plant, s);
+                for (long i = 0; kicks != NULL && i < noisy; i++) {
+                    x[stride * (i + 1) - 1] += plant->noise[i] * *kicks++;
                 }
             }
             inputs += held;
-            states += s->n;
-            truths += s->p;
+            states += n;
+            outputs += s->p;
         }
-        memcpy(present, x, state);
+        memcpy(present, x, (size_t)n * sizeof *x);
     }
 }

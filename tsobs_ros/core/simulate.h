@@ -4,8 +4,7 @@
  * The true motion of simulated plants: arms with an elastic joint and T-S systems.
  *
  * Both are integrated by the classical fourth-order Runge-Kutta method, in equal steps with inputs
- * and disturbances held from a sample to the next. Series are (runs, samples, ...). Random numbers
- * are the caller's.
+ * and disturbances held from a sample to the next. Random numbers are the caller's.
  */
 #ifndef TSOBS_SIMULATE_H
 #define TSOBS_SIMULATE_H
@@ -14,8 +13,6 @@
 
 /* An arm that moves, with what differs from the nominal one. */
 #define SIMULATED_ARM_FIELDS(F, s)                                                                \
-    F(COUNT, substeps, 1, 1)       /* steps of a sampling period, */                              \
-    F(NUMBER, substep, 1, 1)       /* and length of one [s] */                                    \
     F(NUMBER, gravity, 1, 1)       /* mgl over the link's inertia */                              \
     F(NUMBER, motor_inertia, 1, 1) /* [kg m2] */                                                  \
     F(NUMBER, link_spring, 1, 1)   /* k, b and Coulomb friction over the link's inertia */        \
@@ -31,60 +28,62 @@
     F(NUMBER, motor_coulomb, 1, 1)                                                                \
     F(NUMBER, added_inertia, 1, 1) /* the payload's [kg m2] */                                    \
     F(NUMBER, added_gravity, 1, 1) /* the payload's [N m] */                                      \
-    F(NUMBER, link_kick, 1, 1)     /* of the normal numbers of the process noise [rad/s] */       \
-    F(NUMBER, motor_kick, 1, 1)                                                                   \
     F(NUMBER, free_play, 1, 1)     /* twist to either side that the spring does not feel [rad] */
 LAYOUT_DECLARE(simulated_arm, SIMULATED_ARM_FIELDS, void)
 
-/* Sizes of a T-S system: states, inputs, scheduled signals, outputs, rules and premises. */
+/* Inputs of an arm: torques of the drive, and in addition to it on motor and link [N m]; and whether
+ * the payload is carried. */
+enum { DRIVE, ON_MOTOR, ON_LINK, IS_LOADED, ARM_INPUTS };
+
+/* Sizes of a plant: states, inputs, scheduled signals, outputs, rules, of which an arm has none, and
+ * premises. */
 typedef struct {
     int64_t n, m, scheduled, p, rules, premises;
-} system_sizes;
+} plant_sizes;
 
-/* A T-S system: x' = sum h_i (A_i x + B_i u), y = sum h_i C_i x, with h of z = Z [x; u; s].
+/* Return the number of states with process noise, of an arm the velocities. */
+static inline int64_t noisy_count(const plant_sizes *s)
+{
+    return s->rules == 0 ? 2 : s->n;
+}
+
+/* A plant is an arm or a T-S system.
  *
- * rates, outputs: [A_i B_i] and C_i of all rules. shapes, parameters: the memberships' (r, q).
- * premise: Z. strengths: what multiplies the process noise of each state.
- * The rest is scratch: signals is [x; u; s], with scheduled signals s. */
-#define SIMULATED_SYSTEM_FIELDS(F, s)                            \
-    F(COUNT, substeps, 1, 1)                                     \
-    F(NUMBER, substep, 1, 1)                                     \
-    F(MATRIX, rates, (s)->rules * (s)->n, (s)->n + (s)->m)       \
-    F(MATRIX, outputs, (s)->rules * (s)->p, (s)->n)              \
-    F(COUNTS, shapes, (s)->rules * (s)->premises, 1)             \
-    F(MATRIX, parameters, (s)->rules * (s)->premises, 4)         \
-    F(MATRIX, premise, (s)->premises, SIGNALS(s))                \
-    F(VECTOR, strengths, (s)->n, 1)                              \
-    F(VECTOR, signals, SIGNALS(s), 1)                            \
-    F(VECTOR, z, (s)->premises, 1)                               \
-    F(VECTOR, weights, (s)->rules, 1)                            \
-    F(VECTOR, start, (s)->n, 1)                                  \
-    F(VECTOR, slope, (s)->n, 1)                                  \
-    F(VECTOR, total, (s)->n, 1)
+ * The states of an arm are [q1, q1', q2, q2'] (rad, rad/s). Its outputs are the torques on motor and
+ * link beside the drive's that an arm without friction, payload and play would need to move like it.
+ * arms: without and with the payload.
+ *
+ * A T-S system is x' = sum h_i (A_i x + B_i u), y = sum h_i C_i x, with h of z = Z [x; u; s] and
+ * scheduled signals s. rates, outputs: [A_i B_i] and C_i of all rules. shapes, parameters: the
+ * memberships' (r, q). premise: Z.
+ *
+ * From `signals`, which is [x; u; s], on all is scratch. */
+#define SIMULATED_PLANT_FIELDS(F, s)                                               \
+    F(COUNT, substeps, 1, 1)   /* steps of a sampling period, */                   \
+    F(NUMBER, substep, 1, 1)   /* and length of one [s] */                         \
+    F(VECTOR, noise, noisy_count(s), 1) /* what multiplies the normal numbers */   \
+    F(MATRIX, arms, s->rules == 0 ? 2 : 0, simulated_arm_size(NULL))               \
+    F(MATRIX, rates, s->rules * s->n, s->n + s->m)                                 \
+    F(MATRIX, outputs, s->rules * s->p, s->n)                                      \
+    F(COUNTS, shapes, s->rules * s->premises, 1)                                   \
+    F(MATRIX, parameters, s->rules * s->premises, 4)                               \
+    F(MATRIX, premise, s->premises, SIGNALS(s))                                    \
+    F(VECTOR, signals, SIGNALS(s), 1)                                              \
+    F(VECTOR, z, s->premises, 1)                                                   \
+    F(VECTOR, weights, s->rules, 1)                                                \
+    F(VECTOR, start, s->n, 1)                                                      \
+    F(MATRIX, slopes, 4, s->n)
 #define SIGNALS(s) ((s)->n + (s)->m + (s)->scheduled)
-LAYOUT_DECLARE(simulated_system, SIMULATED_SYSTEM_FIELDS, system_sizes)
+LAYOUT_DECLARE(simulated_plant, SIMULATED_PLANT_FIELDS, plant_sizes)
 
-/* Move arms over samples.
+/* Move plants of one kind over samples.
  *
- * arms: without and with the payload; carried: which of them moves at each sample, (samples).
- * inputs: motor torques [N m], (runs, samples). kicks: normal numbers of link and motor after each
- * integration step in turn, (runs, samples, 2 substeps), or NULL for no process noise.
- * present: [q1, q1', q2, q2'] (rad, rad/s), moved on, (runs, 4).
- * states: of each sample, written, (runs, samples, 4).
- * torques: on motor and link in addition to the drive's [N m], (runs, samples, 2); overwritten by
- * those that an arm without friction and payload would need to move like this one. */
-void simulate_arms(
-    const simulated_arm *arms, const int64_t *carried, const double *inputs, const double *kicks,
-    double *present, double *states, double *torques, long runs, long samples);
-
-/* Move T-S systems over samples.
- *
- * inputs: inputs and scheduled signals, (runs, samples, m + scheduled).
- * kicks: normal numbers of each state after each integration step in turn, (runs, samples,
- * substeps n), or NULL. present: x, moved on, (runs, n). states, truths: x and y of each sample,
- * written, (runs, samples, n) and (runs, samples, p). */
-void simulate_systems(
-    const simulated_system *system, const system_sizes *s, const double *inputs,
-    const double *kicks, double *present, double *states, double *truths, long runs, long samples);
+ * inputs: inputs and scheduled signals, (runs, samples, m + scheduled). kicks: normal numbers of
+ * each state with process noise after each integration step in turn, (runs, samples, substeps,
+ * noisy_count), or NULL. present: x, moved on, (runs, n). states, outputs: x and y of each
+ * sample, written, (runs, samples, n) and (runs, samples, p). */
+void simulate(
+    const simulated_plant *plant, const plant_sizes *s, const double *inputs, const double *kicks,
+    double *present, double *states, double *outputs, long runs, long samples);
 
 #endif

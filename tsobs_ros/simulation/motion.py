@@ -10,9 +10,10 @@ any noise.
 import math
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array
 from tsobs_ros.core import native
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from tsobs_ros.simulation.plant import Scenario, SystemScenario
 
 _LONGEST_SUBSTEP = 1e-3
-_ARM = record_type("simulated_arm")
 _STANDARD_GRAVITY = 9.80665
 
 
@@ -74,50 +74,16 @@ class Payload(Numbers, kind="payload"):
         return inertia + self.link_inertia, moment + self.gravity_torque
 
 
-class ArmMotion:
-    """Arms of a batch, in physical coordinates, which do not depend on the uncertain stiffness.
+class Motion:
+    """The plants of a batch, which differ in their states and random numbers.
 
-    Attributes:
-        states: Present states, shape (runs, 4).
-    """
-
-    fed_back: tuple[tuple[int, int, Array], ...] = ()
-
-    def __init__(self, scenario: "Scenario", seeds: Sequence[int]) -> None:
-        noise, outputs, self._rate = scenario.process_noise, scenario.outputs, scenario.rate
-        self._payload = scenario.payload
-        bare, loaded = (_arm_record(scenario, *more) for more in ((0.0, 0.0), self._payload.total))
-        self._arms = np.concatenate([bare, loaded])
-        delays = {QUANTITIES.index(output.measures): output.delay for output in outputs}
-        self._sensed = AngleDelay(delays, self._rate)
-        spread = RandomStream(seeds, Source.INITIAL_STATE).take(4)
-        start = np.array(scenario.initial_state) + spread * np.array(scenario.initial_spread)
-        self.states = scenario.arm.to_physical(start)
-        self._kicks = 2 * _substeps(self._rate)[0] if noise.link or noise.motor else 0
-        self._noise = RandomStream(seeds, Source.PROCESS)
-
-    def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
-        """Move on over samples from an index on; return states and true values of the outputs.
-
-        Args:
-            start: The index.
-            inputs: Torques of the motor, shape (runs, samples, 1).
-            torques: Disturbing torques, shape (runs, samples, 2); overwritten with those that an
-                undisturbed arm would need to move so.
-        """
-        samples, payload = inputs.shape[1], self._payload
-        since = np.arange(start, start + samples) / self._rate - payload.start
-        is_loaded = recurs(since, payload.duration or math.inf, 0.0)
-        states = np.empty((len(self.states), samples, 4))
-        kicks = self._noise.take(samples, self._kicks)
-        native.simulate_arms(
-            self._arms, is_loaded.astype(np.int64), inputs, kicks, self.states, states, torques
-        )
-        return states, self._sensed.measured(states)
-
-
-class SystemMotion:
-    """T–S systems of a batch: ẋ = Σ hᵢ(z)((Aᵢ + ΔAᵢ)x + (Bᵢ + ΔBᵢ)u), y = Σ hᵢ(z) Cᵢx.
+    Args:
+        seeds: One for each plant.
+        rate: Samples per second [Hz].
+        states: At the first sample, shape (runs, n).
+        densities: Of the white noise on derivatives of states.
+        sizes: Of the plant's record, but for n, as core/simulate.h has them.
+        **numbers: Of the record.
 
     Attributes:
         states: Present states, shape (runs, n).
@@ -125,67 +91,105 @@ class SystemMotion:
             that one's row of C.
     """
 
+    fed_back: tuple[tuple[int, int, Array], ...] = ()
+
+    def __init__(
+        self,
+        seeds: Sequence[int],
+        rate: float,
+        states: Array,
+        densities: Array,
+        sizes: Sequence[int],
+        **numbers: ArrayLike,
+    ) -> None:
+        # A period of exactly five steps must not become six because .005/.001 rounds upwards.
+        steps = max(1, math.ceil(1.0 / rate / _LONGEST_SUBSTEP - 1e-9))
+        step = 1.0 / rate / steps
+        self.states, self._rate = states, rate
+        self._sizes = np.array([states.shape[1], *sizes], np.int64)
+        self._record = np.zeros(1, record_type("simulated_plant", self._sizes))
+        own = {"substeps": steps, "substep": step, "noise": np.sqrt(densities * step)}
+        for name, value in (own | numbers).items():
+            self._record[name] = value
+        self._kicks = steps * len(densities) if densities.any() else 0
+        self._noise = RandomStream(seeds, Source.PROCESS)
+
+    def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
+        """Move on over samples from an index on; return states and true values of the outputs.
+
+        Args:
+            start: The index.
+            inputs: Torques of the motor, shape (runs, samples, 1); inputs and scheduled signals of
+                a T–S system.
+            torques: Disturbing torques, shape (runs, samples, 2); overwritten with those that an
+                undisturbed arm would need to move so.
+        """
+        return self._moved(inputs)
+
+    def _moved(self, inputs: Array) -> tuple[Array, Array]:
+        """Move on over samples; return states and outputs of the core's plant."""
+        shape = inputs.shape[:2]
+        states = np.empty((*shape, self._sizes[0]))
+        outputs = np.empty((*shape, self._sizes[3]))
+        kicks = self._noise.take(shape[1], self._kicks)
+        numbers = self._record.view(np.float64)
+        native.simulate(self._sizes, numbers, inputs, kicks, self.states, states, outputs)
+        return states, outputs
+
+
+class ArmMotion(Motion):
+    """Arms, in physical coordinates, which do not depend on the uncertain stiffness."""
+
+    def __init__(self, scenario: "Scenario", seeds: Sequence[int]) -> None:
+        self._payload, noise = scenario.payload, scenario.process_noise
+        delays = {QUANTITIES.index(output.measures): output.delay for output in scenario.outputs}
+        self._sensed = AngleDelay(delays, scenario.rate)
+        spread = RandomStream(seeds, Source.INITIAL_STATE).take(4)
+        start = np.array(scenario.initial_state) + spread * np.array(scenario.initial_spread)
+        states, densities = scenario.arm.to_physical(start), np.array([noise.link, noise.motor])
+        arms = [_arm_numbers(scenario, *more) for more in ((0.0, 0.0), self._payload.total)]
+        super().__init__(seeds, scenario.rate, states, densities, (4, 0, 2, 0, 0), arms=arms)
+
+    def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
+        since = np.arange(start, start + inputs.shape[1]) / self._rate - self._payload.start
+        is_loaded = np.zeros(inputs.shape)
+        is_loaded[..., 0] = recurs(since, self._payload.duration or math.inf, 0.0)
+        held = np.concatenate([inputs, torques, is_loaded], axis=2)
+        states, torques[:] = self._moved(held)
+        return states, self._sensed.measured(states)
+
+
+class SystemMotion(Motion):
+    """T–S systems: ẋ = Σ hᵢ(z)((Aᵢ + ΔAᵢ)x + (Bᵢ + ΔBᵢ)u), y = Σ hᵢ(z) Cᵢx."""
+
     def __init__(self, scenario: "SystemScenario", seeds: Sequence[int]) -> None:
-        model, (steps, step) = scenario.model, _substeps(scenario.rate)
+        model, start = scenario.model, np.asarray(scenario.initial_state)
         shapes, parameters = model.rule_base.coded
         n, m, outputs = model.state_count, model.input_count, model.rule_outputs
-        sizes = [n, m, model.schedule.shape[1], model.C.shape[0], *shapes.shape]
-        self._sizes = np.array(sizes, np.int64)
-        record = np.zeros(1, record_type("simulated_system", self._sizes))
-        for name, value in {
-            "substeps": steps,
-            "substep": step,
-            "rates": scenario.true_rates.reshape(-1, n + m),
-            "outputs": outputs.reshape(-1, n),
-            "shapes": shapes.ravel(),
-            "parameters": parameters.reshape(-1, 4),
-            "premise": np.hstack(
-                [model.premise, np.zeros((len(model.premise), m)), model.schedule]
-            ),
-            "strengths": np.sqrt(scenario.process_noise / scenario.rate / steps),
-        }.items():
-            record[name] = value
-        self._numbers, self._output_count = record.view(np.float64), outputs.shape[1]
-        self.states = np.repeat([np.asarray(scenario.initial_state)], len(seeds), axis=0)
-        self._kicks = steps * n if scenario.process_noise.any() else 0
-        self._noise = RandomStream(seeds, Source.PROCESS)
+        super().__init__(
+            seeds,
+            scenario.rate,
+            np.repeat([start], len(seeds), axis=0),
+            scenario.process_noise,
+            (m, model.schedule.shape[1], outputs.shape[1], *shapes.shape),
+            rates=scenario.true_rates.reshape(-1, n + m),
+            outputs=outputs.reshape(-1, n),
+            shapes=shapes.ravel(),
+            parameters=parameters.reshape(-1, 4),
+            premise=np.hstack([model.premise, np.zeros((len(model.premise), m)), model.schedule]),
+        )
         self.fed_back = tuple(
             (m + place, number, outputs[0, number])
             for place, number in enumerate(scenario.fed_back)
             if number is not None
         )
 
-    def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
-        """See `ArmMotion.move`; inputs have the shape (runs, samples, m + s)."""
-        shape = inputs.shape[:2]
-        states = np.empty((*shape, self.states.shape[1]))
-        truths = np.empty((*shape, self._output_count))
-        kicks = self._noise.take(shape[1], self._kicks)
-        native.simulate_systems(
-            self._sizes, self._numbers, inputs, kicks, self.states, states, truths
-        )
-        return states, truths
 
-
-Motion: TypeAlias = ArmMotion | SystemMotion
-
-
-def _substeps(rate: float) -> tuple[int, float]:
-    """Return the number of equal steps in a sampling period of a rate [Hz], and their length."""
-    # A period of exactly five steps must not become six because .005/.001 rounds upwards.
-    steps = max(1, math.ceil(1.0 / rate / _LONGEST_SUBSTEP - 1e-9))
-    return steps, 1.0 / rate / steps
-
-
-def _arm_record(scenario: "Scenario", more_inertia: float, more_torque: float) -> Array:
+def _arm_numbers(scenario: "Scenario", more_inertia: float, more_torque: float) -> list[float]:
     """Return the numbers of the true arm with a payload, as the compiled core has them."""
-    true, friction, noise = scenario.true_arm, scenario.friction, scenario.process_noise
+    true, friction = scenario.true_arm, scenario.friction
     j1, j2 = true.link_inertia + more_inertia, true.motor_inertia
-    steps, step = _substeps(scenario.rate)
-    record = np.zeros(1, _ARM)
-    record[0] = (
-        steps,
-        step,
+    return [
         (true.gravity_torque + more_torque) / j1,
         j2,
         true.stiffness / j1,
@@ -198,8 +202,5 @@ def _arm_record(scenario: "Scenario", more_inertia: float, more_torque: float) -
         *astuple(friction),
         more_inertia,
         more_torque,
-        math.sqrt(noise.link * step),
-        math.sqrt(noise.motor * step),
         0.5 * scenario.backlash,
-    )
-    return record.view(np.float64)
+    ]
