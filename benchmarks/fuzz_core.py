@@ -37,8 +37,7 @@ import tsobs_ros as ts
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import TsobsError
-from tsobs_ros.exported import export_c
-from tsobs_ros.methods import make_tracker
+from tsobs_ros.methods import export_c, make_tracker
 from tsobs_ros.model.arm import TorquePath
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 

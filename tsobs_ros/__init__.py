@@ -63,11 +63,11 @@ if TYPE_CHECKING:
     from tsobs_ros.errors import TsobsError as TsobsError
     from tsobs_ros.estimation.records import Measurement as Measurement
     from tsobs_ros.estimation.tracker import Tracker as Tracker
-    from tsobs_ros.exported import export_c as export_c
     from tsobs_ros.identification.excitation import excite as excite
     from tsobs_ros.identification.fit import fit as fit
     from tsobs_ros.identification.result import Fit as Fit
     from tsobs_ros.methods import ObserverSettings as ObserverSettings
+    from tsobs_ros.methods import export_c as export_c
     from tsobs_ros.methods import make_tracker as make_tracker
     from tsobs_ros.model.arm import ElasticJointArm as ElasticJointArm
     from tsobs_ros.model.ts_model import TSModel as TSModel
@@ -86,11 +86,10 @@ _NAMES = {
     "errors": ("TsobsError",),
     "estimation.records": ("Measurement",),
     "estimation.tracker": ("Tracker",),
-    "exported": ("export_c",),
     "identification.excitation": ("excite",),
     "identification.fit": ("fit",),
     "identification.result": ("Fit",),
-    "methods": ("ObserverSettings", "make_tracker"),
+    "methods": ("ObserverSettings", "export_c", "make_tracker"),
     "model.arm": ("ElasticJointArm",),
     "model.ts_model": ("TSModel",),
 }

@@ -58,8 +58,7 @@ def _export(options: argparse.Namespace) -> int:
 def _export_c(options: argparse.Namespace) -> int:
     require_new([options.output], force=options.force)
     from tsobs_ros.design.file import load_design
-    from tsobs_ros.exported import export_c
-    from tsobs_ros.methods import ObserverSettings
+    from tsobs_ros.methods import ObserverSettings, export_c
     from tsobs_ros.settings import changed
 
     settings = changed(ObserverSettings(), joined(options.param))
