@@ -199,9 +199,6 @@ def run(
         pass  # the context was shut down from outside: a clean end
     except EXPECTED as error:
         exit_code = complain(error)
-    except BaseException:
-        exit_code = 1
-        raise
     finally:
         exit_code = _tear_down(node, exit_code)
     return exit_code

@@ -48,18 +48,10 @@ _NAME = re.compile(r"([A-Za-z]\w*)/(msg|srv|action)/([A-Za-z]\w*)", flags=re.ASC
 
 
 class _DrainedGroup(CallbackGroup):
-    """A callback group that keeps its entities out of every executor's wait set, unless open."""
-
-    is_open = False
+    """A callback group that keeps its entities out of every executor's wait set."""
 
     def can_execute(self, entity: object) -> bool:
-        return self.is_open
-
-    def beginning_execution(self, entity: object) -> bool:
-        return self.is_open
-
-    def ending_execution(self, entity: object) -> None:
-        """Do nothing: callbacks of this group do not exclude each other."""
+        return False
 
 
 class DrainedSubscription:
@@ -83,8 +75,6 @@ class DrainedSubscription:
         self._on_arrival = on_arrival
         # What an executor has taken already, of an observer that may be inactive.
         self._first: deque[tuple[Any, Mapping[str, Any]]] = deque(maxlen=qos.depth or None)
-        group = _DrainedGroup()
-        group.is_open = on_arrival is not None
         # No QoS events either: Fast DDS waits for them on the reader's one status condition, which
         # unread data keeps raised, so that the executor would spin until the next drain.
         self.subscription = node.create_subscription(
@@ -92,7 +82,7 @@ class DrainedSubscription:
             topic,
             self._arrived,
             qos,
-            callback_group=group,
+            callback_group=None if on_arrival else _DrainedGroup(),
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=raw,
         )
