@@ -26,7 +26,6 @@ from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock as SteadyClock
 from rclpy.clock import ClockType
-from rclpy.exceptions import ParameterException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
@@ -34,7 +33,7 @@ from rclpy.time_source import TimeSource
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from tsobs_ros.errors import ParameterError, printable
+from tsobs_ros.errors import TsobsError, printable
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.parameters import ManagedParameters, converted, declare, updated
 from tsobs_ros.nodes.runtime import EXPECTED, Ticker
@@ -49,8 +48,6 @@ _QUIET = 5.0
 _DIAGNOSTICS_PERIOD = 1.0
 _SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 _ERROR = TransitionCallbackReturn.ERROR
-# What rclpy's own services raise of requests that they do not expect.
-_REFUSED = (ParameterException, RuntimeError, TypeError, ValueError)
 
 P = TypeVar("P", bound=ManagedParameters)
 
@@ -88,7 +85,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         self._finalized_at = math.inf
         self._failure: Exception | None = None
         self._starting = False
-        self._quiet_until: dict[object, float] = {}
+        self._due: dict[object, float] = {}
         for service in self.services:
             service.callback = partial(self._answer, service.callback)
         try:
@@ -128,12 +125,12 @@ class ManagedNode(LifecycleNode, Generic[P]):
         assert self._acquired is not None, "nothing is cleaned up before it is configured"
         self._acquired.callback(callback, *args)
 
-    def may_log(self, subject: object) -> bool:
-        """Return whether a line on a subject may be logged now, which is so every five seconds."""
+    def is_due(self, subject: object, period: float = _QUIET) -> bool:
+        """Return whether it is a subject's turn, once a period [s]; by default that of its log."""
         now = time.monotonic()
-        is_due = now >= self._quiet_until.get(subject, 0.0)
+        is_due = now >= self._due.get(subject, 0.0)
         if is_due:
-            self._quiet_until[subject] = now + _QUIET
+            self._due[subject] = now + period
         return is_due
 
     def log(self, level: Level, text: str) -> None:
@@ -272,16 +269,13 @@ class ManagedNode(LifecycleNode, Generic[P]):
         return _SUCCESS
 
     def _configure(self) -> None:
-        lasting, self.done = self._entities(), False
-        with ExitStack() as acquired:
-            acquired.callback(self._destroy_all_but, lasting)
-            self._acquired = acquired
-            try:
-                self.configure()
-            except BaseException:
-                self._acquired = self.ticker = None
-                raise
-            self._acquired = acquired.pop_all()
+        self.done, self._acquired = False, ExitStack()
+        self.at_cleanup(self._destroy_all_but, self._entities())
+        try:
+            self.configure()
+        except BaseException:
+            self._clean_up()
+            raise
 
     def _deactivate(self) -> None:
         if self.active:
@@ -307,7 +301,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
     def _check_set(self, proposal: Sequence[Parameter]) -> SetParametersResult:
         try:
             updated(self.parameters, proposal)
-        except ParameterError as error:
+        except TsobsError as error:  # of a file, too
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
@@ -337,9 +331,9 @@ class ManagedNode(LifecycleNode, Generic[P]):
             request.transition.label = printable(request.transition.label)
         try:
             return answer(request, response)
-        except _REFUSED as error:
+        except Exception as error:  # whatever rclpy raises of a request that it does not expect
             reason = printable(f"cannot answer {type(request).__name__}: {error}")
-            if self.may_log("request"):
+            if self.is_due("request"):
                 self.log(Level.WARN, reason)
             result = SetParametersResult(successful=False, reason=reason)
             if isinstance(request, SetParameters.Request):
@@ -354,7 +348,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         sec, nanosec = message.clock.sec, message.clock.nanosec
         if sec >= 0 and nanosec < NANOSECONDS:
             take(message)
-        elif self.may_log("clock"):
+        elif self.is_due("clock"):
             self.log(
                 Level.WARN,
                 "dropped a time on /clock: expected 0 s or more and less than 1e9 ns, got "

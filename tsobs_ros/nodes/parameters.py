@@ -19,9 +19,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from tsobs_ros.errors import ParameterError, printable
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.settings import Setting, changed, in_yaml, setting, settings_of, values_of
 
 P = TypeVar("P")
+T = TypeVar("T")
 
 _MAX_INTEGER, _MAX_FLOAT = 2**63 - 1, sys.float_info.max
 
@@ -86,6 +88,13 @@ class JointParameters(ManagedParameters):
         "that one for all",
     )
 
+    def read(self, reader: Callable[[str], T]) -> dict[str, T]:
+        """Return what a function makes of each joint's design file; it is called once a file."""
+        shipped = str(config_path(SHIPPED_DESIGN))
+        paths = {joint: path or shipped for joint, path in self.design_of.items()}
+        found = {path: reader(path) for path in dict.fromkeys(paths.values())}
+        return {joint: found[path] for joint, path in paths.items()}
+
     @property
     def design_of(self) -> dict[str, str]:
         """Path of each joint's design file, empty for the one that is shipped.
@@ -116,7 +125,10 @@ def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:
     built: P = changed(make(), {name: each for name, each in given.items() if name in known})
     values = values_of(built)
     for name, entry in known.items():
-        _declare(node, entry, values[name])
+        # Type before value, as rclpy infers an empty list to be bytes; read-only only then.
+        node.declare_parameter(name, _type(entry), ignore_override=True)
+        node.set_parameters_atomically([Parameter(name, _type(entry), values[name])])
+        node.set_descriptor(name, _descriptor(entry))
     for name in given:
         if not (node.has_parameter(name) or name.startswith("qos_overrides.")):
             text = f"ignored unknown parameter '{name}'"
@@ -150,25 +162,11 @@ def _type(entry: Any) -> Parameter.Type:
     return Parameter.Type[entry.kind.upper()]
 
 
-def _declare(node: Node, entry: Setting, value: Any) -> None:
-    descriptor = _descriptor(entry)
-    if value != ():
-        node.declare_parameter(entry.name, value, descriptor, ignore_override=True)
-        return
-    # rclpy infers an empty list to be bytes, so an empty array is declared without a value, then
-    # set with its type, and only then made read-only.
-    writable = ParameterDescriptor(
-        description=descriptor.description, additional_constraints=descriptor.additional_constraints
-    )
-    node.declare_parameter(entry.name, _type(entry), writable, ignore_override=True)
-    node.set_parameters_atomically([Parameter(entry.name, _type(entry), [])])
-    descriptor.type = _type(entry).value
-    node.set_descriptor(entry.name, descriptor)
-
-
 def _descriptor(entry: Setting) -> ParameterDescriptor:
     low, high = entry.minimum, entry.maximum
-    descriptor = ParameterDescriptor(description=entry.description, read_only=not entry.live)
+    descriptor = ParameterDescriptor(
+        type=_type(entry).value, description=entry.description, read_only=not entry.live
+    )
     if entry.is_array or entry.choices:  # ROS ranges bind scalars only
         each = "each element " if entry.is_array and entry.limits else ""
         descriptor.additional_constraints = each + entry.limits

@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from staging import start, to_nanoseconds
 
-from tsobs_ros.errors import ParameterError
+from tsobs_ros.errors import TsobsError
 from tsobs_ros.model.arm import TorquePath
 from tsobs_ros.nodes import observer, plant_simulator
 from tsobs_ros.nodes.plant_simulator import plants_of
@@ -172,7 +172,7 @@ def test_a_joint_is_commanded_and_disturbed_by_itself_while_running(
 def test_what_names_no_joint_or_signal_is_refused(
     ros: Any, joints: dict[str, Any], name: str, value: list[str], reason: str
 ) -> None:
-    with pytest.raises(ParameterError, match=reason):
+    with pytest.raises(TsobsError, match=reason):
         start(ros, "plant_simulator", **joints | {name: value})
 
 

@@ -174,7 +174,7 @@ class Observer(ManagedNode[ObserverParameters]):
             innovations.append(joint.offer(batch.stamps, y, u, codes, now))
             for place in np.flatnonzero(codes > 0).tolist() if codes.any() else ():
                 reason = RejectReason(int(codes[place]))
-                if self.may_log(reason):
+                if self.is_due(reason):
                     found = self._reader.describe(messages[batch.order[place]], joint.name)
                     text = f"sample of {joint.name} rejected: {reason.text} ({found}, clock "
                     self.log(Level.WARN, f"{text}{now * 1e-9:.3f}): {reason.remedy}")
@@ -206,7 +206,7 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _restart(self, why: str) -> None:
         """Reset everything that is computed from data; the counts are those of a new node."""
-        if why and self.may_log("restart"):
+        if why and self.is_due("restart"):
             self.log(Level.WARN, f"restarting: {why}")
         for joint in self.joints:
             joint.reset()
@@ -251,7 +251,7 @@ class Observer(ManagedNode[ObserverParameters]):
             names = joint.request.output_names
             each = zip(names, joint.faults.faults, joint.signals.outputs, strict=True)
             for output, fault, place in each:
-                if fault.kind is FaultKind.MISSING and self.may_log((joint.name, output)):
+                if fault.kind is FaultKind.MISSING and self.is_due((joint.name, output)):
                     newest = self._reader.describe(self._newest, joint.name)
                     text = f"{output} is missing: expected {place.described}; the newest message: "
                     text += f"{newest}; estimation goes on without it"

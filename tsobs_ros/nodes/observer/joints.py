@@ -22,7 +22,6 @@ from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.replay.samples import NOT_NAMED
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import naming
 from tsobs_ros.series import NANOSECONDS, Stamps
 
@@ -205,14 +204,13 @@ def observed_joints(
         DesignFileError: A design file is missing or malformed, or the method cannot run it.
         CertificateError: A design's certificate does not hold.
     """
-    shipped = str(config_path(SHIPPED_DESIGN))
-    paths = {joint: path or shipped for joint, path in parameters.design_of.items()}
-    loaded = {path: load_design(path) for path in dict.fromkeys(paths.values())}
-    estimators = {}
-    for path, each in loaded.items():
+
+    def load(path: str) -> tuple[Design, Estimator]:
+        design = load_design(path)
         with naming(path):
-            estimators[path] = make_estimator(each, parameters)
+            return design, make_estimator(design, parameters)
+
     return [
-        ObservedJoint(joint, loaded[path], estimators[path], parameters, source)
-        for joint, path in paths.items()
+        ObservedJoint(joint, *loaded, parameters, source)
+        for joint, loaded in parameters.read(load).items()
     ]

@@ -95,7 +95,7 @@ class TorqueCommands:
             torques = np.array(message.data)
             if len(torques) != count or not np.isfinite(torques).all():
                 self._rejected += 1
-                if self._node.may_log("commands"):
+                if self._node.is_due("commands"):
                     self._node.log(
                         Level.WARN,
                         f"rejected {self._rejected} torque commands so far: expected {count} "
@@ -273,9 +273,8 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             self.log(Level.WARN, f"the clock went back by {size}: the plant restarts")
             self._new_plant()
             self._schedule.start(now)
-        self._latest = now
         self._commands.take(self._index)
-        now = self._limit_lag(now)
+        self._latest = now = self._limit_lag(now)
         while not self._is_over and now >= self._schedule.due:
             torques = self._commands.at(self._index)
             samples = [plant.step(u) for plant, u in zip(self._plants, torques, strict=True)]
@@ -290,14 +289,14 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         lag = now - self._schedule.due
         if lag <= _LONGEST_LAG * max(1.0, self._pace):
             return now
-        if self.may_log("lag"):
+        if self.is_due("lag"):
             self.log(Level.WARN, f"{lag / NANOSECONDS:.3f} s behind: going on from here")
         if self._driven is None:
             self._schedule.start(now)
-            return now
-        self._latest = now - lag
-        self._driven.anchor(self._latest, time.monotonic_ns())
-        return self._latest
+        else:
+            now = self._schedule.due
+            self._driven.anchor(now, time.monotonic_ns())
+        return now
 
     def _new_plant(self) -> None:
         self._plants = plants_of(self.parameters)

@@ -10,17 +10,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, make_dataclass
 from functools import cached_property, partial
 from itertools import islice
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from tsobs_ros.checks import Array, finite, shown
 from tsobs_ros.design.request import ArmRequest, TSRequest
-from tsobs_ros.errors import ModelError, ParameterError, TsobsError
+from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.nodes.parameters import JointParameters
 from tsobs_ros.plants import EFFORT_ERROR, TORQUES, request_in, scenario_of
 from tsobs_ros.replay.csv_file import read_torques
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.settings import live_setting, setting, values_of
 from tsobs_ros.simulation.motion import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch, Scenario, SystemScenario
@@ -35,22 +34,12 @@ from tsobs_ros.simulation.signals import (
 )
 from tsobs_ros.yaml_files import load_yaml
 
-T = TypeVar("T")
-
 Readers = Mapping[str, Callable[[Any], Any]]
 """What an entry may name of one joint, each with the function that reads the entry's value."""
 
 _SHIPPED_STATE = (0.3, 0.0, 0.2, 0.0)
 # A sample at a line's time gets this line's torque, whatever their last bits are [s].
 _LATE = 1e-6
-
-
-def _read(reader: Callable[[str], T], path: str) -> T:
-    """Return what a file has; a parameter may be refused for it, but it does not end a node."""
-    try:
-        return reader(path)
-    except TsobsError as error:
-        raise ParameterError(str(error)) from error
 
 
 @dataclass(frozen=True)
@@ -61,7 +50,7 @@ class TorqueFile(Signal, kind="file"):
 
     Raises:
         ModelError: There is no path.
-        ParameterError: The file cannot be used.
+        LogError: The file cannot be used.
     """
 
     file: str = ""
@@ -71,7 +60,7 @@ class TorqueFile(Signal, kind="file"):
         super().__post_init__()
         if not self.file:
             raise ModelError("file: expected a CSV file of time and torque")
-        object.__setattr__(self, "_lines", _read(read_torques, self.file))
+        object.__setattr__(self, "_lines", read_torques(self.file))
 
     def _at(self, times: Array) -> Array:
         starts, torques = self._lines
@@ -119,7 +108,7 @@ class PlantSimulatorParameters(JointParameters):
     """All parameters of the node; `design` and `joint_designs` may name requests, too.
 
     Raises:
-        ParameterError: They do not describe a plant.
+        TsobsError: They do not describe a plant, or a file cannot be used.
     """
 
     rate: float = setting(
@@ -182,10 +171,7 @@ class PlantSimulatorParameters(JointParameters):
     @cached_property
     def requests(self) -> dict[str, ArmRequest | TSRequest]:
         """What describes each joint."""
-        shipped = str(config_path(SHIPPED_DESIGN))
-        paths = {joint: path or shipped for joint, path in self.design_of.items()}
-        read = {path: _read(request_in, path) for path in dict.fromkeys(paths.values())}
-        return {joint: read[path] for joint, path in paths.items()}
+        return self.read(request_in)
 
     @property
     def sample_rate(self) -> float:

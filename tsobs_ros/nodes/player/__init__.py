@@ -232,7 +232,7 @@ class Player(ManagedNode[PlayerParameters]):
             else:
                 self._clock_publisher.publish(clock_message(event.time))
             now = time.monotonic_ns()
-        if playback.held_back > held_back and self.may_log("lag"):
+        if playback.held_back > held_back and self.is_due("lag"):
             self.log(
                 Level.WARN,
                 f"{(playback.held_back - held_back) * 1e-9:.3f} s behind: continuing from here, "

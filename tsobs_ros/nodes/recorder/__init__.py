@@ -13,8 +13,6 @@ services, std_srvs/srv/Trigger:
 """
 
 import shutil
-import time
-from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from itertools import chain, count
@@ -69,11 +67,6 @@ class Recorder(ManagedNode[RecorderParameters]):
         acts = {"pause": partial(self._pause, True), "resume": partial(self._pause, False)}
         self.offer_triggers({**acts, "split_bagfile": self._split})
         self.offer_diagnostics(str(path), self._statuses)
-        self._chores: dict[Callable[[], None], float] = {
-            self._look_for_topics: _GRAPH_PERIOD,
-            self._flush: parameters.flush_period,  # which may end the recording
-        }
-        self._due = dict.fromkeys(self._chores, 0.0)
         # Not the node's clock: simulated time may be slow, stop or never start.
         self.ticker = Ticker(self, _DRAIN_PERIOD, self._tick, executor_clock=self.steady)
         self.at_cleanup(self._log_end)
@@ -140,13 +133,12 @@ class Recorder(ManagedNode[RecorderParameters]):
     def _tick(self) -> None:
         if not self.configured:  # a full disk ends that, and perhaps not yet the ticks
             return
-        now = time.monotonic()
         try:
             self._drain()
-            for chore, period in self._chores.items():
-                if now >= self._due[chore]:
-                    self._due[chore] = now + period
-                    chore()
+            if self.is_due("graph", _GRAPH_PERIOD):
+                self._look_for_topics()
+            if self.is_due("flush", self.parameters.flush_period):
+                self._flush()  # which may end the recording
         except BagWriteError as error:
             self._failed = True
             raise BagWriteError(
