@@ -16,7 +16,7 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.paper import examples as printed
 from tsobs_ros.paper.augmentation import Augmentation, blend, check_conditions, failing
 from tsobs_ros.paper.claims import check_printed_gains, check_printed_p
-from tsobs_ros.paper.examples import PaperExample, arm_system, example_1, example_2, example_3
+from tsobs_ros.paper.examples import PaperExample, arm_system, example_1, example_2
 from tsobs_ros.resources import config_path
 
 FIRST = Augmentation(example_1().system)
@@ -86,7 +86,7 @@ def test_printed_solution_of_example_3_fails_for_every_sign() -> None:
     readings = check_printed_gains()
     assert len(readings) == 512
     assert all(map(failing, readings))
-    aug = Augmentation(example_3().system)
+    aug = Augmentation(arm_system(ElasticJointArm()))
     for change in printed.sign_changes(4):
         # On {C̄x̄ = 0} no gain helps, so H and its signs do not matter.
         alone = check_conditions(aug, change[:, None] * printed.EXAMPLE_3_P * change, np.zeros(2))
@@ -104,7 +104,7 @@ def test_rules_are_stable_and_the_uncertainty_within_its_bounds(
 
 def test_example_3_is_the_arm_and_undamped() -> None:
     """Equations (47) with the signs restored and (49): on |q₁| ≤ π/2 the rules are the arm."""
-    system = example_3().system
+    system = arm_system(ElasticJointArm())
     for A, corner in zip(system.A, (-20.0, -20.0 / np.pi - 10.0), strict=True):
         expected = [[0, 1, 0, 0], [corner, 0, 1, 0], [0, 0, 0, 1], [50, 0, -5, 0]]
         np.testing.assert_allclose(A, expected, rtol=1e-15, atol=0.0)

@@ -21,9 +21,9 @@ from tsobs_ros.paper.examples import (
     EXAMPLE_3_H,
     EXAMPLE_3_P,
     PaperExample,
+    arm_system,
     example_1,
     example_2,
-    example_3,
 )
 from tsobs_ros.paper.observer import (
     AdaptiveObserver,
@@ -114,7 +114,8 @@ def test_realisation_equals_the_observer_with_the_derivative_of_y() -> None:
 
 
 def test_the_record_with_the_printed_gains_is_the_observer_with_the_sample_held() -> None:
-    aug, record = Augmentation(example_3().system), paper_observer(ElasticJointArm(), 0.005, 0.028)
+    arm = ElasticJointArm()
+    aug, record = Augmentation(arm_system(arm)), paper_observer(arm, 0.005, 0.028)
     M = np.linalg.solve(EXAMPLE_3_P, aug.C_bar.T)
     gains, still = (aug.E_L_inverse @ EXAMPLE_3_H, M, np.zeros((2, 1, 1))), np.full(1, 0.4)
     y, u = np.full((201, 1), 0.4), np.full((201, 1), 0.3)
@@ -124,7 +125,7 @@ def test_the_record_with_the_printed_gains_is_the_observer_with_the_sample_held(
         lambda t: still, lambda t: np.full(1, 0.3),
     )  # fmt: skip
     estimates = Tracker(record).follow(10**9 + 5_000_000 * np.arange(201), y, u)
-    expected = ElasticJointArm().to_physical(x_bar[:, :4])
+    expected = arm.to_physical(x_bar[:, :4])
     np.testing.assert_allclose(estimates.state, expected, atol=1e-6)
     np.testing.assert_allclose(estimates.disturbance, omega, atol=1e-6)
     assert np.ptp(expected[:, 0]) > 0.01

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from tsobs_ros.errors import DetectabilityError
-from tsobs_ros.paper.examples import PaperExample, example_1, example_2, example_3
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.paper.examples import PaperExample, arm_system, example_1, example_2
 from tsobs_ros.paper.synthesis import INNOVATION_RATE, check_stability, design_adaptive_observer
 
-NO_BOUNDS = np.zeros(2)
+ARM, NO_BOUNDS = arm_system(ElasticJointArm()), np.zeros(2)
 
 
 @pytest.mark.parametrize("example", [example_1(), example_2()], ids=["1", "2"])
@@ -30,14 +31,14 @@ def test_examples_are_designed_and_hold_on_rechecking(example: PaperExample) -> 
 
 
 def test_undamped_arm_is_refused_with_its_mode() -> None:
-    A = example_3().system.A
+    A = ARM.A
     (_, P, Z), _ = check_stability(A, NO_BOUNDS)
     assert P is None
     assert np.linalg.eigvalsh(Z).min() > -1e-12
     assert np.trace(Z, axis1=1, axis2=2).sum() == pytest.approx(1.0)
     assert np.linalg.eigvalsh((A @ Z + Z @ A.transpose(0, 2, 1)).sum(axis=0))[0] > -1e-6
     with pytest.raises(DetectabilityError) as caught:
-        design_adaptive_observer(example_3().system, NO_BOUNDS, NO_BOUNDS)
+        design_adaptive_observer(ARM, NO_BOUNDS, NO_BOUNDS)
     text = str(caught.value)
     assert "rule 1 has a mode that does not decay: eigenvalue 0+4.776j with x = [" in text
     for help_offered in ("damping", "a model of the disturbance", "a sensor known to be clean"):

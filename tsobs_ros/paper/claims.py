@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array
+from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.paper import examples
 from tsobs_ros.paper.augmentation import (
     Augmentation,
@@ -84,7 +85,7 @@ def check_printed_gains() -> list[dict[str, Condition]]:
 
     There is one for each change of sign of P's coordinates, each of H's, and H as Hᵢ or E_L⁻¹Hᵢ.
     """
-    aug, signs = Augmentation(examples.example_3().system), examples.sign_changes(4)
+    aug, signs = Augmentation(examples.arm_system(ElasticJointArm())), examples.sign_changes(4)
     gains = [change[:, np.newaxis] * examples.EXAMPLE_3_H for change in signs]
     gains += [aug.E_L_inverse @ each for each in gains]
     matrices = [change[:, np.newaxis] * examples.EXAMPLE_3_P * change for change in signs]
@@ -119,8 +120,7 @@ def _of_printed() -> list[Claim]:
 
 
 def _of_designs(runs: Sequence[ExampleRun]) -> list[Claim]:
-    third = examples.example_3()
-    proof, reason = check_stability(third.system.A, third.alpha)
+    proof, reason = check_stability(examples.arm_system(ElasticJointArm()).A, np.zeros(2))
     designs = [run.design for run in runs]
     factors = [uncertainty_factor(design.P) for design in designs]
     drive = max(innovation_drive(design.augmentation) for design in designs)

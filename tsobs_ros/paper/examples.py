@@ -32,7 +32,7 @@ _B = ([[1.0], [0.0], [0.0]], [[0.0], [1.0], [0.0]])
 
 @dataclass(frozen=True)
 class PaperExample:
-    """An example: the uncertain system, what disturbs it and what the observer is given.
+    """Example 1 or 2: the uncertain system, what disturbs it and what the observer is given.
 
     Attributes:
         system: The T–S system without its uncertainty.
@@ -41,7 +41,7 @@ class PaperExample:
         xi: Bounds ξᵢ on ‖Ξᵢ‖, shape (r,).
         Gamma: Adaptation gains Γᵢ, shape (r, p, p).
         initial_state: x(0), shape (n,).
-        disturbance: ω(t) of the outputs; zero for Example 3, whose disturbance is noise.
+        disturbance: ω(t) of the outputs.
     """
 
     system: TSModel
@@ -63,6 +63,8 @@ def _system(A1: list[list[float]], A2: list[list[float]]) -> TSModel:
 
 def arm_system(arm: ElasticJointArm, x_max: float = math.pi / 2) -> TSModel:
     """Return the two-rule T–S form of an arm, equal to it wherever |q₁| ≤ x_max.
+
+    That of the default arm and angle is the system of Example 3, which has no ΔA.
 
     Sector nonlinearity: sin q₁ = (h₁·1 + h₂·b) q₁ with b = sin(x_max)/x_max, the paper's
     (48)–(49) at x_max = π/2.
@@ -131,20 +133,6 @@ def example_2() -> PaperExample:
             lambda t: 0.2 * np.sin(4.0 * t),
             lambda t: 0.4 * (np.sin(2.0 * t) + np.cos(3.0 * t)),
         ),
-    )
-
-
-def example_3() -> PaperExample:
-    """Return Example 3: the arm with an elastic joint, its T–S form on |q₁| ≤ π/2, no ΔA."""
-    arm = ElasticJointArm()
-    return PaperExample(
-        system=arm_system(arm),
-        delta_A=np.zeros((2, 4, 4)),
-        alpha=np.zeros(2),
-        xi=np.zeros(2),
-        Gamma=np.ones((2, 1, 1)),
-        initial_state=np.array([0.3, 0.0, 2.0, 0.0]),
-        disturbance=lambda t: np.zeros((*np.shape(t), 1)),
     )
 
 

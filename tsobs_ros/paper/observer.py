@@ -24,7 +24,7 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.model.arm import DIRECT, ElasticJointArm, TorquePath
 from tsobs_ros.model.matrices import product
 from tsobs_ros.paper.augmentation import Augmentation, blend
-from tsobs_ros.paper.examples import EXAMPLE_3_H, example_3
+from tsobs_ros.paper.examples import EXAMPLE_3_H, arm_system
 
 PAPER_WARNING = (
     "method paper: on this undamped arm the method's conditions are infeasible (modes ±4.776j and "
@@ -133,7 +133,7 @@ def paper_observer(
             "method paper: expected the arm of the method's Example 3, for which it prints gains, "
             f"got {arm}"
         )
-    aug = Augmentation(example_3().system)
+    aug = Augmentation(arm_system(arm))
     H1 = aug.E_L_inverse @ EXAMPLE_3_H
     F = np.array([A - product(H, aug.C_bar) for A, H in zip(aug.A1, H1, strict=True)])
     n, (_, size, p) = aug.system.state_count, H1.shape

@@ -17,9 +17,8 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
 from tsobs_ros.files import require_new, written_whole
-from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.paper.claims import VERDICTS, judge
-from tsobs_ros.paper.examples import example_1, example_2, example_3
+from tsobs_ros.paper.examples import example_1, example_2
 from tsobs_ros.paper.runs import SETTLED, ArmComparison, ExampleRun, compare_on_arm, run_example
 from tsobs_ros.report.figures import draw_run
 from tsobs_ros.report.page import write_html
@@ -154,22 +153,6 @@ def _rows(run: ExampleRun, letter: str) -> Iterator[tuple[Plot, ...]]:
             remark = (text, f"largest from {SETTLED:g} s on: {largest:.1e}")
             row.append(lines(f"{name} − {name}{_HAT}", "", curves)._replace(remark=remark))
         yield tuple(row)
-    yield _weights(run.example.system, "y₁", 1.0, times, run.outputs[:, 0, :1])
-
-
-def _weights(
-    system: TSModel, premise: str, limit: float, times: Array, along: Array
-) -> tuple[Plot, ...]:
-    """Return the plots of the rules' weights along a run, and over their premise up to a limit."""
-    z = np.linspace(-limit, limit, 201)
-    in_time, over = (
-        lines(label, "", {f"h{low}": (x, h) for low, h in zip(_LOW, weights.T, strict=False)})
-        for label, x, weights in (
-            ("weights of the rules", times, system.rule_base.weights(along)),
-            ("memberships", z, system.rule_base.weights(z[:, np.newaxis])),
-        )
-    )
-    return in_time, over._replace(axis=premise)
 
 
 def _arm_rows(comparison: ArmComparison) -> Iterator[tuple[Plot, ...]]:
@@ -203,7 +186,6 @@ def _arm_rows(comparison: ArmComparison) -> Iterator[tuple[Plot, ...]]:
         )._replace(remark=(_LABELS[name],))
         for name in ("paper", "ours")
     )
-    yield _weights(example_3().system, "x₁ [rad]", np.pi / 2, times, truth[:, :1])
 
 
 def _numbers(run: ExampleRun) -> dict[str, Any]:
