@@ -43,7 +43,7 @@ from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
 from tsobs_ros.replay.source import ARM_QUANTITIES, BagSource, Records
 from tsobs_ros.replay.windows import COMPARED, WINDOW, Agreement, Window, Windows, digests
-from tsobs_ros.series import Series, SeriesSpool, Spool, Stamps
+from tsobs_ros.series import Series, SeriesSpool, Spool
 from tsobs_ros.settings import values_of
 
 _OF_BAGS = (".mcap", ".yaml", ".db3")
@@ -215,7 +215,7 @@ class Run:
             made += messages
             for one in messages if live is not None else ():
                 self._made.add(digests(topic, one.data))
-        due, self._slow_since = _due(ticks.stamps, self.done, self._slow_since)
+        due = self._due()
         if len(due):
             valid: Flags = np.array([own["parameters_valid"] == 1.0 for own in self.rows])
             for topic in topics.PARAMETER_TOPICS if encode else ():
@@ -282,6 +282,16 @@ class Run:
             (ticks.stamps, ticks.now, known),
             self.observer.settings.stale_after,
         )
+
+    def _due(self) -> NDArray[np.intp]:
+        """Return the ticks at which a node publishes what changes slowly."""
+        due = []
+        for place in np.flatnonzero(self.done).tolist():
+            stamp = int(self.window.ticks.stamps[place])
+            if not 0 <= stamp - self._slow_since < topics.SLOW_PERIOD:
+                due.append(place)
+                self._slow_since = stamp
+        return np.array(due, np.intp)
 
     def _messages(
         self, topic: str, rows: Any = slice(None), there: Flags | None = None
@@ -369,17 +379,6 @@ class Run:
         return None if live is None else live.compare(self._made.read())
 
 
-def _due(stamps: Stamps, there: Flags, last: int) -> tuple[NDArray[np.intp], int]:
-    """Return the ticks at which a node publishes what changes slowly, and the last one's stamp."""
-    due = []
-    for place in np.flatnonzero(there).tolist():
-        stamp = int(stamps[place])
-        if not 0 <= stamp - last < topics.SLOW_PERIOD:
-            due.append(place)
-            last = stamp
-    return np.array(due, np.intp), last
-
-
 def is_log(path: Path) -> bool:
     """Return whether a path is of a file that is none of a bag's.
 
@@ -463,7 +462,14 @@ def run_observers(
         if output is not None:
             note = {"estimated from": str(source.path)}
             writer = stack.enter_context(whole_bag(output, custom_data=note))
-            _begin_bag(writer, source, runs, copy=not estimates_only)
+            recorded = () if estimates_only else source.topics
+            writer.add_topics(recorded)
+            known = source.reader.topics[source.topic].definition
+            # Before all copies, so that designs come first among the messages of their time.
+            for run in runs:
+                run.begin(writer, known or find_definition(JOINT_STATE))
+            if recorded:
+                source.copy(writer)
         for part in windows:
             work = partial(Run.run, window=part, encode=writer is not None)
             made = list(chain.from_iterable(pool.map(work, runs)))
@@ -471,16 +477,3 @@ def run_observers(
                 writer.write_series(made)
             progress(len(part.samples) * len(runs))
     return runs
-
-
-def _begin_bag(writer: BagWriter, source: BagSource, runs: Sequence[Run], *, copy: bool) -> None:
-    """Write what runs are of, and recorded messages, which come first among those of their time."""
-    if copy:
-        source.add_topics(writer)
-    own = (topic.definition for topic in source.topics if topic.type == JOINT_STATE)
-    definition = next(own, None) or find_definition(JOINT_STATE)
-    # First of all, so that it comes first among the messages of its time.
-    for run in runs:
-        run.begin(writer, definition)
-    if copy:
-        source.copy(writer)

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The health of recorded estimates: their events in order, and a summary."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
+from operator import attrgetter
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -40,9 +41,8 @@ class JointEvent(NamedTuple):
     event: Event
 
 
-def map_events(events: Iterable[JointEvent], begin: int) -> dict[str, Any]:
+def map_events(events: Sequence[JointEvent], begin: int) -> dict[str, Any]:
     """Return the first events, in seconds since `begin` [ns], as plain data, and how many more."""
-    ordered = sorted(events, key=lambda one: one.log_time)
     mappings = [
         {
             "joint": joint,
@@ -52,12 +52,12 @@ def map_events(events: Iterable[JointEvent], begin: int) -> dict[str, Any]:
             "level": event.level.name,
             "text": event.text,
         }
-        for joint, log_time, event in ordered[:_MAX_EVENTS]
+        for joint, log_time, event in events[:_MAX_EVENTS]
     ]
-    return {"events": mappings, "events_left_out": len(ordered) - len(mappings)}
+    return {"events": mappings, "events_left_out": len(events) - len(mappings)}
 
 
-def list_events(events: Iterable[JointEvent], begin: int) -> list[str]:
+def list_events(events: Sequence[JointEvent], begin: int) -> list[str]:
     """Return the same for a terminal, fewer of them, and nothing if there are none."""
     mapped = map_events(events, begin)
     shown = mapped["events"]
@@ -180,7 +180,7 @@ def find_events(
     stale_after: float = STALE_AFTER,
     same_clock: bool = True,
 ) -> list[JointEvent]:
-    """Return the events that a node would have logged, in order.
+    """Return the events that a node would have logged, in the order of their log times.
 
     Args:
         health: Numbers of conditions, NaN without an estimate, with log times.
@@ -198,4 +198,4 @@ def find_events(
             for event in log.update(Estimate.of_health(stamp, row)):
                 before = stamp - event.stamp if same_clock else 0
                 found.append(JointEvent(joint, log_time - before, event))
-    return found
+    return sorted(found, key=attrgetter("log_time"))

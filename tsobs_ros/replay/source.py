@@ -243,12 +243,8 @@ class BagSource:
     @property
     def topics(self) -> tuple[TopicInfo, ...]:
         """Topics that belong with estimates: measurements, and the truth of a simulation."""
-        names = (self.topic, *self.truth.values())
-        return tuple(self.reader.topics[name] for name in names)
-
-    def add_topics(self, writer: BagWriter) -> None:
-        """Register `topics` in a new bag."""
-        writer.add_topics(one for one in self.reader.topics.values() if one in self.topics)
+        names = {self.topic, *self.truth.values()}
+        return tuple(topic for name, topic in self.reader.topics.items() if name in names)
 
     def copy(self, writer: BagWriter) -> None:
         """Copy the messages of `topics` into a bag that has these, up to any damage."""
@@ -288,18 +284,15 @@ class BagSource:
         if not joints:
             raise BagReadError(f"{self.path}: no message of {self.topic} names a joint")
         read, without_input = MeasurementReader(joints, self._assume_zero_torque), 0
-        p, m = (
-            max(map(len, each)) for each in zip(*(one[:2] for one in self.signals), strict=True)
-        )
-        n = len(joints)
-        names = ["stamps", "log_times", "checksums", "codes", "y", "u"]
-        formats = ["i8", "i8", "i8", f"({n},)i8", f"({n},{p})f8", f"({n},{m})f8"]
-        kind: np.dtype[Any] = np.dtype({"names": names, "formats": formats})
-        samples = Spool(kind)
+        n, p = len(joints), max(len(own.outputs) for own in self.signals)
+        m = max(len(own.inputs) for own in self.signals)
+        numbers = [(name, np.int64) for name in ("stamps", "log_times", "checksums")]
+        arrays = [("codes", np.int64, (n,)), ("y", np.float64, (n, p)), ("u", np.float64, (n, m))]
+        samples = Spool(np.dtype([*numbers, *arrays]))
         for block in self.reader.blocks([self.topic], _BLOCK, on_damage=self.damaged):
             raw = block[self.topic]
             batch = read.read_raw(raw)
-            some: Records = np.zeros(len(raw.log_times), kind).view(np.recarray)
+            some: Records = np.zeros(len(raw.log_times), samples.type).view(np.recarray)
             some.stamps, some.log_times, some.codes = batch.stamps, raw.log_times, batch.codes.T
             some.y = np.nan
             for joint, (y, u) in enumerate(zip(batch.y, batch.u, strict=True)):

@@ -4,7 +4,6 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -76,7 +75,7 @@ def make_bag_report(
     if recorded := run.parts.get("health"):
         health = health_of(recorded.values)
         stamped = recorded._replace(log_times=recorded.stamps)
-        events = sorted(find_events(run.joint, run.topic, stamped), key=attrgetter("log_time"))
+        events = find_events(run.joint, run.topic, stamped)
         health_lines = () if health is None else health.lines()
     diagnosed = diagnose(diagnostics(source), run.origin, metrics.last)
     rival = None
