@@ -63,8 +63,6 @@ def _described(text: str) -> Iterator[str]:
 def _parameters(make: type) -> Iterator[str]:
     yield from ("| parameter | type, default | accepted | |", "|---|---|---|---|")
     for each in settings_of(make).values():
-        if each.hidden:
-            continue
         kind = f"{each.kind.replace('_', ' ')}, `{in_yaml(each.default)}`"
         limits = ", ".join(filter(None, [each.limits, "" if each.live else "read-only"]))
         cells = (f"`{each.name}`", kind, limits, each.description)

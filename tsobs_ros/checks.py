@@ -3,7 +3,7 @@
 """Checks of numbers and matrices: an error names the quantity, what was expected and what came."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
@@ -76,25 +76,21 @@ def fixed(array: Array) -> Array:
 
 def positive(name: str, value: float) -> float:
     """Return `value` as a float if it is a finite number above zero, else raise `ModelError`."""
-    return _number(name, value, lambda number: number > 0.0, " above 0")
+    return finite(name, value, math.ulp(0.0), " above 0")
 
 
 def non_negative(name: str, value: float) -> float:
     """Return `value` as a float if it is finite and at least zero, else raise `ModelError`."""
-    return _number(name, value, lambda number: number >= 0.0, " of at least 0")
+    return finite(name, value, 0.0, " of at least 0")
 
 
-def finite(name: str, value: float) -> float:
-    """Return `value` as a float if it is a finite number, else raise `ModelError`."""
-    return _number(name, value, math.isfinite, "")
-
-
-def _number(name: str, value: float, accepts: Callable[[float], bool], words: str) -> float:
+def finite(name: str, value: float, least: float = -math.inf, words: str = "") -> float:
+    """Return `value` as a float if it is finite and at least `least`, else raise `ModelError`."""
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
-    if not (math.isfinite(number) and accepts(number)):
+    if not (math.isfinite(number) and number >= least):
         raise ModelError(f"{name}: expected a finite number{words}, got {shown(value)}")
     return number
 

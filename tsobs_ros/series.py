@@ -41,10 +41,6 @@ class Series(NamedTuple):
         log_times = self.log_times[chosen] if len(self.log_times) else self.log_times
         return Series(self.stamps[chosen], self.values[chosen], log_times)
 
-    def column(self, place: int) -> "Series":
-        """Return one column."""
-        return Series(self.stamps, self.values[:, place : place + 1])
-
     def seconds(self, origin: int = 0) -> Array:
         """Return the stamps as seconds since `origin` [ns], shape (n,)."""
         return np.asarray((self.stamps - origin) / NANOSECONDS, dtype=np.float64)

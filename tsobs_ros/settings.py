@@ -17,10 +17,9 @@ ParameterError or ModelError checks fields against each other.
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from functools import cache
 from numbers import Integral, Real
 from operator import attrgetter
 from typing import Any, TypeVar
@@ -54,7 +53,6 @@ class Setting:
         maximum: Greatest accepted value, in `unit`; of each element of a tuple.
         choices: The only accepted values, if not empty; of each element of a tuple.
         live: Whether the value may be changed while a node runs.
-        hidden: Whether help and reference leave it out, as users can hardly choose it.
         element: Type of the elements of a tuple.
         name: Its full name.
     """
@@ -66,7 +64,6 @@ class Setting:
     maximum: float | None = None
     choices: Sequence[Any] = ()
     live: bool = False
-    hidden: bool = False
     element: type = str
     name: str = ""
 
@@ -164,7 +161,8 @@ def live_setting(default: T, summary: str, **rules: Any) -> T:
     return setting(default, summary, live=True, **rules)
 
 
-def _settings_of(make: Any) -> dict[str, Setting]:
+def settings_of(make: Any) -> dict[str, Setting]:
+    """Return the settings of a dataclass and of those in it by their full names, in order."""
     found: dict[str, Setting] = {}
     for item in fields(make):
         inner: dict[str, Setting] = {}
@@ -175,10 +173,6 @@ def _settings_of(make: Any) -> dict[str, Setting]:
             inner = {f"{item.name}.{name}": each for name, each in own.items()}
         found |= {name: replace(each, name=name) for name, each in inner.items()}
     return found
-
-
-settings_of: Callable[[Any], dict[str, Setting]] = cache(_settings_of)
-"""Returns the settings of a dataclass and of those in it by their full names, in order."""
 
 
 def values_of(record: Any) -> dict[str, Any]:
@@ -192,9 +186,8 @@ def check(record: Any, name: str = "") -> None:
     Raises:
         ParameterError: The first such value; a ModelError if `name` says what the record is.
     """
-    for full_name, value in values_of(record).items():
-        rule = settings_of(type(record))[full_name]
-        if rule.accepted(value) is None:
+    for full_name, rule in settings_of(type(record)).items():
+        if rule.accepted(value := attrgetter(full_name)(record)) is None:
             if name:
                 raise ModelError(f"{name} {full_name}: {rule.expectation}, got {value!r}")
             raise ParameterError(rule.refusal(value))

@@ -12,7 +12,7 @@ import pytest
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.records import Basis, Hypothesis, Innovation, Measurement, RejectReason
+from tsobs_ros.estimation.records import USED, Basis, Hypothesis, Measurement, RejectReason
 from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
@@ -348,15 +348,15 @@ def test_limits_of_the_torque_come_from_the_settings_the_request_or_the_arm() ->
         tracker = make_tracker(DESIGNS["fixed"], settings)
         for place, (torque, used) in enumerate([(2.5, True), (-2.6, False)], 1):
             given = Measurement(place * 5_000_000, np.zeros(1), np.array([torque]))
-            assert isinstance(tracker.offer(given, given.stamp), Innovation) == used
+            assert (tracker.offer(given, given.stamp).codes[0] == USED) == used
     tracker = make_tracker(DESIGNS["fixed"], ObserverSettings(torque_rate_limit=100.0))
     outcomes = []
     for index in range(1, 12):  # a lasting level, from when its rate is plausible on
         given = Measurement(
             index * 5_000_000, np.array([1e-3 * index]), np.array([3.0 * (index > 4)])
         )
-        outcomes.append(tracker.offer(given, given.stamp) is RejectReason.IMPLAUSIBLE_TORQUE)
-    assert outcomes == [False] * 4 + [True] * 5 + [False] * 2
+        outcomes += tracker.offer(given, given.stamp).codes.tolist()
+    assert outcomes == [USED] * 4 + [RejectReason.IMPLAUSIBLE_TORQUE] * 5 + [USED] * 2
 
 
 STIFF = Mismatch(stiffness=0.2)

@@ -157,8 +157,7 @@ def check_help(node: Any, text: str) -> None:
     assert set(re.findall(r"^  (~/\S+) ", served, re.MULTILINE)) == services
     shown = set(re.findall(r"^  (\S+) \(", listed, re.MULTILINE))
     declared = set(node.list_parameters([], 0).names)
-    of_ros = {"use_sim_time", "start_type_description_service"}
-    assert declared - shown - of_ros <= {"supervision.disturbance_limit"}
+    assert declared - shown <= {"use_sim_time", "start_type_description_service"}
     for parameter in shown:
         assert f"      {node.describe_parameter(parameter).description}\n" in listed
 

@@ -81,12 +81,12 @@ def high_gain(
         F[np.newaxis],
         Y[np.newaxis],
         U[np.newaxis],
-        np.eye(1, len(F)),
         period=period,
-        scale=arm.to_physical(np.ones(4)),
-        measurement_covariance=np.array([[std * std]]),
         gravity_gain=arm.gravity_gain,
         torque=torque,
+        scale=arm.to_physical(np.ones(4)),
+        C=np.eye(1, len(F)),
+        R=np.array([[std * std]]),
     )
 
 
@@ -154,16 +154,12 @@ def open_estimator(
     F: Array,
     Y: Array,
     U: Array,
-    C: Array,
     *,
     period: float,
-    scale: Array,
-    measurement_covariance: Array,
     rule_base: RuleBase | None = None,
     gravity_gain: float = 0.0,
-    D: Array | None = None,
-    disturbance: tuple[Array, Array] | None = None,
     torque: TorquePath = DIRECT,
+    **matrices: Array,
 ) -> Estimator:
     """Return the estimator x̂' = Σ hᵢ(y)(Fᵢ x̂ + Yᵢ y + Uᵢ u) − g sin x̂₁ in the row of x̂₂.
 
@@ -171,37 +167,28 @@ def open_estimator(
         F: One matrix a rule, shape (r, n, n).
         Y: Of the sample, which is held until the next one, shape (r, n, p).
         U: Of the inputs, shape (r, n, m).
-        C: State to expected measurement, shape (p, n).
         period: Nominal sampling period [s].
-        scale: Physical units of the plant's states, the first of x̂, shape (plant,).
         rule_base: Memberships of the first measurements; one rule that always fires if None.
         gravity_gain: g of an arm [1/s²].
-        D: Sample to expected measurement, shape (p, p); zero if None.
-        disturbance: State and sample to estimated disturbance, shapes (p, n) and (p, p); None if
-            it is not estimated.
         torque: How the first input reaches an arm's motor.
+        **matrices: Those of a model record: `scale`, `C`, `R` and, unless they are zero, `D`,
+            `disturbance_map` and `disturbance_direct`.
     """
     _, n, p = Y.shape
-    shape = Shape(n, len(scale), p, U.shape[2])
+    shape = Shape(n, len(matrices["scale"]), p, U.shape[2])
     rules = rule_base or _ALWAYS
     q = rules.coded[0].shape[1]
     # The sample is an input, and a scheduled signal, of which the premises are the first.
     inputs, premise = np.concatenate([U, Y], axis=2), (np.zeros((q, n)), np.eye(q, p))
-    system = TSModel(F, inputs, C, rules, *premise)
+    system = TSModel(F, inputs, matrices["C"], rules, *premise)
     undisturbed = per_channel(p * [CLEAN[0].model])
     make = _WithGravity if rule_base is None else TSFlow
     flow = make(system, undisturbed, np.zeros(n), period)
     flow.gravity_gain = gravity_gain
     model = new_model(shape, period, flow.record(), torque=torque)
     model["gain_mode"] = native.GAIN_OPEN
-    matrices = {"C": C, "R": measurement_covariance, "scale": scale}
-    lacking = ["state_bound", "disturbance_bound", "disturbance_rate"]
-    if D is not None:
-        matrices["D"] = D
-    if disturbance is None:
-        lacking.append("disturbance")
-    else:
-        matrices |= zip(("disturbance_map", "disturbance_direct"), disturbance, strict=True)
     for name, values in matrices.items():
         fill_matrix(model[0][name], values)
-    return Estimator(shape, model, tuple(lacking))
+    lacking = ("state_bound", "disturbance_bound", "disturbance_rate")
+    unknown = () if "disturbance_map" in matrices else ("disturbance",)
+    return Estimator(shape, model, (*lacking, *unknown))

@@ -84,7 +84,6 @@ class SupervisionOptions:
         "Largest disturbance that a sensor is supposed to jump to",
         unit="rad",
         minimum=1e-3,
-        hidden=True,
     )
 
     def __post_init__(self) -> None:

@@ -110,20 +110,6 @@ class Hypothesis(Code):
         return Level.WARN if self else Level.OK
 
 
-class Innovation(NamedTuple):
-    """How far a used measurement was from its prediction.
-
-    Attributes:
-        stamp: The measurement's stamp [ns].
-        value: y − ŷ of each output, NaN if it was not used, shape (p,).
-        expected_std: 1σ expected of it, shape (p,).
-    """
-
-    stamp: int
-    value: Array
-    expected_std: Array
-
-
 _HEALTH: dict[str, Any] = {
     "noise_scale": float, "coloured_power": float, "basis": Basis, "claimed": bool,
     "learning": Learning, "hypothesis": Hypothesis, "age": float,

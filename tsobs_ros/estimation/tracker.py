@@ -27,7 +27,6 @@ from tsobs_ros.estimation.records import (
     Basis,
     Estimate,
     Hypothesis,
-    Innovation,
     Learning,
     Measurement,
     RejectReason,
@@ -212,16 +211,10 @@ class Tracker:
         """Count measurements that the caller could not even read."""
         self.memory["refused"][0, reason] += count
 
-    def offer(self, measurement: Measurement, now: int) -> Innovation | RejectReason:
-        """Use a measurement, late by up to the history, at a time on the clock of the stamps [ns].
-
-        Returns its innovation, or the reason of its rejection, which has been counted.
-        """
+    def offer(self, measurement: Measurement, now: int) -> Outcomes:
+        """Use one measurement, late by up to the history; as `offer_many`."""
         stamp, y, u = measurement
-        codes, _, innovations, expected_std = self.offer_many([stamp], [y], [u], now)
-        if codes[0]:
-            return RejectReason(int(codes[0]))
-        return Innovation(stamp, innovations[0], expected_std[0])
+        return self.offer_many([stamp], [y], [u], now)
 
     def offer_many(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike, now: int) -> Outcomes:
         """Use measurements in the order of their stamps, or refuse them.

@@ -144,8 +144,6 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
     """
     name, listed = module.__name__.rpartition(".")[2], ["parameters:"]
     for each in settings_of(module.Parameters).values():
-        if each.hidden:
-            continue
         facts = [each.kind, f"default {in_yaml(each.default)}", each.limits]
         facts += [] if each.live else ["read-only"]
         listed += [f"  {each.name} ({'; '.join(filter(None, facts))})", f"      {each.description}"]

@@ -141,14 +141,15 @@ def paper_observer(
         F,
         np.zeros_like(H1),
         aug.B1,
-        aug.C_bar,
         period=positive("period", period),
-        scale=arm.to_physical(np.ones(n)),
-        measurement_covariance=np.array([[positive("measurement_std", measurement_std) ** 2]]),
         rule_base=aug.system.rule_base,
-        D=product(aug.C_bar, aug.L1),
-        disturbance=(np.eye(p, size, n), aug.L1[n:]),
         torque=torque,
+        scale=arm.to_physical(np.ones(n)),
+        C=aug.C_bar,
+        R=np.array([[positive("measurement_std", measurement_std) ** 2]]),
+        D=product(aug.C_bar, aug.L1),
+        disturbance_map=np.eye(p, size, n),
+        disturbance_direct=aug.L1[n:],
     )
 
 
@@ -176,13 +177,14 @@ def paper_system_observer(request: TSRequest) -> Estimator:
         F,
         np.zeros((r, n + p, p)),
         np.pad(model.B, ((0, 0), (0, p), (0, scheduled))),
-        np.zeros((p, n + p)),
         period=request.period,
-        scale=np.ones(n),
-        measurement_covariance=request.measurement_covariance,
         rule_base=model.rule_base,
+        scale=np.ones(n),
+        C=np.zeros((p, n + p)),
+        R=request.measurement_covariance,
         D=np.eye(p),
-        disturbance=(np.hstack([-model.rule_outputs[0], -np.eye(p)]), np.eye(p)),
+        disturbance_map=np.hstack([-model.rule_outputs[0], -np.eye(p)]),
+        disturbance_direct=np.eye(p),
     )
 
 

@@ -153,7 +153,7 @@ class RecordedRun:
             one.key: Estimated(
                 of(one.kind, one.column),
                 of(f"{one.kind}_bound", one.column),
-                truth.column(one.column) if len(truth.stamps) else None,
+                truth._replace(values=truth.values[:, [one.column]]) if len(truth.stamps) else None,
                 of(f"true_{one.kind}", one.column),
             )
             for one in self.quantities

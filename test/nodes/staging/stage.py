@@ -23,7 +23,7 @@ from sensor_msgs.msg import JointState
 
 from staging import call, start, to_nanoseconds, to_stamp
 from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
-from tsobs_ros.estimation.records import Innovation, Measurement
+from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.methods import make_tracker
 from tsobs_ros.nodes.observer import Observer
 from tsobs_ros.nodes.wire import DrainedSubscription
@@ -245,9 +245,9 @@ def replayed(watcher: Watcher, observer: Observer, sent: Iterable[Event]) -> int
             batch = reader.read([serialize_message(waiting.pop(0).message)])
             sample = Measurement(int(batch.stamps[0]), batch.y[0][0], batch.u[0][0])
             outcome = tracker.offer(sample, stamp)
-            if isinstance(outcome, Innovation):
-                known = outcome.value[~np.isnan(outcome.value)]
-                assert bits["innovation", outcome.stamp] == known.tobytes()
+            if not outcome.codes[0]:
+                known = outcome.innovations[~np.isnan(outcome.innovations)]
+                assert bits["innovation", sample.stamp] == known.tobytes()
         estimate = tracker.estimate(stamp)
         assert estimate is not None
         for topic, wanted in {
