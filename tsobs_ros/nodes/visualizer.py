@@ -18,6 +18,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -215,15 +216,14 @@ class Visualizer(ManagedNode[VisualizerParameters]):
         for joint in dict.fromkeys(
             name.removesuffix(_LINK) for name in (*states, *truth) if name.endswith(_LINK)
         ):
-            statuses = (
-                status
+            faults = (
+                (status.level, printable(status.message))
                 for name, status in self._feed.statuses.items()
                 if name.removeprefix(f"{joint}: ").startswith("sensor fault")
             )
-            worst = max(statuses, key=lambda each: each.level, default=None)
-            level, fault = (worst.level, worst.message) if worst else (Level.STALE, "?")
+            worst = max(faults, key=itemgetter(0), default=(Level.STALE, "?"))
             true, estimate, bound = (_angles(each, joint) for each in (truth, states, bounds))
-            found.append(Arm(printable(joint), true, estimate, bound, level, printable(fault)))
+            found.append(Arm(printable(joint), true, estimate, bound, *worst))
         return found
 
 

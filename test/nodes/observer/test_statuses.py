@@ -48,7 +48,7 @@ def reject(joint: ObservedJoint, count: int) -> None:
 
 def statuses(joints: list[ObservedJoint], now: int) -> dict[str, Status]:
     for joint in joints:
-        list(joint.count())
+        joint.count()
     timing = TickMeter(200.0).status()
     found = statuses_of(joints, timing, now, resets=3, enabled=True)
     return {each.name: each for each in found}
@@ -126,12 +126,12 @@ def test_another_rate_than_the_designs_is_told_once_and_when_it_is_over() -> Non
             stamp += NANOSECONDS / now
             if sample > 20:
                 offer(joint, round(stamp + chance.normal(0.0, 0.02 * MS)))
-        told.append(list(joint.count()))
+        told.append(joint.count())
     news = {second: each[0] for second, each in enumerate(told) if each}
     assert list(news) == [3, 13]
-    assert news[3][0] == Level.WARN
-    assert news[3][1].startswith(f"measurements come {text}; set `rate` of its request")
-    assert news[13] == (Level.OK, "measurements come at 200 Hz, the design is for that")
+    assert news[3].level == Level.WARN
+    assert news[3].text.startswith(f"measurements come {text}; set `rate` of its request")
+    assert news[13][2:] == (Level.OK, "measurements come at 200 Hz, the design is for that")
     measured = statuses([joint], round(stamp))["certificate"].values["measured rate [Hz]"]
     assert float(measured) == pytest.approx(200.0, rel=0.01)
 
@@ -181,9 +181,9 @@ def test_a_torque_at_the_link_warns_at_once_and_until_it_has_been_small_for_a_wh
             torque_disturbance=link * one,
             torque_disturbance_bound=bound * one,
         )
-        for level, text in joint.news(joint.latest.stamp, joint.latest, due=False):
-            changes.append((tick, level))
-            assert f"{link:g} N m (1 sigma 0.5) at the link" in text
+        for event in joint.news(joint.latest.stamp, joint.latest, due=False):
+            changes.append((tick, event.level))
+            assert f"{link:g} N m (1 sigma 0.5) at the link" in event.text
     assert changes == [(2, Level.WARN), (10, Level.OK)]
     # It is over, but since the last status it has been.
     levels = [statuses(joints, BEGIN)["torque disturbance"].level for _ in range(2)]

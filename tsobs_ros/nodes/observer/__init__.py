@@ -45,12 +45,13 @@ from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.design.file import identity, record_text
+from tsobs_ros.estimation.events import Event
 from tsobs_ros.estimation.faults import FaultKind
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.methods import ObserverSettings, warning
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
+from tsobs_ros.nodes.observer.joints import FAILURES, ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.messages import EstimatePublisher
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, statuses_of
@@ -115,7 +116,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self.ticker = None if at_once else self._ticker
         for joint in self.joints:
             design = f"design {joint.design.file} ({identity(joint.design)})"
-            self._log(joint, [(Level.OK, f"{design}: certificate holds")])
+            self.log(Level.OK, f"{joint.name}: {design}: certificate holds")
         warnings = (warning(joint.design, parameters.method) for joint in self.joints)
         for text in filter(None, dict.fromkeys(warnings)):
             self.log(Level.WARN, text)
@@ -133,9 +134,9 @@ class Observer(ManagedNode[ObserverParameters]):
         if self.active:
             self._publish_record()
 
-    def _log(self, joint: ObservedJoint, news: Iterable[tuple[Level, str]]) -> None:
-        for level, text in news:
-            self.log(level, f"{joint.name}: {text}")
+    def _log(self, joint: ObservedJoint, news: Iterable[Event]) -> None:
+        for event in news:
+            self.log(event.level, f"{joint.name}: {event.text}")
 
     def _work(self, *, is_tick: bool = True) -> None:
         """Take what has come, and publish: at a tick, else if any of it was used."""
@@ -151,11 +152,9 @@ class Observer(ManagedNode[ObserverParameters]):
         now = int(self.get_clock().now().nanoseconds)
         if now == 0:
             return None
-        if now < self._last_now:
-            self._meter.restart()
-            if self.parameters.reset_on_backward_jump:
-                self._last_output = 0
-                self._restart(f"the clock went back by {(self._last_now - now) * 1e-9:.3f} s")
+        if now < self._last_now and self.parameters.reset_on_backward_jump:
+            self._last_output = 0
+            self._restart(f"the clock went back by {(self._last_now - now) * 1e-9:.3f} s")
         self._last_now = now
         return now
 
@@ -248,6 +247,9 @@ class Observer(ManagedNode[ObserverParameters]):
         now = int(self.get_clock().now().nanoseconds)
         for joint in self.joints:
             self._log(joint, joint.count())
+            if joint.newly[FAILURES]:
+                what = "numerical failure: an estimate was not finite; restarted"
+                self.log(Level.ERROR, f"{joint.name}: {what}")
             names = joint.request.output_names
             each = zip(names, joint.faults.faults, joint.signals.outputs, strict=True)
             for output, fault, place in each:
@@ -255,7 +257,7 @@ class Observer(ManagedNode[ObserverParameters]):
                     newest = self._reader.describe(self._newest, joint.name)
                     text = f"{output} is missing: expected {place.described}; the newest message: "
                     text += f"{newest}; estimation goes on without it"
-                    self._log(joint, [(Level.WARN, text)])
+                    self.log(Level.WARN, f"{joint.name}: {text}")
         timing = self._meter.status()
         return statuses_of(self.joints, timing, now, resets=self._resets, enabled=self._enabled)
 

@@ -4,7 +4,6 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -131,22 +130,19 @@ class ObservedJoint:
         self._stamps += [stamp for stamp, code in outcomes if code in _ACCEPTED]
         return innovations
 
-    def count(self) -> Iterator[tuple[Level, str]]:
-        """Count what has come in the last second; yield what to log of it."""
+    def count(self) -> list[Event]:
+        """Count what has come in the last second; return what to log of its rate."""
         own = {"received": self.received, FAILURES: self.tracker.failures}
         self.newly = self.recent.update({**own, **self.tracker.rejected, **self.tracker.events})
-        if self.newly[FAILURES]:
-            yield Level.ERROR, "numerical failure: an estimate was not finite; restarted"
         rate, self._stamps = health.rate_of(self._stamps), []
         if math.isnan(rate):
-            return
+            return []
         self.measured_rate = rate
         off, text = health.judge_rate(self.measured_rate, self.request.rate)
         judged = Level.WARN if off else Level.OK, text
         self._seconds += 1
         stamp = self._seconds * NANOSECONDS
-        for event in self.events.changes[EventKind.RATE].report(stamp, off, judged, _LASTING):
-            yield event.level, event.text
+        return self.events.changes[EventKind.RATE].report(stamp, off, judged, _LASTING)
 
     def estimate(self, now: int) -> Estimate | None:
         """Return the estimate to publish at a time [ns]; of a stale joint as the parameters say."""
@@ -167,14 +163,11 @@ class ObservedJoint:
         self.faults.update(estimate, self.tracker.state)
         return estimate
 
-    def news(self, now: int, estimate: Estimate | None, due: bool) -> Iterator[tuple[Level, str]]:
-        """Yield what is to be logged of the estimate for a time [ns]; `due`: as is its health."""
+    def news(self, now: int, estimate: Estimate | None, due: bool) -> list[Event]:
+        """Return what is to be logged of the estimate for a time [ns]; `due`: as is its health."""
         if estimate is None or estimate.stamp != now:  # held
-            events = self.events.silence(now)
-        else:
-            events = self._contacts(estimate) + (self.events.update(estimate) if due else [])
-        for event in events:
-            yield event.level, event.text
+            return self.events.silence(now)
+        return self._contacts(estimate) + (self.events.update(estimate) if due else [])
 
     def _contacts(self, estimate: Estimate) -> list[Event]:
         """Compare the link's torque, the motor's if there is no other, with its level."""

@@ -18,7 +18,7 @@ from tsobs_ros.nodes.observer.joints import FAILURES, ObservedJoint
 
 _MANY_REJECTED = 0.01
 _MANY_MISSED = 0.05
-# The clock has jumped if it went on by more than this [ns], so much faster than time passes.
+# The clock has jumped if it went back, or on by more than this [ns], so much faster than time.
 _JUMP = 1_000_000_000
 _FASTEST = 100
 
@@ -206,7 +206,7 @@ class TickMeter:
         if self._latest is not None:
             before, began, was_tick = self._latest
             period = now - before
-            if not (period > _JUMP and period > _FASTEST * (steady - began)):
+            if 0 <= period <= max(_JUMP, _FASTEST * (steady - began)):
                 self._periods.append(period)
                 if tick and was_tick:
                     self._between_ticks.append(period)
@@ -222,7 +222,7 @@ class TickMeter:
         self._times["latency"].append(latency)
 
     def restart(self) -> None:
-        """Forget the last tick: the clock jumped, or there was a pause."""
+        """Forget the last tick: there was a pause."""
         self._latest = None
 
     def status(self) -> Status:

@@ -65,6 +65,8 @@ _BACKWARD = JumpThreshold(
 # Seeds of the joints lie apart, so that no joint repeats another one at a later seed.
 SEED_STEP = 2**32
 _ACKNOWLEDGE_TIMEOUT = 1.0
+# What can change while a plant runs.
+_SIGNALS = attrgetter("inputs", "outputs", "torque_disturbance", "torque_error")
 
 
 class TorqueCommands:
@@ -114,7 +116,7 @@ class TorqueCommands:
 
 
 class SamplePublisher:
-    """Publishes samples as messages, each of all joints."""
+    """Publishes samples as messages, each of all joints, such as `measurements`."""
 
     def __init__(self, node: ManagedNode[PlantSimulatorParameters]) -> None:
         requests = node.parameters.requests
@@ -123,7 +125,7 @@ class SamplePublisher:
         ]
         # Outputs last: of an output that is an input too, a lost value shall be NaN. A reliable
         # publisher suits all usual subscribers; only this one is asked about mismatches.
-        self._measurements = JointStatePublisher(
+        self.measurements = JointStatePublisher(
             node,
             "joint_measurements",
             [(*each.inputs, *each.outputs) for each in joints],
@@ -156,11 +158,6 @@ class SamplePublisher:
         if node.parameters.publish_clock:
             self._clock = node.create_publisher(Clock, "/clock", 10, event_callbacks=QUIET)
 
-    @property
-    def subscribers(self) -> int:
-        """Number of matched subscriptions of the measurements."""
-        return int(self._measurements.publisher.get_subscription_count())
-
     def __call__(self, stamp: int, samples: Sequence[Trajectories]) -> None:
         """Publish the time [ns], the truth and, unless they were lost, the measurements."""
         if self._clock is not None:
@@ -172,7 +169,7 @@ class SamplePublisher:
             for place, each in enumerate(samples)
             if not np.isnan(each.measurements).all()
         }
-        self._measurements.publish(stamp, measured)
+        self.measurements.publish(stamp, measured)
 
 
 class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
@@ -245,7 +242,8 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
     def _may_start(self) -> bool:
         """Return whether the wanted subscribers are there, or the wait is over; if so, let time run
         from the present on, or from where it stopped if it is the node's."""
-        wanted, there = self.parameters.wait_for_subscribers, self._publish_sample.subscribers
+        wanted = self.parameters.wait_for_subscribers
+        there = self._publish_sample.measurements.publisher.get_subscription_count()
         is_over = 0.0 < self.parameters.wait_timeout <= time.monotonic() - self._activated
         if there < wanted and not (self._index or is_over):
             return False
@@ -304,10 +302,12 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
     def retune(self, parameters: PlantSimulatorParameters) -> None:
         """Take changed parameters over from the next sample on."""
+        before = [_SIGNALS(plant.scenario) for plant in self._plants]
         for plant, scenario in zip(self._plants, parameters.scenarios.values(), strict=True):
             plant.exchange(scenario)
-        time = self._plants[0].index / self._plants[0].scenario.rate
-        self.log(Level.OK, f"changed at t = {time:g} s, from which on new disturbances count")
+        if [_SIGNALS(plant.scenario) for plant in self._plants] != before:
+            time = self._index / parameters.sample_rate
+            self.log(Level.OK, f"changed at t = {time:g} s, from which on new disturbances count")
 
     def _reset(self) -> str:
         """Restart the plant at the next sample; the stamps go on."""
