@@ -40,7 +40,7 @@ class DesignError(TsobsError, RuntimeError):
     """A gain could not be designed: the solver failed or its answer did not pass the re-check.
 
     Attributes:
-        remedies: Changes of the request that were found to have a design, of `design.remedies`.
+        remedies: Changes of the request that were found to have a design, of `design.synthesis`.
     """
 
     def __init__(self, message: str, remedies: Sequence[Any] = ()) -> None:

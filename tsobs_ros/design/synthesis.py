@@ -21,9 +21,11 @@ of 1e-4 a second is 1e-7 of the terms it is left of, and neither tighter toleran
 equilibration of the problem takes the solver there.
 """
 
+import math
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import clarabel
@@ -33,17 +35,27 @@ from scipy.linalg import solve_discrete_are
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.certificate import check_certificate
-from tsobs_ros.design.feasibility import require_detectable
+from tsobs_ros.design.feasibility import find_obstacles, require_detectable
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.remedies import Remedy, remedies_of
-from tsobs_ros.design.request import AnyRequest
-from tsobs_ros.errors import DesignError
+from tsobs_ros.design.request import AnyRequest, ArmRequest, Output
+from tsobs_ros.errors import DesignError, ModelError
+from tsobs_ros.model.arm import ANGLES
+from tsobs_ros.model.disturbance import CLEAN, DisturbanceTerm
 from tsobs_ros.model.prediction import VertexSystem
 
 MARGINS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 """Extra noise density, as a fraction of the bound per second, that makes the claim strict."""
 
 _SETTLED = 1e-3
+_DECAYING = (DisturbanceTerm("gauss_markov"),)
+_SHARES = (0.75, 0.5, 0.25)
+
+
+class Remedy(NamedTuple):
+    """A change of a request in words, and the request after it."""
+
+    text: str
+    request: AnyRequest
 
 
 class _Solution(NamedTuple):
@@ -70,7 +82,7 @@ def synthesise(request: AnyRequest) -> Design:
         require_detectable(request)
         return Design(request, *solve_gain(request))
     except DesignError as error:
-        firsts = (next(filter(_has_design, family), None) for family in remedies_of(request))
+        firsts = (next(filter(_has_design, family), None) for family in _remedies(request))
         found = [remedy for remedy in firsts if remedy is not None]
         advice = [remedy.text for remedy in found] or ["none of the changes that were tried"]
         text = "\n  - ".join([f"{error}\nwhat would help:", *advice])
@@ -213,3 +225,73 @@ def _kalman_covariance(problem: AnyRequest, vertex: VertexSystem) -> Array | Non
         # SciPy raises either, according to where its ordering of eigenvalues fails.
         return None
     return covariance
+
+
+def _remedies(request: AnyRequest) -> Iterator[Iterable[Remedy]]:
+    """Yield changes of a request without a design, those of one kind together, the smallest first.
+
+    The first of each kind that has a design is suggested.
+    """
+    if request.disturbance_model.arbitrary:
+        yield [_modelled(request, kind) for kind in ("bias", "gauss_markov")]
+        return
+    if obstacles := find_obstacles(request):
+        slopes = [each.slope for each in obstacles if each.slope is not None]
+        if isinstance(request, ArmRequest) and len(slopes) == len(obstacles):
+            yield _domain_above(request, max(slopes))
+    else:
+        yield _faster(request)
+        smaller = [request.on_share(share) for share in _SHARES]
+        yield [Remedy(*each) for each in smaller if each is not None]
+        slower = [share * request.decay_rate for share in (0.25, 0.0) if request.decay_rate]
+        yield [
+            Remedy(f"a smaller decay_rate: {rate:.3g} 1/s", replace(request, decay_rate=rate))
+            for rate in slower
+        ]
+    for terms, kept, text in (
+        (_DECAYING, ("clean", "gauss_markov"), "whose decaying state need not be seen"),
+        (CLEAN, ("clean",), "if it is not disturbed"),
+    ):
+        for place, channel in enumerate(request.channels):
+            if any(term.kind not in kept for term in channel.terms):
+                words = f"kind {terms[0].kind} for {channel.name}, {text}"
+                yield [Remedy(words, request.with_terms(place, terms))]
+    if isinstance(request, ArmRequest):
+        std = request.measurement_std
+        for name in (name for name in ANGLES if name not in request.output_names):
+            text = f"a further output without disturbance: {name} with 1σ of {std:.3g} rad"
+            outputs = [*request.sensors, Output(name, std)]
+            yield [Remedy(text, replace(request, outputs=outputs))]
+
+
+def _modelled(request: AnyRequest, kind: str) -> Remedy:
+    """Return a request with terms of a kind in place of all that are arbitrary."""
+    for place, channel in enumerate(request.channels):
+        model = DisturbanceTerm(kind)
+        terms = tuple(model if each.kind == "arbitrary" else each for each in channel.terms)
+        request = request.with_terms(place, terms)
+    return Remedy(f"a model of the disturbance in place of arbitrary: kind {kind}", request)
+
+
+def _domain_above(request: ArmRequest, slope: float) -> Iterator[Remedy]:
+    tidy = 0.0 if abs(slope) < 1e-12 else slope
+    widest = math.acos(min(tidy, 1.0))
+    for share in (0.95, *_SHARES) if slope < 1.0 - 1e-9 else ():
+        x_max = float(f"{share * widest:.3g}")
+        text = (
+            f"a smaller domain: x_max below {widest:.4g} rad keeps the slope above {tidy:.4g}; "
+            f"{x_max:g} rad has a design"
+        )
+        yield Remedy(text, replace(request, x_max=x_max))
+
+
+def _faster(request: AnyRequest) -> Iterator[Remedy]:
+    slower = ""
+    for factor in (1.5, 2.0, 3.0, 5.0, 10.0, 20.0):
+        rate = factor * request.rate
+        try:
+            faster = replace(request, rate=rate)
+        except ModelError:  # a delay of too many periods
+            return
+        yield Remedy(f"a faster rate: {rate:g} Hz{slower}", faster)
+        slower = f" ({rate:g} Hz is not enough)"
