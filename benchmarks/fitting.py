@@ -61,8 +61,6 @@ def _request(truth: Truth, arm: ts.ElasticJointArm) -> ArmRequest:
     return ArmRequest(
         arm,
         outputs=outputs,
-        measurement_std=0.001,
-        disturbance=outputs[0].disturbance,
         torque_disturbance=TorqueDisturbance(motor=(drift,)),
         process_noise=ProcessNoise(0.01, 0.01),
         rate=500.0,

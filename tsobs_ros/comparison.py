@@ -181,7 +181,7 @@ def _root_mean(values: Sequence[float | None]) -> float | None:
 def fitted(scenario: Scenario, design: Design) -> Scenario:
     """Return a scenario with the arm of a design, and rate and noise in proportion to its own."""
     request, (output,) = design.arm_request, scenario.outputs
-    noise = output.sensor.noise_std * request.measurement_std / Sensor().noise_std
+    noise = output.sensor.noise_std * float(request.output_std[0]) / Sensor().noise_std
     return replace(
         scenario,
         arm=request.arm,

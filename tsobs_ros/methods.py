@@ -201,7 +201,7 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
             f"got {', '.join(request.output_names)}"
         )
     else:
-        known = (request.period, request.measurement_std, request.torque)
+        known = (request.period, float(request.output_std[0]), request.torque)
         if method == "paper":
             estimator = paper_observer(request.arm, *known)
         else:

@@ -215,6 +215,7 @@ FOUR = ("stiffness", "link_damping", "motor_damping", "link_inverse_inertia")
     [
         (lambda: of(("elbow", CLEAN)), r"outputs\[0\]: expected one of link_angle, .*got 'elbow'"),
         (lambda: of(("link_angle", BIAS), motor=tone(629.0)), "half the.* 628.*, got 629"),
+        (lambda: of(("link_angle", BIAS), disturbance=BIAS), "^disturbance: expected in outputs,"),
         (
             lambda: ArmRequest(certify_uncertainty=True, uncertainty=dict.fromkeys(FOUR, 0.1)),
             "expected at most 3 uncertain parameters beside gravity",

@@ -26,8 +26,6 @@ def request_of(arm: ts.ElasticJointArm = ARM, *outputs: str, **changes: Any) -> 
     request = ArmRequest(
         arm,
         outputs=measured,
-        measurement_std=0.001,
-        disturbance=measured[0].disturbance,
         process_noise=ProcessNoise(0.01, 0.01),
         torque_disturbance=TorqueDisturbance(),
         rate=500.0,

@@ -212,9 +212,10 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
         raise DesignFileError(f"{path}: version: expected {VERSION}, got {shown(version)}")
     with naming(path):
         answer = decode({name: data.pop(name) for name in _ANSWER if name in data}, _Answer)
-        request = _arm_request(data) if kind == _ARM else _system_request(data)
+        is_arm = kind == _ARM
+        request = decode(data, _ArmFile).design if is_arm else _system_request(data)
         p, n = request.flow.output_matrix.shape
-        K = as_matrix("gain.K", answer.gain.K, (n,) if kind == _ARM and p == 1 else (n, p))
+        K = as_matrix("gain.K", answer.gain.K, (n,) if is_arm and p == 1 else (n, p))
         P = as_matrix("certificate.P", answer.certificate.P, (n, n))
         design = Design(request, P, K.reshape(n, p), answer.solver)
         object.__setattr__(design, "file", str(path))
@@ -250,7 +251,7 @@ def load_request(path: FilePath) -> AnyRequest:
             request = _system_request(data)
         else:
             data = data if "design" in data else {"design": data}
-            request = _arm_request(data)
+            request = decode(data, _ArmFile).design
             arm = data["design"].get("arm", _ARM_PARAMETERS)
             # In silence the shipped arm's would be taken for one that is not like it at all.
             if missing := [name for name in _ARM_PARAMETERS if name not in arm]:
@@ -270,27 +271,11 @@ def load_request(path: FilePath) -> AnyRequest:
 def arm_entries(request: ArmRequest) -> dict[str, Any]:
     """Return the entries of a file that describe an arm's request."""
     entries: dict[str, Any] = encode(request)
-    for name in ("disturbance", "measurement_std") if request.outputs else ("outputs",):
-        del entries[name]
     for name, default in (("torque_disturbance", TorqueDisturbance()), ("torque", DIRECT)):
         entry = entries.pop(name)
         if getattr(request, name) != default:
             entries[name] = entry
     return entries
-
-
-def _arm_request(data: dict[Any, Any]) -> ArmRequest:
-    """Return the request under `design`; its outputs are a list, or the link angle's."""
-    entries = data.get("design")
-    if isinstance(entries, dict) and "outputs" in entries:
-        if not entries["outputs"]:
-            raise DesignFileError("design.outputs: expected at least one")
-        for name in ("disturbance", "measurement_std"):
-            if name in entries:
-                raise DesignFileError(
-                    f"design.{name}: expected in outputs, one per output, not beside them"
-                )
-    return decode(data, _ArmFile).design
 
 
 @dataclass

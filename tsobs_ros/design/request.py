@@ -70,6 +70,13 @@ NO_LIMIT = 1e9
 _MAX_MATRICES = 16
 """Vertex matrices; l of them make l² inequalities."""
 
+_LINK_ANGLE: dict[str, Any] = {
+    "measures": QUANTITIES[LINK_ANGLE],
+    "measurement_std": 0.028,
+    "disturbance": (DisturbanceTerm("bias"),),
+}
+"""What is measured if a request does not say it."""
+
 _MOTION: tuple[Field, Field] = ("position", "velocity")
 
 
@@ -144,11 +151,10 @@ class ArmRequest(Request):
 
     Attributes:
         arm: Nominal physical parameters.
-        disturbance: Terms whose sum disturbs the measured link angle; with `outputs`, the first's.
+        disturbance: Terms whose sum disturbs the measured link angle; None with `outputs`.
         process_noise: Densities of the arm's acceleration noise.
-        measurement_std: 1σ of one sample's noise of the link angle [rad]; with `outputs`, the
-            first's.
-        outputs: What is measured; () for the link angle alone, see `sensors`.
+        measurement_std: 1σ of one sample's noise of the link angle [rad]; None with `outputs`.
+        outputs: What is measured; None for the link angle alone, see `sensors`.
         torque_disturbance: Unknown torques at motor and link.
         torque: How the known torque reaches the motor. The certificate does not depend on it, since
             a known input moves truth and estimate alike.
@@ -169,10 +175,10 @@ class ArmRequest(Request):
     """
 
     arm: ElasticJointArm = field(default_factory=ElasticJointArm)
-    disturbance: Sequence[DisturbanceTerm] = (DisturbanceTerm("bias"),)
+    disturbance: Sequence[DisturbanceTerm] | None = None
     process_noise: ProcessNoise = field(default_factory=ProcessNoise)
-    measurement_std: float = 0.028
-    outputs: Sequence[Output] = ()
+    measurement_std: float | None = None
+    outputs: Sequence[Output] | None = None
     torque_disturbance: TorqueDisturbance = TorqueDisturbance()
     torque: TorquePath = DIRECT
     rate: float = 200.0
@@ -189,8 +195,17 @@ class ArmRequest(Request):
     """What is measured, one entry per output."""
 
     def __post_init__(self) -> None:
-        alone = Output(QUANTITIES[LINK_ANGLE], self.measurement_std, self.disturbance)
-        sensors = tuple(self.outputs) or (alone,)
+        own = {"disturbance": self.disturbance, "measurement_std": self.measurement_std}
+        own = {name: value for name, value in own.items() if value is not None}
+        if self.outputs is None:
+            alone = Output(**{**_LINK_ANGLE, **own})
+            self._take(disturbance=alone.disturbance, measurement_std=alone.measurement_std)
+        elif own:
+            where = "expected in outputs, one per output, not beside them"
+            raise ModelError(f"{next(iter(own))}: {where}")
+        elif not self.outputs:
+            raise ModelError("outputs: expected at least one")
+        sensors = (alone,) if self.outputs is None else tuple(self.outputs)
         measured = tuple(each.measures for each in sensors)
         self.arm.measured(measured, [each.delay for each in sensors])
         given = {each.measures: each.disturbance for each in sensors}
@@ -198,9 +213,7 @@ class ArmRequest(Request):
         given |= {f"the torque at the {side}": terms for side, terms in sides.items()}
         self._take(
             sensors=sensors,
-            outputs=tuple(self.outputs),
-            disturbance=sensors[0].disturbance,
-            measurement_std=sensors[0].measurement_std,
+            outputs=self.outputs and sensors,
             channels=tuple(Channel.of(*each) for each in given.items()),
             torque_sides=tuple(side for side in SIDES if sum_of(sides[side]).state_count),
             output_std=np.array([each.measurement_std for each in sensors]),
@@ -227,7 +240,7 @@ class ArmRequest(Request):
         self._take(plant_std=self.arm.from_physical(self.initial_std))
         self._check_rates()
         require_delay("torque.delay", self.torque.delay, self.period)
-        for place, output in enumerate(self.outputs):
+        for place, output in enumerate(sensors):
             require_delay(f"outputs[{place}].delay", output.delay, self.period)
         if self.certify_uncertainty and not self.uncertainty_model.count:
             raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
@@ -348,7 +361,7 @@ class ArmRequest(Request):
 
     def at_rate(self, rate: float) -> Self:
         # Delays of few periods are many short ones, and move no error.
-        outputs = tuple(replace(output, delay=0.0) for output in self.outputs)
+        outputs = self.outputs and [replace(output, delay=0.0) for output in self.outputs]
         return replace(self, rate=rate, torque=DIRECT, outputs=outputs)
 
     def with_terms(self, place: int, terms: Terms) -> Self:

@@ -257,11 +257,12 @@ def _remedies(request: AnyRequest) -> Iterator[Iterable[Remedy]]:
                 words = f"kind {terms[0].kind} for {channel.name}, {text}"
                 yield [Remedy(words, request.with_terms(place, terms))]
     if isinstance(request, ArmRequest):
-        std = request.measurement_std
+        std = float(request.output_std[0])
         for name in (name for name in ANGLES if name not in request.output_names):
             text = f"a further output without disturbance: {name} with 1σ of {std:.3g} rad"
             outputs = [*request.sensors, Output(name, std)]
-            yield [Remedy(text, replace(request, outputs=outputs))]
+            both = replace(request, outputs=outputs, disturbance=None, measurement_std=None)
+            yield [Remedy(text, both)]
 
 
 def _modelled(request: AnyRequest, kind: str) -> Remedy:

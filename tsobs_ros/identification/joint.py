@@ -172,10 +172,10 @@ class Joint:
         # What counts is when an output is measured after the torque was commanded.
         late = max(0.0, -min(delays))
         path = self.extras[TORQUE_GAIN], kept[OFFSET], max(0.0, kept[DELAY] - late)
-        outputs = tuple(
+        outputs = self.request.outputs and [
             replace(output, delay=_rounded(own + late))
-            for output, own in zip(self.request.outputs, delays, strict=False)
-        )
+            for output, own in zip(self.request.outputs, delays, strict=True)
+        ]
         return replace(self.request, torque=TorquePath(*map(_rounded, path)), outputs=outputs)
 
 

@@ -251,7 +251,7 @@ def compare_on_arm(design: Design, seeds: int) -> ArmComparison:
     runs = simulate(SCENARIOS["noise"], range(_FIRST_SEED, _FIRST_SEED + seeds), _ARM_DURATION)
     arm, asked = ElasticJointArm(), design.arm_request
     period = float(runs.times[1] - runs.times[0])
-    known = (period, asked.measurement_std)
+    known = (period, float(asked.output_std[0]))
     stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
 
     def errors(
