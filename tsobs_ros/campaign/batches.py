@@ -29,9 +29,6 @@ CLAIMS = ("certified", "learnt", "covariance", "none")
 """What a bound is said to be by its basis: the certificate's, the certificate's but for the learnt
 parameters, a covariance; and nothing, which one that is not claimed is said to be."""
 
-DOMAIN = "domain"
-"""The premise that the arm stays in the certificate's domain."""
-
 Columns: TypeAlias = dict[str, NDArray[Any]]
 """Of a table, by name, one entry per run."""
 
@@ -161,7 +158,7 @@ def compute(campaign: Campaign, begin: int, end: int) -> Columns:
             run = recorded(truth, place, observed.of(place), request)
             metrics = measure(run, settle_time=campaign.entries.settle_time)
             reach = float(np.abs(truth.physical[place, :, 0]).max())
-            broken = violated(scenario, request) + (DOMAIN,) * (reach > request.max_angle)
+            broken = violated(scenario, request) + ("domain",) * (reach > request.max_angle)
             row: dict[str, Any] = {"run": drawn.run, "scenario": drawn.name, "seed": drawn.seed}
             row["drawn"] = json.dumps(drawn.numbers)
             row |= {f"start_{name}": x for name, x in zip(request.state_names, start, strict=True)}

@@ -157,8 +157,10 @@ class LogSource(BagSource):
             held_out = [(sensor, Place(entry, _FIELDS[kind]), name)] if sensor else []
             for label, place, entry in (*outputs, *torques, *held_out):
                 quantity = _KINDS[place.field]
-                titles = self._titles(label, quantity, name, entry)
-                yield _Signal(label, titles, quantity, "", name, place)
+                titles = [f"{label}.{name}", *(f"{each}.{entry}" for each in _NAMES[quantity])]
+                if self._is_only:
+                    titles += [label, *(_NAMES[quantity] if entry == name else ())]
+                yield _Signal(label, tuple(titles), quantity, "", name, place)
             return
         labels = request.output_names + request.input_names
         units = request.output_units + request.input_units
@@ -166,13 +168,6 @@ class LogSource(BagSource):
             names = dict.fromkeys([place.name, f"{name}/{label}"])
             either = tuple(title for one in names for title in (one, f"position.{one}"))
             yield _Signal(label, either, "", unit, name, place)
-
-    def _titles(self, label: str, quantity: str, joint: str, entry: str) -> tuple[str, ...]:
-        """Return the titles that a joint's signal may have."""
-        titles = [f"{label}.{joint}", *(f"{each}.{entry}" for each in _NAMES[quantity])]
-        if self._is_only:
-            titles += [label, *(_NAMES[quantity] if entry == joint else ())]
-        return tuple(titles)
 
     def _missing(self, one: _Signal, option: str) -> LogError:
         of = f" of {one.joint}" if one.joint not in ("", _ONLY) else ""
