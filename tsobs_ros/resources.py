@@ -20,21 +20,17 @@ FIXED_DESIGN = "elastic_joint_fixed.design.yaml"
 """The same without uncertain parameters: nothing is learnt."""
 
 
-class ResourceError(TsobsError, FileNotFoundError):
-    """A file that belongs to the installation is missing."""
-
-
 def config_path(name: str) -> Path:
     """Return the path of a file of the package's config folder, such as "observer.yaml".
 
     Raises:
-        ResourceError: No installation or source tree holds such a file.
+        TsobsError: No installation or source tree holds such a file.
     """
     folders = list(dict.fromkeys(_config_folders()))
     for folder in folders:
         if (folder / name).is_file():
             return folder / name
-    raise ResourceError(f"no config file '{name}' in {', '.join(map(str, folders))}")
+    raise TsobsError(f"no config file '{name}' in {', '.join(map(str, folders))}")
 
 
 def _config_folders() -> Iterator[Path]:

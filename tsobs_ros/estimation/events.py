@@ -9,7 +9,7 @@ an estimate over a recording and a report on it list the same ones.
 import enum
 from typing import Any, NamedTuple
 
-from tsobs_ros.estimation.health import Debounce, Level, Phase, phase_of
+from tsobs_ros.estimation.health import Debounce, Level, Phase
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.series import NANOSECONDS
 
@@ -97,7 +97,7 @@ class EventLog:
         if before is not None and newest - before > limit:
             events += self._go_stale(before)
         self._newest, state = newest, self.changes[EventKind.STATE]
-        if phase_of(estimate.age, self.coast_after, self._stale_after) is Phase.TRACKING:
+        if estimate.age <= self.coast_after:
             text = f"TRACKING: measurements arrive on {self._source}"
             if before is not None:
                 gap = f"after {(stamp - before) / NANOSECONDS:.2g} s without"

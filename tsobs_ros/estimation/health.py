@@ -89,15 +89,6 @@ class Phase(enum.IntEnum):
         return (Level.OK, Level.WARN, Level.WARN, Level.ERROR)[self]
 
 
-def phase_of(age: float | None, coast_after: float, stale_after: float) -> Phase:
-    """Return the phase for the age [s] of the newest measurement, None before the first."""
-    if age is None:
-        return Phase.WAITING
-    if age > stale_after:
-        return Phase.STALE
-    return Phase.COASTING if age > coast_after else Phase.TRACKING
-
-
 @dataclass(frozen=True)
 class DisturbanceLimits:
     """When a disturbance counts as a fault."""

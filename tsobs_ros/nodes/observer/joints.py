@@ -101,9 +101,12 @@ class ObservedJoint:
 
     def phase(self, now: int) -> Phase:
         """Return how fresh its measurements are."""
-        return health.phase_of(
-            self.age(now), self._parameters.coast_after, self._parameters.stale_after
-        )
+        age = self.age(now)
+        if age is None:
+            return Phase.WAITING
+        if age > self._parameters.stale_after:
+            return Phase.STALE
+        return Phase.COASTING if age > self._parameters.coast_after else Phase.TRACKING
 
     def offer(self, stamps: Stamps, y: Array, u: Array, codes: Stamps, now: int) -> Array:
         """Use the samples of N messages, and count those that cannot be used.
