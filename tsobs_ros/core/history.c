@@ -74,7 +74,6 @@ const char *tracker_bind(tracker *view, const tracker_memory *given)
     if (wrong != NULL) {
         return wrong;
     }
-    view->memory = given->memory;
     view->ring = given->ring;
     view->state_size = state_size(&view->m.s);
     view->slots = (int64_t)(given->ring_length / view->state_size);

@@ -51,7 +51,7 @@ LAYOUT_DECLARE(rewind_scratch, REWIND_FIELDS, rewind_sizes)
 typedef struct {
     model m;
     history h;
-    double *memory, *ring;
+    double *ring;
     int64_t slots;     /* states in the ring, the spare ones included */
     size_t state_size; /* numbers of each */
     rewind_scratch later;
@@ -94,7 +94,7 @@ void offer(tracker *t, const measurements *given, int64_t now, const outcomes *w
 /* Write the estimate at a stamp [ns]; return whether there is one.
  *
  * There is none before the first measurement, too long after the last, or if it is not finite,
- * which is counted. The row is that of `estimate_bind`. */
+ * which is counted. The row is that of `estimate_view`. */
 int estimate_at(tracker *t, int64_t stamp, double *row);
 
 /* Ticks: stamps of estimates, ascending, and times on their clock [ns]; numbers of measurements that are

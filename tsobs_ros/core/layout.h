@@ -42,27 +42,23 @@ typedef int64_t layout_COUNT, layout_COUNTS;
 #define LAYOUT_COUNT(kind, name, rows, columns) +(size_t)(rows) * (size_t)(columns)
 #define LAYOUT_ROW(kind, name, rows, columns) {#name, #kind, (long)(rows), (long)(columns)},
 
-/* Declare `thing`, the view of a record; `thing_bind`, which points it to memory, and `thing_view`,
- * which returns one; and `thing_size`, its length in numbers. The list calls the `sizes` s. */
-#define LAYOUT_DECLARE(thing, FIELDS, sizes)                                     \
-    typedef struct {                                                             \
-        FIELDS(LAYOUT_POINTER, unused)                                           \
-    } thing;                                                                     \
-    static inline void thing##_bind(thing *view, const sizes *s, double *memory) \
-    {                                                                            \
-        (void)s;                                                                 \
-        FIELDS(LAYOUT_BIND, s)                                                   \
-    }                                                                            \
-    static inline thing thing##_view(const sizes *s, double *memory)             \
-    {                                                                            \
-        thing view;                                                              \
-        thing##_bind(&view, s, memory);                                          \
-        return view;                                                             \
-    }                                                                            \
-    static inline size_t thing##_size(const sizes *s)                            \
-    {                                                                            \
-        (void)s;                                                                 \
-        return (size_t)0 FIELDS(LAYOUT_COUNT, s);                                \
+/* Declare `thing`, the view of a record; `thing_view`, which returns one of memory; and `thing_size`,
+ * its length in numbers. The list calls the `sizes` s. */
+#define LAYOUT_DECLARE(thing, FIELDS, sizes)                         \
+    typedef struct {                                                 \
+        FIELDS(LAYOUT_POINTER, unused)                               \
+    } thing;                                                         \
+    static inline thing thing##_view(const sizes *s, double *memory) \
+    {                                                                \
+        thing bound, *view = &bound;                                 \
+        (void)s;                                                     \
+        FIELDS(LAYOUT_BIND, s)                                       \
+        return bound;                                                \
+    }                                                                \
+    static inline size_t thing##_size(const sizes *s)                \
+    {                                                                \
+        (void)s;                                                     \
+        return (size_t)0 FIELDS(LAYOUT_COUNT, s);                    \
     }
 
 #endif

@@ -160,30 +160,13 @@ static int is_duration(const signature *of, const argument *t)
 
 enum { FLOW_SIZES = sizeof(flow_sizes) / 8, PLANT_SIZES = sizeof(plant_sizes) / 8 };
 
-/* Append a new row to a list, or end it: it is NULL if that failed before, or fails. */
-static void append(PyObject **list, PyObject *row)
-{
-    if (*list != NULL && (row == NULL || PyList_Append(*list, row) < 0)) {
-        Py_CLEAR(*list);
-    }
-    Py_XDECREF(row);
-}
-
-static PyObject *fields_as_list(const layout_field *fields, size_t count)
-{
-    PyObject *list = PyList_New(0);
-    for (const layout_field *f = fields; f < fields + count; f++) {
-        append(&list, Py_BuildValue("(ssll)", f->name, f->kind, f->rows, f->columns));
-    }
-    return list;
-}
-
-#define RECORD(name, FIELDS, count, sizes)                         \
-    if (strcmp(t[0].text, name) == 0 && t[1].length == (count)) {  \
-        const sizes *s = t[1].bytes;                               \
-        const layout_field rows[] = {FIELDS(LAYOUT_ROW, s)};       \
-        (void)s;                                                   \
-        return fields_as_list(rows, sizeof rows / sizeof rows[0]); \
+#define FIELD_FORMAT(kind, name, rows, columns) "(ssll)"
+#define FIELD_VALUES(kind, name, rows, columns) , #name, #kind, (long)(rows), (long)(columns)
+#define RECORD(name, FIELDS, count, sizes)                                                     \
+    if (strcmp(t[0].text, name) == 0 && t[1].length == (count)) {                              \
+        const sizes *s = t[1].bytes;                                                           \
+        (void)s;                                                                               \
+        return Py_BuildValue("[" FIELDS(FIELD_FORMAT, s) "]" FIELDS(FIELD_VALUES, s));         \
     }
 
 BIND(layout, "sd")
@@ -205,14 +188,13 @@ BIND(layout, "sd")
     return PyErr_Occurred() ? NULL : refuse(of, "expected a record and its sizes");
 }
 
-#define APPEND_CONSTANT(name, value, what) append(&list, Py_BuildValue("(sds)", #name, value, what));
+#define CONSTANT_FORMAT(name, value, what) "(sds)"
+#define CONSTANT_VALUES(name, value, what) , #name, value, what
 
 BIND(bank_constants, "")
 {
-    PyObject *list = PyList_New(0);
     (void)of, (void)t;
-    BANK_CONSTANTS(APPEND_CONSTANT)
-    return list;
+    return Py_BuildValue("[" BANK_CONSTANTS(CONSTANT_FORMAT) "]" BANK_CONSTANTS(CONSTANT_VALUES));
 }
 
 /* --- functions, flows and simulated plants --- */
