@@ -145,15 +145,13 @@ def attack_export(random_: random.Random, folder: Path) -> str:
 
 def step_export(words: Any, room: int) -> None:
     """Step a tracker of an exported design that was opened."""
-    model, memory = words[_HEAD:-_HISTORY], words[-_HISTORY:].copy()
-    names = [name for name, *_ in native.layout("history", np.zeros(0, np.int64))]
-    slots = int(memory[names.index("max_steps") - len(names)]) + 4
-    scratch = np.zeros(native.history_scratch_size(model, slots))
-    records = model, memory, np.zeros(room - _HISTORY - len(scratch)), scratch
+    model, memory = words[_HEAD:-_HISTORY], words[-_HISTORY:]
+    own = np.zeros(room)
+    own[:_HISTORY] = memory.view(np.float64)
     stamps = np.array([3, 1, 2, 4, 1], np.int64) * 10**6
     samples = np.zeros((10, len(stamps) * 1000))
-    native.history_offer(*records, stamps, *samples[:2], 10**9, *samples[2:6].view(np.int64))
-    if native.history_estimate(*records, 5 * 10**6, row := np.zeros(100_000)):
+    native.history_offer(model, own, stamps, *samples[:2], 10**9, *samples[2:6].view(np.int64))
+    if native.history_estimate(model, own, 5 * 10**6, row := np.zeros(100_000)):
         assert np.isfinite(row).all()
 
 

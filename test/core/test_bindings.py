@@ -49,8 +49,8 @@ def calls() -> dict[str, dict[str, Any]]:
     estimator = {"model": model, "states": states}
     one = tracker()
     own = numbers(one.estimator.model.copy())
-    memories = {"model": own, "memory": numbers(one.memory), "ring": numbers(one.ring)}
-    memories["scratch"] = zeros(native.history_scratch_size(own, len(one.ring)))
+    memories = {"model": own, "room": zeros(native.tracker_room(own, 1024))}
+    memories["room"][: one.memory.itemsize // 8] = numbers(one.memory)
     width = one.estimator.row_type.itemsize // 8
     stamps = 10**9 + 5_000_000 * np.arange(1, COUNT + 1)
     given = {"stamps": stamps, "y": zeros(COUNT, 1), "u": zeros(COUNT, 1)}
@@ -155,8 +155,8 @@ def test_a_model_of_other_sizes_is_refused(place: int) -> None:
         if place == 10 and value > before:  # scratch may be larger than a step needs
             continue
         model["sizes"][0, place] = value
-        with pytest.raises(ValueError, match="history_scratch_size: expected a model's record"):
-            native.history_scratch_size(numbers(model), 8)
+        with pytest.raises(ValueError, match="tracker_room: expected a model's record"):
+            native.tracker_room(numbers(model), 8)
 
 
 def test_outcomes_have_the_codes_of_the_reasons() -> None:
@@ -182,8 +182,8 @@ def test_what_is_left_in_scratch_memory_decides_nothing(outputs: int) -> None:
     stamps, found = 10**9 + 5_000_000 * np.arange(1, count + 1), []
     for fill in (0.0, np.nan, 1e300):
         own, rows = Tracker(one), numbers(one.new_rows(count))
-        memories = [numbers(each) for each in (one.model, own.memory, own.ring)]
-        scratch = np.full(native.history_scratch_size(memories[0], len(own.ring)), fill)
+        model, room = own._records
+        room[(own.memory.nbytes + own.ring.nbytes) // 8 :] = fill
         codes = zeros(count, kind=int), zeros(*y.shape, kind=int), zeros(*y.shape), zeros(*y.shape)
         ticks = (
             stamps,
@@ -192,7 +192,7 @@ def test_what_is_left_in_scratch_memory_decides_nothing(outputs: int) -> None:
             zeros(count, kind=int),
             zeros(count, kind=int),
         )
-        native.history_advance(*memories, scratch, stamps, y, u, *codes, *ticks, rows, 10**18)
+        native.history_advance(model, room, stamps, y, u, *codes, *ticks, rows, 10**18)
         found.append(rows.tobytes() + own.state.tobytes())
         assert np.isfinite(rows).all()
     assert own.state["hypotheses"]["live"][0, 1:].any()

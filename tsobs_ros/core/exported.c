@@ -12,9 +12,6 @@
 #define MAGIC INT64_C(0x00632d73626f7374)
 #define HEAD (sizeof(exported_head) / 8)
 
-/* Most measurements that a history has room for, as `export_c` accepts. */
-#define MOST_STEPS 1000000
-
 /* Add a number to a checksum (Fowler, Noll and Vo's, by words). */
 static uint64_t add_word(uint64_t sum, uint64_t word)
 {
@@ -86,27 +83,19 @@ const char *exported_open(exported *view, const void *words, size_t bytes)
         return wrong;
     }
     const history start = history_view(NULL, (double *)view->memory);
-    if (*start.max_steps > MOST_STEPS || *start.first != 0 || *start.length != 0
-        || !history_is_sound(&start, *start.max_steps + 2 + SPARE)) {
+    if (*start.first != 0 || *start.length != 0 || !history_is_sound(&start)) {
         return "no tracker that is new";
     }
     view->sizes = m.s;
-    const rewind_sizes sizes = {&view->sizes, *start.max_steps + 2 + SPARE};
-    view->ring_length = (size_t)sizes.slots * state_size(&m.s);
-    view->scratch_length = rewind_scratch_size(&sizes);
-    view->room = history_size(NULL) + view->ring_length + view->scratch_length;
+    const room_sizes sizes = room_for(&view->sizes, *start.max_steps);
+    view->room = tracker_room_size(&sizes);
     view->row = estimate_size(&m.s);
     return NULL;
 }
 
 void exported_start(const exported *from, double *room, tracker *view)
 {
-    double *ring = room + history_size(NULL);
-    const tracker_memory given = {
-        (double *)from->model, room, ring, ring + from->ring_length,
-        from->model_length, history_size(NULL), from->ring_length, from->scratch_length,
-    };
     memset(room, 0, from->room * sizeof *room);
     memcpy(room, from->memory, history_size(NULL) * sizeof *room);
-    tracker_bind(view, &given);
+    tracker_bind(view, (double *)from->model, from->model_length, room, from->room);
 }

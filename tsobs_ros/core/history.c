@@ -16,7 +16,7 @@ static const double NANOSECONDS = 1e9;
 static double *numbers_at(const tracker *t, int64_t place)
 {
     const int64_t slot = (*t->h.first + place) % (t->slots - SPARE);
-    return t->ring + (size_t)slot * t->state_size;
+    return t->room.ring + (size_t)slot * t->state_size;
 }
 
 /* Return the state at a place from the oldest on. */
@@ -35,7 +35,7 @@ static int64_t stamp_at(const tracker *t, int64_t place)
 enum { COASTED = 2, SHOWN = 1 };
 static double *spare_numbers(const tracker *t, int64_t from_end)
 {
-    return t->ring + (size_t)(t->slots - from_end) * t->state_size;
+    return t->room.ring + (size_t)(t->slots - from_end) * t->state_size;
 }
 
 /* Return the newest stamp [ns], 0 if there is none. */
@@ -59,37 +59,38 @@ static int64_t count_before(const tracker *t, int64_t stamp)
     return low;
 }
 
-int history_is_sound(const history *h, int64_t slots)
+int history_is_sound(const history *h)
 {
-    const int64_t room = slots - SPARE;
-    return *h->max_steps >= 1 && *h->max_steps <= room - 2 && *h->first >= 0 && *h->first < room
-           && *h->length >= 0 && *h->length <= room && *h->has_base >= 0
+    const int64_t places = *h->max_steps + 2;
+    return *h->max_steps >= 1 && *h->max_steps <= MOST_STEPS && *h->first >= 0
+           && *h->first < places && *h->length >= 0 && *h->length <= places && *h->has_base >= 0
            && *h->has_base <= (*h->length > 0) && *h->span >= 0 && *h->future >= 0
            && *h->restart_after >= 0;
 }
 
-const char *tracker_bind(tracker *view, const tracker_memory *given)
+const char *tracker_bind(
+    tracker *view, double *model, size_t model_length, double *room, size_t room_length)
 {
-    const char *wrong = model_view(given->model, given->model_length, &view->m);
+    const char *wrong = model_view(model, model_length, &view->m);
     if (wrong != NULL) {
         return wrong;
     }
-    view->ring = given->ring;
+    if (room_length < history_size(NULL)) {
+        return "expected the room of a tracker";
+    }
+    view->h = history_view(NULL, room);
+    if (!history_is_sound(&view->h)) {
+        return "expected a history whose places and limits belong together";
+    }
+    const room_sizes sizes = room_for(&view->m.s, *view->h.max_steps);
+    if (room_length != tracker_room_size(&sizes)) {
+        return "expected the room of a tracker of this model";
+    }
+    view->room = tracker_room_view(&sizes, room);
+    view->slots = sizes.slots;
     view->state_size = state_size(&view->m.s);
-    view->slots = (int64_t)(given->ring_length / view->state_size);
-    const rewind_sizes sizes = {&view->m.s, view->slots};
-    if (given->memory_length != history_size(NULL)
-        || given->ring_length % view->state_size != 0
-        || given->scratch_length < rewind_scratch_size(&sizes)) {
-        return "expected memories of a tracker of this model";
-    }
-    view->h = history_view(NULL, given->memory);
-    if (!history_is_sound(&view->h, view->slots)) {
-        return "max_steps: expected as many as the ring has states for";
-    }
-    view->later = rewind_scratch_view(&sizes, given->scratch);
-    view->effect = correction_view(&view->m.s, view->later.effect);
-    view->scratch = work_view(&view->m.s, view->later.work);
+    view->effect = correction_view(&view->m.s, view->room.effect);
+    view->scratch = work_view(&view->m.s, view->room.work);
     return NULL;
 }
 
@@ -208,9 +209,9 @@ static int64_t set_aside(tracker *t, int64_t place)
     const int64_t late = *t->h.length - place;
     for (int64_t j = 0; j < late; j++) {
         const state step = state_at(t, place + j);
-        t->later.stamps[j] = *step.stamp;
-        memcpy(t->later.y + (size_t)j * p, step.y, p * sizeof *step.y);
-        memcpy(t->later.u + (size_t)j * m, step.u, m * sizeof *step.u);
+        t->room.stamps[j] = *step.stamp;
+        memcpy(t->room.y + (size_t)j * p, step.y, p * sizeof *step.y);
+        memcpy(t->room.u + (size_t)j * m, step.u, m * sizeof *step.u);
     }
     *t->h.length = place;
     return late;
@@ -239,17 +240,17 @@ void offer(tracker *t, const measurements *given, int64_t now, const outcomes *w
     while (i < given->count || again < late) {
         /* One that is older than its predecessor waits until a rewind is over. */
         const int is_repeated =
-            again < late && (i >= given->count || given->stamps[i] > t->later.stamps[again] ||
+            again < late && (i >= given->count || given->stamps[i] > t->room.stamps[again] ||
                              given->stamps[i] < newest_stamp(t));
         if (is_repeated) {
-            step_to(t, t->later.stamps[again], t->later.y + again * p, t->later.u + again * m);
+            step_to(t, t->room.stamps[again], t->room.y + again * p, t->room.u + again * m);
             again++;
             continue;
         }
         const int64_t stamp = given->stamps[i];
         const double *y = given->y + i * p, *u = given->u + i * m;
         int64_t code = refusal(t, stamp, y, u, now);
-        if (code == USED && again < late && stamp == t->later.stamps[again]) {
+        if (code == USED && again < late && stamp == t->room.stamps[again]) {
             code = DUPLICATE;
         }
         if (code != USED) {

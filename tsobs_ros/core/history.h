@@ -12,7 +12,10 @@
 
 #include "estimator.h"
 
-enum { SPARE = 2 }; /* states at the end of a ring: one in a gap, and one that is read */
+enum {
+    SPARE = 2,           /* states at the end of a ring: one in a gap, and one that is read */
+    MOST_STEPS = 1000000 /* measurements that a history has room for */
+};
 
 /* What a history needs beside its ring. */
 #define HISTORY_FIELDS(F, s)                                                               \
@@ -29,47 +32,50 @@ enum { SPARE = 2 }; /* states at the end of a ring: one in a gap, and one that i
     F(COUNT, span, 1, 1)            /* how far back a late measurement may reach [ns] */   \
     F(COUNT, future, 1, 1)          /* how far ahead of the clock a stamp may be [ns] */   \
     F(COUNT, restart_after, 1, 1)   /* longest gap [ns] */                                 \
-    F(COUNT, max_steps, 1, 1)       /* largest number of measurements */                   \
+    F(COUNT, max_steps, 1, 1)       /* largest number of measurements, up to MOST_STEPS */ \
     F(NUMBER, x_max, 1, 1)          /* half width of the certificate's domain */
 LAYOUT_DECLARE(history, HISTORY_FIELDS, void)
 
-/* Scratch of a history: records of a step, and in a rewind the measurements after the late one, to
- * be used again, of which there are as many as states at most. */
+/* The room of a tracker: its history with a ring of states; and as scratch records of a step, and in a
+ * rewind the measurements after the late one, to be used again, as many as states at most. */
 typedef struct {
     const estimator_sizes *s;
-    int64_t slots;
-} rewind_sizes;
-#define REWIND_FIELDS(F, z)                         \
+    int64_t slots; /* states in the ring, the spare ones included */
+} room_sizes;
+#define ROOM_FIELDS(F, z)                           \
+    F(VECTOR, memory, history_size(NULL), 1)        \
+    F(MATRIX, ring, z->slots, state_size(z->s))     \
     F(VECTOR, effect, correction_size(z->s), 1)     \
     F(VECTOR, work, work_size(z->s), 1)             \
     F(COUNTS, stamps, z->slots, 1)                  \
     F(MATRIX, y, z->slots, z->s->p)                 \
     F(MATRIX, u, z->slots, z->s->m)
-LAYOUT_DECLARE(rewind_scratch, REWIND_FIELDS, rewind_sizes)
+LAYOUT_DECLARE(tracker_room, ROOM_FIELDS, room_sizes)
 
-/* An estimator with its history, a view of four memories. */
+/* Return the sizes of a room for so many measurements. */
+static inline room_sizes room_for(const estimator_sizes *s, int64_t max_steps)
+{
+    const room_sizes sizes = {s, max_steps + 2 + SPARE};
+    return sizes;
+}
+
+/* An estimator with its history, a view of a model record and a room. */
 typedef struct {
     model m;
     history h;
-    double *ring;
-    int64_t slots;     /* states in the ring, the spare ones included */
+    tracker_room room;
+    int64_t slots;
     size_t state_size; /* numbers of each */
-    rewind_scratch later;
     correction effect;
     work scratch;
 } tracker;
 
-/* Memories of a tracker, and their lengths in numbers. */
-typedef struct {
-    double *model, *memory, *ring, *scratch;
-    size_t model_length, memory_length, ring_length, scratch_length;
-} tracker_memory;
+/* Return whether the places and limits of a history belong together. */
+int history_is_sound(const history *h);
 
-/* Return whether the places and limits of a history fit a ring of so many states. */
-int history_is_sound(const history *h, int64_t slots);
-
-/* Bind a view. Return NULL, or what is wrong with a memory: a length, or a place in it. */
-const char *tracker_bind(tracker *view, const tracker_memory *given);
+/* Bind a view. Return NULL, or what is wrong with the model or the room: a length, or a place in it. */
+const char *tracker_bind(
+    tracker *view, double *model, size_t model_length, double *room, size_t room_length);
 
 /* Measurements: stamps [ns], (n,); outputs, NaN of one that is missing, (n, p); and inputs from each
  * measurement until the next one, (n, m). */

@@ -368,71 +368,68 @@ BIND(estimator_innovations, "dDdddfffiDDDDD")
     Py_RETURN_NONE;
 }
 
-/* --- trackers: their memories are the first four arguments, model, memory, ring and scratch --- */
+/* --- trackers: their model and their room are the first two arguments --- */
 
-/* Bind a tracker; return whether the arguments are its memories. */
+/* Bind a tracker; return whether the arguments are its own. */
 static int take_tracker(const signature *of, const argument *t, tracker *bound)
 {
-    const tracker_memory given = {
-        t[0].numbers, t[1].numbers, t[2].numbers, t[3].numbers,
-        (size_t)t[0].length, (size_t)t[1].length, (size_t)t[2].length, (size_t)t[3].length,
-    };
-    const char *wrong = tracker_bind(bound, &given);
+    const char *wrong = tracker_bind(
+        bound, t[0].numbers, (size_t)t[0].length, t[1].numbers, (size_t)t[1].length);
     return wrong == NULL || refuse(of, wrong) != NULL;
 }
 
-/* Take stamps, y and u, the arguments behind the memories, and what becomes of them, four from a
+/* Take stamps, y and u, the arguments behind the room, and what becomes of them, four from a
  * place on; return whether they belong together. */
 static int take_measurements(
     const signature *of, const argument *t, int to, const tracker *by, measurements *given,
     outcomes *written)
 {
-    const int64_t count = t[4].length, outputs = count * by->m.s.p;
-    *given = (measurements){count, t[4].counts, t[5].numbers, t[6].numbers};
+    const int64_t count = t[2].length, outputs = count * by->m.s.p;
+    *given = (measurements){count, t[2].counts, t[3].numbers, t[4].numbers};
     *written = (outcomes){t[to].counts, t[to + 1].counts, t[to + 2].numbers, t[to + 3].numbers};
-    return HAVE(5, outputs, count * by->m.s.m) && HAVE(to, count, outputs, outputs, outputs);
+    return HAVE(3, outputs, count * by->m.s.m) && HAVE(to, count, outputs, outputs, outputs);
 }
 
-BIND(history_scratch_size, "di")
+BIND(tracker_room, "di")
 {
     model m;
-    const rewind_sizes sizes = {&m.s, t[1].integer};
     const char *wrong = model_view(t[0].numbers, (size_t)t[0].length, &m);
-    if (wrong != NULL || t[1].integer < 0) {
-        return refuse(of, wrong != NULL ? wrong : "slots: expected a number of at least 0");
+    if (wrong != NULL || t[1].integer < 1 || t[1].integer > MOST_STEPS) {
+        return refuse(of, wrong != NULL ? wrong : "max_steps: expected 1 to 1000000");
     }
-    return PyLong_FromSize_t(rewind_scratch_size(&sizes));
+    const room_sizes sizes = room_for(&m.s, t[1].integer);
+    return PyLong_FromSize_t(tracker_room_size(&sizes));
 }
 
-BIND(history_offer, "dDDD" "dddi" "DDDD")
+BIND(history_offer, "dD" "dddi" "DDDD")
 {
     tracker by;
     measurements given;
     outcomes written;
-    if (!take_tracker(of, t, &by) || !take_measurements(of, t, 8, &by, &given, &written)) {
+    if (!take_tracker(of, t, &by) || !take_measurements(of, t, 6, &by, &given, &written)) {
         return NULL;
     }
-    offer(&by, &given, t[7].integer, &written);
+    offer(&by, &given, t[5].integer, &written);
     Py_RETURN_NONE;
 }
 
-BIND(history_estimate, "dDDD" "iD")
+BIND(history_estimate, "dD" "iD")
 {
     tracker by;
-    if (!take_tracker(of, t, &by) || !HAVE(5, (int64_t)estimate_size(&by.m.s))) {
+    if (!take_tracker(of, t, &by) || !HAVE(3, (int64_t)estimate_size(&by.m.s))) {
         return NULL;
     }
-    return PyBool_FromLong(estimate_at(&by, t[4].integer, t[5].numbers));
+    return PyBool_FromLong(estimate_at(&by, t[2].integer, t[3].numbers));
 }
 
-BIND(history_advance, "dDDD" "ddd" "DDDD" "ddd" "DDD" "i")
+BIND(history_advance, "dD" "ddd" "DDDD" "ddd" "DDD" "i")
 {
     tracker by;
     measurements given;
     outcomes written;
-    const int64_t count = t[11].length, *known = t[13].counts;
-    if (!take_tracker(of, t, &by) || !take_measurements(of, t, 7, &by, &given, &written) ||
-        !HAVE(12, count, count, count, count, count * (int64_t)estimate_size(&by.m.s))) {
+    const int64_t count = t[9].length, *known = t[11].counts;
+    if (!take_tracker(of, t, &by) || !take_measurements(of, t, 5, &by, &given, &written) ||
+        !HAVE(10, count, count, count, count, count * (int64_t)estimate_size(&by.m.s))) {
         return NULL;
     }
     for (int64_t tick = 0; tick < count; tick++) {
@@ -441,10 +438,10 @@ BIND(history_advance, "dDDD" "ddd" "DDDD" "ddd" "DDD" "i")
         }
     }
     const history_ticks ticks = {
-        count, t[11].counts, t[12].counts, known, t[14].counts, t[15].counts, t[16].numbers,
+        count, t[9].counts, t[10].counts, known, t[12].counts, t[13].counts, t[14].numbers,
     };
     Py_BEGIN_ALLOW_THREADS
-    advance(&by, &given, &written, &ticks, t[17].integer);
+    advance(&by, &given, &written, &ticks, t[15].integer);
     Py_END_ALLOW_THREADS
     Py_RETURN_NONE;
 }
@@ -538,7 +535,7 @@ static PyMethodDef methods[] = {
     METHOD(estimator_predict),
     METHOD(estimator_read),
     METHOD(estimator_innovations),
-    METHOD(history_scratch_size),
+    METHOD(tracker_room),
     METHOD(history_offer),
     METHOD(history_estimate),
     METHOD(history_advance),

@@ -44,8 +44,8 @@ def exported_seal(words: Numbers, /) -> None:
 def exported_open(words: Numbers, /) -> int:
     """Return the numbers of the room that a tracker of an exported design needs."""
 
-def history_scratch_size(model: Numbers, slots: int, /) -> int:
-    """Return the numbers of scratch of a tracker whose ring has so many states."""
+def tracker_room(model: Numbers, max_steps: int, /) -> int:
+    """Return the numbers of the room of a tracker with so many measurements; see history.h."""
 
 def history_offer(*arguments: Any) -> None:
     """Use measurements, or refuse them; see `offer` in history.h."""

@@ -32,7 +32,7 @@ typedef struct {
 /* An exported design. room: numbers that each tracker needs; row: of an estimate. */
 typedef struct {
     const double *model, *memory;
-    size_t model_length, ring_length, scratch_length, room, row;
+    size_t model_length, room, row;
     estimator_sizes sizes;
 } exported;
 

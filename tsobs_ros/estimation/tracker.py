@@ -40,9 +40,6 @@ _BASES, _LEARNINGS, _HYPOTHESES = tuple(Basis), tuple(Learning), tuple(Hypothesi
 
 _MEMORY = record_type("history")
 
-_SPARE = 2
-"""States at the end of a ring: one in a gap, and one that is read."""
-
 _FOUND = {
     "outliers left out": "outliers",
     "sensor jumps": "jumps",
@@ -111,7 +108,7 @@ class Tracker:
         ring: States after the last measurements.
 
     Raises:
-        ModelError: A limit is negative or not finite.
+        ModelError: A limit is negative or not finite, or `max_steps` not within 1 and a million.
     """
 
     def __init__(
@@ -124,22 +121,23 @@ class Tracker:
         restart_after: float = 5.0,
         max_steps: int = 1024,
     ) -> None:
-        self.estimator = estimator
-        self.memory: Record = np.zeros(1, _MEMORY)
+        if not 1 <= max_steps <= 10**6:
+            raise ModelError(f"max_steps: expected 1 to 1000000, got {max_steps}")
+        self.estimator, model = estimator, numbers_of(estimator.model)
+        room, state = np.zeros(native.tracker_room(model, max_steps)), estimator.model["initial"]
+        begin, numbers = _MEMORY.itemsize // 8, (max_steps + 2) * state.itemsize // 8
+        self._records = model, room
+        self.memory: Record = room[:begin].view(_MEMORY)
+        self.ring: Record = room[begin : begin + numbers].view(state.dtype)
         for name, seconds in (
             ("span", non_negative("history", history)),
             ("future", non_negative("future_tolerance", future_tolerance)),
             ("restart_after", positive("restart_after", restart_after)),
         ):
             self.memory[name] = round(min(seconds * NANOSECONDS, _LONGEST))
-        self.memory["max_steps"] = positive("max_steps", max_steps)
+        self.memory["max_steps"] = max_steps
         self.memory["x_max"] = x_max if x_max == math.inf else positive("x_max", x_max)
         self._unused = self.memory.copy()
-        slots = max_steps + 2 + _SPARE
-        self.ring: Record = np.zeros(slots, estimator.model["initial"].dtype)
-        model = numbers_of(estimator.model)
-        scratch = np.zeros(native.history_scratch_size(model, slots))
-        self._records = model, numbers_of(self.memory), numbers_of(self.ring), scratch
         fields = [estimator.row_type.fields[name] for name in estimator.row_type.names]
         self._vectors = [
             slice(place // 8, place // 8 + of.shape[0]) for of, place in fields if of.shape
@@ -166,7 +164,7 @@ class Tracker:
         memory = self.memory[0]
         if not memory["length"]:
             return self.estimator.model["initial"]
-        place = int((memory["first"] + memory["length"] - 1) % (len(self.ring) - _SPARE))
+        place = int((memory["first"] + memory["length"] - 1) % len(self.ring))
         return self.ring[place : place + 1]
 
     @property
