@@ -57,11 +57,11 @@ def _figure(picture: Picture) -> Figure:
         row, column = divmod(place, 2)
         alone = column == 0 and plot is plots[-1]
         where = grid[row, :] if alone else grid[row, column]
-        shared = made[0] if made and plot.axis == TIME else None
+        shared = made[0] if made else None
         made.append(figure.add_subplot(where, sharex=shared))
         _draw(made[-1], plot, picture)
         if row == rows - 1:
-            made[-1].set_xlabel(plot.axis)
+            made[-1].set_xlabel(TIME)
         else:
             made[-1].tick_params(labelbottom=False)
     made[0].xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10]))
@@ -119,9 +119,8 @@ def _draw(axes: Axes, plot: Plot, picture: Picture) -> None:
         axes.legend(loc="upper left", fontsize=7.5, ncols=2, borderpad=0.1, handlelength=1.2)
     if plot.rows:
         axes.set_yticks(range(len(plot.rows)), plot.rows)
-    if plot.level is not None:
-        for sign in (-1.0, 1.0):
-            axes.axhline(sign * plot.level, color=MUTED, lw=0.9, ls=(0, (5, 3)))
+    for level in (-plot.level, plot.level) if plot.level else ():
+        axes.axhline(level, color=MUTED, lw=0.9, ls=(0, (5, 3)))
     _mark(axes, picture.unsettled, color=SETTLING_COLOUR, zorder=0)
     _mark(axes, plot.spans, color=EVENT_COLOUR, alpha=_FAINT)
     whole = axes.get_xaxis_transform()

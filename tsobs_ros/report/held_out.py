@@ -14,11 +14,10 @@ from tsobs_ros.errors import BagReadError, LogError
 from tsobs_ros.replay.health import CLAIMED
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.metrics import QuantityMetrics, Windows, inside_windows, quantity_metrics
-from tsobs_ros.report.quantities import QUANTITIES, Quantity
+from tsobs_ros.report.quantities import Quantity, quantities_of
 from tsobs_ros.report.run import RecordedRun, align, interpolate, read_series
 from tsobs_ros.series import Series, Stamps
 
-_ARM = {one.key: one for one in QUANTITIES[:4]}
 _MIN_READINGS, _MAX_READINGS = 20, 50_000
 _NEIGHBOURS, _ROUNDED = 7, 1e-9
 
@@ -56,7 +55,8 @@ def read_held_out(source: BagSource, std: float | None = None) -> "list[HeldOutS
         elif topic == source.topic and groups[0][0] in own.outputs:
             raise BagReadError(f"{source.path}: {where} is what the observer measures")
         asked[where] = topic, groups
-    quantity, given = _ARM[name], None if std is None else positive("held_out_std", std)
+    (quantity,) = (one for one in quantities_of(source.requests[0]) if one.key == name)
+    given = None if std is None else positive("held_out_std", std)
     sensors = []
     for where, readings in read_series(source, asked).items():
         some = readings.take(slice(_MAX_READINGS))

@@ -25,6 +25,7 @@ from tsobs_ros.report.panels import (
     Picture,
     Plot,
     Table,
+    stretches,
 )
 from tsobs_ros.report.summary import Summary
 from tsobs_ros.style import GRID, INK, MUTED
@@ -208,11 +209,8 @@ def _encoded(values: Array) -> dict[str, str]:
 
 def _outline(band: Band) -> tuple[Array, Array]:
     """Return the outlines of a band, with NaN between its parts."""
-    known = np.isfinite(band.lower) & np.isfinite(band.upper)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
     x, y = [np.zeros(0)], [np.zeros(0)]
-    for begin, end in edges.reshape(-1, 2).tolist():
-        own = slice(begin, end)
+    for own in stretches(np.isfinite(band.lower + band.upper)):
         x += [band.times[own], band.times[own][::-1], np.array([np.nan])]
         y += [band.upper[own], band.lower[own][::-1], np.array([np.nan])]
     return np.concatenate(x)[:-1], np.concatenate(y)[:-1]
@@ -228,9 +226,7 @@ def _shapes(plot: Plot, picture: Picture) -> Iterator[dict[str, Any]]:
         line = {"color": EVENT_COLOUR, "dash": "dot", "width": 1}
         jumps = [(time,) for time in picture.jumps]
         yield _path("M{0:.4f},0 L{0:.4f},1", jumps) | {"line": line}
-    for sign in (-1.0, 1.0) if plot.level is not None else ():
-        assert plot.level is not None
-        height = sign * plot.level
+    for height in (-plot.level, plot.level) if plot.level else ():
         line = {"color": MUTED, "dash": "dash", "width": 1}
         ends = {"xref": "paper", "x0": 0, "x1": 1, "yref": "y", "y0": height, "y1": height}
         yield {"type": "line", "line": line, **ends}

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.replay.health import CLAIMED
 from tsobs_ros.report.diagnosed import Diagnosed, FaultSpan
-from tsobs_ros.report.metrics import SIGMAS, RunMetrics, inside_windows
+from tsobs_ros.report.metrics import SIGMAS, QuantityMetrics, RunMetrics, inside_windows
 from tsobs_ros.report.quantities import Quantity, inputs_of, measured_states, outputs_of
 from tsobs_ros.report.run import MAX_GAP, RecordedRun, align
 from tsobs_ros.series import NANOSECONDS, Series
@@ -87,7 +87,7 @@ class Plot(NamedTuple):
         bands: Bands below the curves, the widest first.
         rows: Names of the values 0, 1, …, if these are no numbers.
         spans: Parts of the time that are marked, (begin, end) in seconds.
-        level: Size of a constant ± line, e.g. of what is expected of noise.
+        level: Size of a constant ± line, e.g. of what is expected of noise; 0 for none.
         axis: Label of the horizontal axis; another one than `TIME` does not follow the others.
     """
 
@@ -99,7 +99,7 @@ class Plot(NamedTuple):
     bands: tuple[Band, ...] = ()
     rows: tuple[str, ...] = ()
     spans: tuple[tuple[float, float], ...] = ()
-    level: float | None = None
+    level: float = 0.0
     axis: str = TIME
 
     @property
@@ -294,6 +294,12 @@ def lines(
     return Plot(label, unit, limits, drawn)
 
 
+def stretches(there: Flags) -> list[slice]:
+    """Return the places of each unbroken stretch of true values."""
+    edges = np.flatnonzero(np.diff(there.astype(np.int8), prepend=0, append=0))
+    return [slice(*ends) for ends in edges.reshape(-1, 2).tolist()]
+
+
 def limits_around(values: Iterable[Array]) -> tuple[float, float]:
     """Return a range with all finite values and a margin."""
     finite = [each[np.isfinite(each)] for each in values]
@@ -340,7 +346,7 @@ def _of_quantity(
     wrong.append(thinned_curve("estimated", times, one.error))
     bands, limits = _bands(times, one.values, one.bounds), limits_around([np.array(edges)])
     plot = Plot(quantity.name, quantity.unit, limits, tuple(curves), bands=bands)
-    remark = _remark(metrics, quantity)
+    remark = _remark(metrics[quantity.key])
     if not np.isfinite(one.error).any():
         return (plot._replace(remark=remark),)
     size = _max_error(run, metrics, one.error, one.bounds) or 1.0
@@ -349,17 +355,11 @@ def _of_quantity(
     return plot, Plot(label, quantity.unit, limits, tuple(wrong), remark, bands)
 
 
-def _remark(metrics: RunMetrics, quantity: Quantity) -> tuple[str, ...]:
-    measured = metrics[quantity.key]
-    return tuple(
-        text.format(value)
-        for text, value in (
-            ("RMSE {:.2g}", measured.rmse),
-            ("1σ bound {:.2g}", measured.bound),
-            (f"{{:.4g}} % inside {SIGMAS:g}σ", measured.inside and 100.0 * measured.inside),
-        )
-        if value is not None
-    )
+def _remark(one: QuantityMetrics) -> tuple[str, ...]:
+    texts = "RMSE {:.2g}", "1σ bound {:.2g}", f"{{:.4g}} % inside {SIGMAS:g}σ"
+    values = one.rmse, one.bound, one.inside and 100.0 * one.inside
+    pairs = zip(texts, values, strict=True)
+    return tuple(text.format(value) for text, value in pairs if value is not None)
 
 
 def _max_error(run: RecordedRun, metrics: RunMetrics, error: Array, bounds: Array) -> float:
@@ -402,8 +402,7 @@ def _innovations(
         remark = [f"– – ±{SIGMAS:g}σ expected"] if std else []
         remark += [] if nis is None else [f"mean square {nis:.2f} × expected"]
         curve = thinned_curve("measured", times[there], values[there])._replace(name="innovation")
-        level = SIGMAS * std or None
-        yield Plot(label, unit, (-size, size), (curve,), tuple(remark), level=level)
+        yield Plot(label, unit, (-size, size), (curve,), tuple(remark), level=SIGMAS * std)
 
 
 def _learnt(run: RecordedRun) -> Iterator[Plot]:
@@ -426,8 +425,6 @@ def _learnt(run: RecordedRun) -> Iterator[Plot]:
 def _health(times: Array, values: Array) -> Plot:
     """Return the plot of noise scale and coloured power, and of when no bound is claimed."""
     scale, coloured, void = values[:, 0], values[:, 1], values[:, CLAIMED] == 0.0
-    (edges,) = np.nonzero(np.diff(np.concatenate([[False], void, [False]])))
-    ends = times[edges.clip(max=len(times) - 1)]
     return Plot(
         "noise scale",
         "design's = 1",
@@ -437,7 +434,7 @@ def _health(times: Array, values: Array) -> Plot:
             thinned_curve("coloured power", times, coloured, Style(MUTED, 1.0, "--"), _SLOW_GAP),
         ),
         (f"marked: no bound is claimed, {100.0 * void.mean():.3g} %",),
-        spans=tuple(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True)),
+        spans=tuple((times[own][0], times[: own.stop + 1][-1]) for own in stretches(void)),
     )
 
 

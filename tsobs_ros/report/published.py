@@ -81,7 +81,7 @@ def make_paper_report(
     claims, arm = judge(runs, comparison), _arm_numbers(comparison)
     data: dict[str, Any] = {
         "claims": [claim._asdict() for claim in claims],
-        "numbers": {name: _numbers(run) for name, run in runs.items()} | {"example_3": arm},
+        "numbers": arm,
         "page": str(page),
         "figures": [str(figure) for figure in figures],
     }
@@ -186,21 +186,6 @@ def _arm_rows(comparison: ArmComparison) -> Iterator[tuple[Plot, ...]]:
         )._replace(remark=(_LABELS[name],))
         for name in ("paper", "ours")
     )
-
-
-def _numbers(run: ExampleRun) -> dict[str, Any]:
-    """Return the numbers of Example 1 or 2 as plain data."""
-    settled = {
-        variant: {
-            f"lambda_{case}": {
-                "rms_state": run.settled_rms(variant, case).tolist(),
-                "largest": run.settled_error(variant, case).tolist(),
-            }
-            for case in (0, 1)
-        }
-        for variant in ("adaptive", "fixed")
-    }
-    return {"epsilon": run.design.epsilon, "settled": settled}
 
 
 def _arm_numbers(comparison: ArmComparison) -> dict[str, Any]:

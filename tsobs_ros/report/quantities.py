@@ -36,56 +36,46 @@ class Quantity(NamedTuple):
     jump: float = math.inf
 
 
-_ARM = (
-    Quantity("link_angle", "link angle", "rad", column=0),
-    Quantity("link_velocity", "link velocity", "rad/s", column=1),
-    Quantity("motor_angle", "motor angle", "rad", column=2),
-    Quantity("motor_velocity", "motor velocity", "rad/s", column=3),
-)
-
-QUANTITIES = (*_ARM, Quantity("disturbance", "sensor disturbance", "rad", "disturbance", 0, JUMP))
-"""Those of an arm with an encoder on its link."""
-
-
 def quantities_of(request: ArmRequest | TSRequest) -> tuple[Quantity, ...]:
     """Return what is estimated with a design: states, disturbances and torque disturbances.
 
     Of several outputs, those without a disturbance are left out.
     """
-    outputs, is_arm = outputs_of(request), isinstance(request, ArmRequest)
-    disturbances = []
+    is_arm, outputs = isinstance(request, ArmRequest), outputs_of(request)
+    alone, names = is_arm and len(outputs) == 1, _said(request, request.state_names)
+    states = zip(request.state_names, names, request.state_units, strict=True)
+    found = [Quantity(*each, column=place) for place, each in enumerate(states)]
     for place, (key, (name, unit)) in enumerate(zip(request.output_names, outputs, strict=True)):
-        if request.disturbance_model.H[place].any():
+        if alone or request.disturbance_model.H[place].any():
+            key_name = f"disturbance_{key}", f"disturbance of {name}"
+            if alone:
+                key_name = "disturbance", "sensor disturbance"
             jump = JUMP if is_arm and key.endswith("_angle") else math.inf
-            names = f"disturbance_{key}", f"disturbance of {name}"
-            disturbances.append(Quantity(*names, unit, "disturbance", place, jump))
-    if not isinstance(request, ArmRequest):
-        states = zip(request.state_names, request.state_units, strict=True)
-        named = (Quantity(key, key, unit, column=k) for k, (key, unit) in enumerate(states))
-        return (*named, *disturbances)
-    if len(outputs) == 1:
-        disturbances = [QUANTITIES[4]._replace(unit=outputs[0][1])]
-    torques, map_ = [], request.flow.torque_map
-    for place, side in enumerate(request.torque_sides):
-        size = math.sqrt((map_ @ request.initial_covariance @ map_.T)[place, place])
-        key, name = f"torque_disturbance_{side}", f"torque disturbance at {side}"
-        torques.append(Quantity(key, name, "N m", "torque_disturbance", place, size))
-    return (*_ARM, *disturbances, *torques)
+            found.append(Quantity(*key_name, unit, "disturbance", place, jump))
+    if isinstance(request, ArmRequest):
+        map_ = request.flow.torque_map
+        for place, side in enumerate(request.torque_sides):
+            size = math.sqrt((map_ @ request.initial_covariance @ map_.T)[place, place])
+            key, name = f"torque_disturbance_{side}", f"torque disturbance at {side}"
+            found.append(Quantity(key, name, "N m", "torque_disturbance", place, size))
+    return tuple(found)
 
 
 def outputs_of(request: ArmRequest | TSRequest) -> list[tuple[str, str]]:
     """Return the names of the outputs, for people, with their units."""
-    names = request.output_names
-    if isinstance(request, ArmRequest):
-        names = tuple(name.replace("_", " ") for name in names)
-    return list(zip(names, request.output_units, strict=True))
+    return list(zip(_said(request, request.output_names), request.output_units, strict=True))
 
 
 def inputs_of(request: ArmRequest | TSRequest) -> list[tuple[str, str]]:
     """Return the names of the inputs, for people, with their units."""
-    if isinstance(request, TSRequest):
-        return list(zip(request.input_names, request.input_units, strict=True))
-    return [("applied torque", "N m")]
+    names = ("applied torque",) if isinstance(request, ArmRequest) else request.input_names
+    return list(zip(names, request.input_units, strict=True))
+
+
+def _said(request: ArmRequest | TSRequest, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return names for people: those of an arm are words, those of a T–S system are its own."""
+    is_arm = isinstance(request, ArmRequest)
+    return tuple(name.replace("_", " ") for name in names) if is_arm else names
 
 
 def measured_states(request: ArmRequest | TSRequest) -> dict[str, int]:

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,8 +49,6 @@ TRUE = {
 
 _OWN = {fields[0]: topic for topic, fields in ESTIMATES.items() if topic != topics.HEALTH}
 _OWN |= {"health": topics.HEALTH, "innovation": topics.INNOVATION}
-
-Key = TypeVar("Key")
 
 
 class Estimated(NamedTuple):
@@ -161,7 +159,7 @@ class RecordedRun:
         }
 
 
-def read_series(source: BagSource, asked: Mapping[Key, tuple[str, Wanted]]) -> dict[Key, Series]:
+def read_series(source: BagSource, asked: Mapping[str, tuple[str, Wanted]]) -> dict[str, Series]:
     """Read numbers of topics of JointStates, all in one pass and up to any damage.
 
     Asked for are full names of topics, each with groups of places; of each message the last group
