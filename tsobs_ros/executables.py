@@ -11,7 +11,7 @@ makes the node. From there on a signal raises a flag.
 import os
 import sys
 
-from tsobs_ros.stop import StopFlag, end_at_once, end_with_parent, ignore_signals
+from tsobs_ros.stop import end_at_once, end_with_parent, ignore_signals
 
 # Before anything else is imported, which takes a tenth of a second on a busy machine.
 _NAMES = ("observer", "plant_simulator", "recorder", "player", "visualizer", "tsobs")
@@ -46,8 +46,7 @@ def run(name: str) -> int:
         if advice is None:
             raise
         return complain(advice)
-    with StopFlag() as stop:
-        exit_code: int = runtime.run(module.create, stop=stop)
+    exit_code: int = runtime.run(module.create)
     ignore_signals()
     runtime.limit_time_left(_FINALISE_TIMEOUT)
     return exit_code

@@ -20,7 +20,7 @@ from rclpy.parameter import Parameter
 
 from tsobs_ros.errors import ParameterError, printable
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.settings import Setting, changed, in_yaml, setting, settings_of, values_of
+from tsobs_ros.settings import Setting, changed, setting, settings_of, values_of
 
 P = TypeVar("P")
 T = TypeVar("T")
@@ -133,8 +133,6 @@ def declare(node: Node, make: type[P], given: Mapping[str, Any]) -> P:
         if not (node.has_parameter(name) or name.startswith("qos_overrides.")):
             text = f"ignored unknown parameter '{name}'"
             node.get_logger().warning(printable(text))
-    text = ", ".join(f"{name}={in_yaml(value)}" for name, value in values.items())
-    node.get_logger().debug(printable(f"parameters: {text}"))
     return built
 
 

@@ -166,39 +166,33 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
     parser.parse_args(list(map(printable, own)))
 
 
-def run(
-    create: Callable[[], Node],
-    args: Sequence[str] | None = None,
-    stop: Callable[[], bool] | None = None,
-) -> int:
+def run(create: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     """Create a node, spin it until something ends the process, and return the exit code.
+
+    The signals of `StopFlag` are caught meanwhile, which only the main thread may do.
 
     Args:
         create: Makes the node, on the default context.
         args: Command line including the program's name; `sys.argv` if None.
-        stop: Returns whether to end; called before every wait of at most 0.2 s. If None, the
-            signals of `StopFlag` are caught here, which only the main thread may do.
     """
-    if stop is None:
-        with StopFlag() as flag:
-            return run(create, args, flag)
     given = [*(sys.argv if args is None else args), *_log_arguments()]
-    try:
-        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # rcl could not parse the arguments or the parameter file
-        return complain(error)
-    node: Node | None = None
-    exit_code = 0
-    try:
-        if not stop():
-            node = create()
-            _spin(node, stop)
-    except (ExternalShutdownException, ShutdownException):
-        pass  # the context was shut down from outside: a clean end
-    except EXPECTED as error:
-        exit_code = complain(error)
-    finally:
-        exit_code = _tear_down(node, exit_code)
+    with StopFlag() as stop:
+        try:
+            rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+        except RuntimeError as error:  # rcl could not parse the arguments or the parameter file
+            return complain(error)
+        node: Node | None = None
+        exit_code = 0
+        try:
+            if not stop():
+                node = create()
+                _spin(node, stop)
+        except (ExternalShutdownException, ShutdownException):
+            pass  # the context was shut down from outside: a clean end
+        except EXPECTED as error:
+            exit_code = complain(error)
+        finally:
+            exit_code = _tear_down(node, exit_code)
     return exit_code
 
 
