@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 import yaml
 from rosbags.rosbag2.metadata import parse_qos
@@ -56,7 +57,7 @@ def test_every_key_of_the_format_is_written(tmp_path: Path) -> None:
         ("ros_distro", "jazzy"),
     ]
     topic = {"name": "/a", "type": "std_msgs/msg/String", "serialization_format": "cdr"}
-    topic |= {"offered_qos_profiles": [QosProfile().to_map()]}
+    topic |= {"offered_qos_profiles": [msgspec.to_builtins(QosProfile())]}
     topic |= {"type_description_hash": "RIHS01_" + "0" * 64}
     assert topics[0] == {"topic_metadata": topic, "message_count": 3}
     for file, start, duration, count in zip(
@@ -93,7 +94,7 @@ def _set(*path: Any, to: Any) -> Callable[[Any], None]:
 def test_what_is_no_metadata_is_refused(
     tmp_path: Path, change: Callable[[Any], None], message: str
 ) -> None:
-    information = yaml.safe_load(METADATA.to_yaml())
+    information = msgspec.to_builtins(METADATA)
     change(information)
     text = yaml.safe_dump({"rosbag2_bagfile_information": information})
     (tmp_path / "metadata.yaml").write_text(text)
@@ -126,7 +127,7 @@ def test_the_yaml_is_the_one_jazzy_writes_and_rosbags_understands() -> None:
 
 
 def of(**changes: object) -> str:
-    return yaml.safe_dump([QosProfile().to_map() | changes])
+    return yaml.safe_dump([msgspec.to_builtins(QosProfile()) | changes])
 
 
 def test_profiles_survive_yaml_and_policies_by_number_are_those_of_the_rmw() -> None:

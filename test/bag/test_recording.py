@@ -94,4 +94,4 @@ def test_syncing_while_a_bag_is_written_split_and_closed_does_no_harm(tmp_path: 
     reader = BagReader(tmp_path / "bag")
     assert [m.log_time for m in reader.messages()] == list(range(number))
     assert reader.metadata is not None
-    assert reader.metadata.to_map()["message_count"] == number
+    assert reader.metadata.message_count == number

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -150,7 +151,8 @@ class FileWriter:
     def add_metadata(self, metadata: BagMetadata) -> None:
         """Append the metadata of the bag, behind all messages so far."""
         self._finish_chunk()
-        record = Metadata("rosbag2", {"serialized_metadata": metadata.to_yaml()})
+        text = msgspec.yaml.encode(metadata).decode()
+        record = Metadata("rosbag2", {"serialized_metadata": text})
         data, at = _packed(record), self._stream.tell()
         self._metadata.append(MetadataIndex(at, len(data), record.name))
         self._stream.write(data)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
-import yaml
 from mcap.records import Channel, Schema
 
 from tsobs_ros.bag.definitions import MessageDefinition
@@ -35,9 +34,6 @@ _POLICIES: Mapping[str, tuple[str, ...]] = {
         "system_default", "automatic", "manual_by_node", "manual_by_topic", *_OF_PUBLISHER
     ),
 }  # fmt: skip
-
-# libyaml's is ten times as fast, and metadata is written while messages arrive.
-_DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 _Count = Annotated[int, msgspec.Meta(ge=0)]
 
@@ -89,16 +85,10 @@ class QosProfile(msgspec.Struct, frozen=True):
             if (name := getattr(self, policy)) not in names:
                 raise ValueError(f"{policy} is '{name}', but must be one of {', '.join(names)}")
 
-    def to_map(self) -> dict[str, Any]:
-        """Return the profile as the map of metadata version 9."""
-        plain: dict[str, Any] = msgspec.to_builtins(self)
-        return plain
-
 
 def profiles_to_yaml(profiles: Iterable[QosProfile]) -> str:
     """Return the offers as the YAML list that is a channel's `offered_qos_profiles`."""
-    maps = [profile.to_map() for profile in profiles]
-    return str(yaml.safe_dump(maps, sort_keys=False)).rstrip("\n")
+    return msgspec.yaml.encode(list(profiles)).decode().rstrip("\n")
 
 
 def profiles_from_yaml(text: str) -> tuple[QosProfile, ...]:
@@ -318,15 +308,6 @@ class BagMetadata(msgspec.Struct, frozen=True):
             "jazzy",
         )
 
-    def to_map(self) -> dict[str, Any]:
-        """Return it as plain data."""
-        plain: dict[str, Any] = msgspec.to_builtins(self)
-        return plain
-
-    def to_yaml(self) -> str:
-        """Return it as YAML: the text that an MCAP file carries."""
-        return _dump(self.to_map())
-
     @classmethod
     def from_map(cls, information: object) -> "BagMetadata":
         """Return the metadata that the content of the root key states."""
@@ -350,7 +331,8 @@ def write_metadata(folder: Path, metadata: BagMetadata) -> None:
     Raises:
         BagWriteError: The file cannot be written.
     """
-    write_whole(folder / FILE_NAME, _dump({ROOT_KEY: metadata.to_map()}), BagWriteError)
+    text = msgspec.yaml.encode({ROOT_KEY: metadata}).decode()
+    write_whole(folder / FILE_NAME, text, BagWriteError)
 
 
 def read_metadata(folder: Path) -> BagMetadata:
@@ -424,7 +406,3 @@ class BagFiles:
 def _by_number(path: Path) -> tuple[int, str]:
     match = _NUMBER.search(path.stem)
     return (int(match[1]) if match else -1, path.name)
-
-
-def _dump(content: Mapping[str, Any]) -> str:
-    return str(yaml.dump(content, Dumper=_DUMPER, sort_keys=False, allow_unicode=True))

@@ -11,6 +11,8 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from tsobs_ros.bag.container import Span, by_channel
 from tsobs_ros.bag.damaged import DamagedFile
 from tsobs_ros.bag.metadata import BagFiles, TopicInfo
@@ -107,30 +109,22 @@ def _durations(reader: BagReader) -> dict[str, int]:
     """Return the time [ns] from the first to the last message of each topic."""
 
     @cache
-    def times(span: Span) -> dict[str, list[int]]:
-        """Return log times of each topic in a chunk, the smallest and the largest among them."""
+    def times(span: Span) -> list[tuple[str, int, int]]:
+        """Return the smallest and the largest log time of each channel's topic in a chunk."""
         rows, channels = reader.read(span)[0].rows, reader.summaries[span.rank].channels
-        found: dict[str, list[int]] = {}
-        for id_, places in by_channel(rows):
-            own = rows["log_time"][places]
-            found.setdefault(channels[id_].topic, []).extend((int(own.min()), int(own.max())))
-        return found
+        each = ((channels[id_].topic, rows["log_time"][own]) for id_, own in by_channel(rows))
+        return [(name, int(own.min()), int(own.max())) for name, own in each]
 
-    spans: dict[str, list[Span]] = {name: [] for name in reader.topics}
-    for span in reader.spans:
-        for name in reader.topics_of(span):
-            spans[name].append(span)
-    durations = {}
-    for name, own in spans.items():
-        first, last = 2**63, 0
-        for span in sorted(own, key=attrgetter("start")):
-            if span.start < first:
-                first = min(first, *times(span).get(name, (first,)))
-        for span in sorted(own, key=attrgetter("end"), reverse=True):
-            if span.end > last:
-                last = max(last, *times(span).get(name, (last,)))
-        durations[name] = last - first
-    return durations
+    first, last = dict.fromkeys(reader.topics, 2**63), dict.fromkeys(reader.topics, 0)
+    for span in sorted(reader.spans, key=attrgetter("start")):
+        if any(span.start < first[name] for name in reader.topics_of(span)):
+            for name, start, _ in times(span):
+                first[name] = min(first[name], start)
+    for span in sorted(reader.spans, key=attrgetter("end"), reverse=True):
+        if any(span.end > last[name] for name in reader.topics_of(span)):
+            for name, _, end in times(span):
+                last[name] = max(last[name], end)
+    return {name: last[name] - first[name] for name in reader.topics}
 
 
 def _topic(topic: TopicInfo, duration: int) -> dict[str, Any]:
@@ -141,7 +135,7 @@ def _topic(topic: TopicInfo, duration: int) -> dict[str, Any]:
         "type": topic.type,
         "messages": topic.count,
         "serialization_format": "cdr",
-        "qos": [profile.to_map() for profile in topic.qos_profiles],
+        "qos": msgspec.to_builtins(list(topic.qos_profiles)),
         "type_hash": topic.type_hash,
         "rate": (topic.count - 1) * 1e9 / duration if is_periodic else None,
     }

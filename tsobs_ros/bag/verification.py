@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
+import msgspec
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Chunk, DataEnd
@@ -135,7 +136,7 @@ def _check_names(there: BagFiles, metadata: BagMetadata, errors: _Findings) -> N
 
 def _differences(metadata: BagMetadata, files: list["_Check"]) -> Iterator[str]:
     """Yield in what metadata.yaml is not what it would be of the files."""
-    stated = _by_name(metadata.to_map())
+    stated = _by_name(msgspec.to_builtins(metadata))
     whole = [file for file in files if file.is_complete]
     counts = sum((file.kept for file in whole), Counter[str]())
     hashes = {name: one["type_description_hash"] for name, one in stated["topics"].items()}
@@ -145,7 +146,7 @@ def _differences(metadata: BagMetadata, files: list["_Check"]) -> Iterator[str]:
         for name, one in topics.items()
     ]
     found = BagMetadata.of(each, [file.as_metadata() for file in whole])
-    actual = _by_name(found.to_map())
+    actual = _by_name(msgspec.to_builtins(found))
     if len(whole) < len(metadata.files):  # the files that could be checked
         for topic in actual["topics"].values():
             del topic["message_count"]
