@@ -3,15 +3,16 @@
 """Recovery of a damaged bag: a whole bag of what its files still hold, and an account of it."""
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from tsobs_ros.bag.container import Records
 from tsobs_ros.bag.damaged import DamagedFile
 from tsobs_ros.bag.metadata import BagFiles, TopicInfo
 from tsobs_ros.bag.walker import Progress
-from tsobs_ros.bag.writer import BagWriter, whole_bag
+from tsobs_ros.bag.writer import whole_bag
 from tsobs_ros.errors import BagReadError, BagWriteError, printable
 
 _SHOWN = 10
@@ -122,33 +123,33 @@ def recover(
         raise BagWriteError(f"{target}: exists already, bags are not overwritten")
     if source.resolve() in target.resolve().parents:
         raise BagWriteError(f"{target}: is inside of the bag {source}, which is not touched")
-    writer: BagWriter | None = None
-    added = 0
-    with ExitStack() as stack:
-        for file in files:
-            if writer is not None:
-                writer.split()
-            for _, kept in file.parts(progress, is_trusted=is_trusted):
-                if kept is None or not len(kept.rows):
-                    continue
-                if writer is None:
-                    metadata = there.metadata or file.metadata
-                    notes = metadata.custom_data if metadata else None
-                    new = whole_bag(target, compression=compression, custom_data=notes)
-                    writer = stack.enter_context(new)
-                if added < len(topics):
-                    writer.add_topics(topics.values())
-                    added = len(topics)
-                names = {id_: topic.name for id_, topic in file.described.topics.items()}
-                writer.copy(kept, names)
-        if writer is not None:
-            writer.add_topics(topics.values())  # those without messages, too
-    if writer is None:
+    found: Iterator[tuple[DamagedFile, Records]] = (
+        (file, kept)
+        for file in files
+        for _, kept in file.parts(progress, is_trusted=is_trusted)
+        if kept is not None and len(kept.rows)
+    )
+    if (first := next(found, None)) is None:
         each = (
             f"{file.name}: {file.error or next(map(str, file.damage), 'it holds no messages')}"
             for file in files
         )
         raise BagReadError(f"{source}: no message can be recovered: {'; '.join(each)}")
+    (previous, _), added = first, 0
+    found = chain([first], found)
+    del first  # a chunk may be large
+    metadata = there.metadata or previous.metadata
+    notes = metadata.custom_data if metadata else None
+    with whole_bag(target, compression=compression, custom_data=notes) as writer:
+        for file, kept in found:
+            if file is not previous:
+                writer.split()
+            previous = file
+            if added < len(topics):
+                writer.add_topics(topics.values())
+                added = len(topics)
+            writer.copy(kept, {id_: one.name for id_, one in file.described.topics.items()})
+        writer.add_topics(topics.values())  # those without messages, too
     return Recovery(source, target, tuple(files), tuple(_remarks(there, files)))
 
 
