@@ -123,6 +123,16 @@ def by_channel(rows: Rows) -> Iterator[tuple[int, NDArray[np.intp]]]:
     return zip(ids.tolist(), np.split(order, begins[1:]), strict=False)
 
 
+def message_indexes(rows: Rows) -> Iterator[tuple[int, int, bytes]]:
+    """Yield the channels in a chunk, by first message, each with its count and message index."""
+    entries = np.stack([rows["log_time"], rows["begin"] - MESSAGE.size], axis=1).astype("<i8")
+    for channel, places in sorted(by_channel(rows), key=lambda each: int(each[1][0])):
+        own = entries[places].tobytes()
+        length = INDEX_HEAD.size - RECORD.size + len(own)
+        head = INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, length, channel, len(own))
+        yield channel, len(places), head + own
+
+
 def pieces(data: NDArray[np.uint8], size: int) -> NDArray[np.void]:
     """Return the `size` bytes that begin at each place of some data, which are not copied."""
     return np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))

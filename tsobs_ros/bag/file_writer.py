@@ -33,12 +33,11 @@ from mcap.records import (
 )
 
 from tsobs_ros.bag.container import (
-    INDEX_HEAD,
     MAGIC,
     MESSAGE,
     RECORD,
     Records,
-    by_channel,
+    message_indexes,
     split_records,
 )
 from tsobs_ros.bag.metadata import BagMetadata, FileMetadata, TopicInfo, profiles_to_yaml
@@ -226,17 +225,13 @@ class FileWriter:
         packed, crc = self._compress(data), zlib.crc32(data)
         chunk = Chunk(self._compression, packed, end, start, crc, len(data))
         record, at = _packed(chunk), self._stream.tell()
-        entries = np.stack([rows["log_time"], rows["begin"] - MESSAGE.size], axis=1).astype("<u8")
         offsets, indexes = {}, bytearray()
-        # The channel of the first message comes first.
-        for channel, places in sorted(by_channel(rows), key=lambda each: int(each[1][0])):
+        for channel, count, index in message_indexes(rows):
             offsets[channel] = at + len(record) + len(indexes)
-            own = entries[places].tobytes()
-            length = INDEX_HEAD.size - RECORD.size + len(own)
-            indexes += INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, length, channel, len(own)) + own
-            self._counts[channel] += len(places)
+            indexes += index
+            self._counts[channel] += count
         self._stream.write(record + indexes)
-        index = ChunkIndex(
+        stated = ChunkIndex(
             chunk_length=len(record),
             chunk_start_offset=at,
             compression=self._compression,
@@ -247,7 +242,7 @@ class FileWriter:
             message_start_time=start,
             uncompressed_size=len(data),
         )
-        self._chunks.append(index)
+        self._chunks.append(stated)
 
 
 def pick(content: Records, ids: Mapping[int, int]) -> Records:

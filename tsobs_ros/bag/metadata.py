@@ -163,6 +163,7 @@ class Descriptions:
             schema = self.schemas.get(record.id)
             if schema is None and self._has_room(len(record.data)):
                 self.schemas[record.id] = record
+                self._texts[record.id] = record.data.decode(errors="replace")
             elif schema not in (None, record) and f"schema {record.id}" not in self.problems:
                 ids = [i for i, one in self.channels.items() if one.schema_id == record.id]
                 self._contradict(
@@ -187,8 +188,6 @@ class Descriptions:
             raise ValueError(f"is encoded in '{channel.message_encoding}', not in cdr")
         if schema is None:
             raise ValueError("has no type")
-        if schema.id not in self._texts:  # schemas are shared
-            self._texts[schema.id] = schema.data.decode(errors="replace")
         hash_ = channel.metadata.get("topic_type_hash", "")
         text = self._texts[schema.id]
         definition = MessageDefinition(schema.name, text, hash_, schema.encoding)

@@ -208,25 +208,25 @@ class BagReader:
                 raise self._error("too many chunks overlap in time to be read in order of log time")
 
     def _load(
-        self, span: Span, numbers: list[NDArray[np.int64]], start: int, end: int
+        self, span: Span, numbers: Sequence[Mapping[int, int]], start: int, end: int
     ) -> tuple[Rows, bytes]:
         """Return the messages of a span that are wanted, in order of log time, and its records."""
         (data, rows), chunk = self.read(span)
-        rows["channel"] = numbers[span.rank][rows["channel"]]
+        new = np.full(2**16, -1)
+        new[list(numbers[span.rank])] = list(numbers[span.rank].values())
+        rows["channel"] = new[rows["channel"]]
         times = rows["log_time"]
         rows = rows[(rows["channel"] >= 0) & (times >= start) & (times < end)]
         self.unchecked += 0 if chunk.uncompressed_crc else len(rows)
         return rows[np.argsort(rows["log_time"], kind="stable")], data
 
-    def _numbers(self, topics: Sequence[str]) -> list[NDArray[np.int64]]:
-        """Return the place of each channel's topic, by file; -1 of those that are not wanted."""
+    def _numbers(self, topics: Sequence[str]) -> list[dict[int, int]]:
+        """Return the place of each wanted channel's topic, by file."""
         place = {name: number for number, name in enumerate(topics)}
-        found = []
-        for summary in self.summaries:
-            found.append(np.full(2**16, -1))
-            for id_, channel in summary.channels.items():
-                found[-1][id_] = place.get(channel.topic, -1)
-        return found
+        return [
+            {id_: place[one.topic] for id_, one in summary.channels.items() if one.topic in place}
+            for summary in self.summaries
+        ]
 
     def _messages(
         self, topics: Sequence[str], rows: Rows, records: Mapping[int, bytes]
@@ -305,18 +305,16 @@ class BagReader:
         names = self.topics if topics is None else topics
         # Before the first message, so that a caller can distinguish this from damage.
         decoders = {name: self.decoder(name) for name in names}
-        return self._decode(self.messages(topics, start_ns, end_ns), decoders)
+        messages = self.messages(topics, start_ns, end_ns)
+        return (self._decoded(message, decoders[message.topic]) for message in messages)
 
-    def _decode(
-        self, messages: Iterable[BagMessage], decoders: Mapping[str, Callable[[bytes], Any]]
-    ) -> Iterator[DecodedMessage]:
-        for topic, type_, data, log_time, publish_time in messages:
-            try:
-                message = decoders[topic](data)
-            except Exception as error:  # the decoder's errors on wrong bytes are of any kind
-                text = f"the message of {topic} at {log_time} ns is not a {type_}: {error}"
-                raise self._error(text) from error
-            yield DecodedMessage(topic, type_, message, log_time, publish_time)
+    def _decoded(self, message: BagMessage, decode: Callable[[bytes], Any]) -> DecodedMessage:
+        topic, type_, data, log_time, publish_time = message
+        try:
+            return DecodedMessage(topic, type_, decode(data), log_time, publish_time)
+        except Exception as error:  # the decoder's errors on wrong bytes are of any kind
+            text = f"the message of {topic} at {log_time} ns is not a {type_}: {error}"
+            raise self._error(text) from error
 
     def decoder(self, name: str) -> Callable[[bytes], Any]:
         """Return what decodes the messages of a topic; it may raise any error."""

@@ -8,7 +8,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from tsobs_ros.bag.container import Records
 from tsobs_ros.bag.damaged import DamagedFile
 from tsobs_ros.bag.metadata import BagFiles, TopicInfo
 from tsobs_ros.bag.walker import Progress
@@ -123,7 +122,7 @@ def recover(
         raise BagWriteError(f"{target}: exists already, bags are not overwritten")
     if source.resolve() in target.resolve().parents:
         raise BagWriteError(f"{target}: is inside of the bag {source}, which is not touched")
-    found: Iterator[tuple[DamagedFile, Records]] = (
+    found = (
         (file, kept)
         for file in files
         for _, kept in file.parts(progress, is_trusted=is_trusted)
@@ -136,12 +135,12 @@ def recover(
         )
         raise BagReadError(f"{source}: no message can be recovered: {'; '.join(each)}")
     (previous, _), added = first, 0
-    found = chain([first], found)
+    chunks = chain([first], found)
     del first  # a chunk may be large
     metadata = there.metadata or previous.metadata
     notes = metadata.custom_data if metadata else None
     with whole_bag(target, compression=compression, custom_data=notes) as writer:
-        for file, kept in found:
+        for file, kept in chunks:
             if file is not previous:
                 writer.split()
             previous = file

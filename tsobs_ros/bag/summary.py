@@ -61,28 +61,28 @@ def summarise(bag: str | Path) -> BagSummary:
     path, problem = Path(bag), ""
     try:
         reader = BagReader(path)
-        metadata, names = reader.metadata, [s.path.name for s in reader.summaries]
-        sizes = [s.path.stat().st_size for s in reader.summaries]
-        counts = [s.statistics.message_count for s in reader.summaries]
+        metadata, start, end = reader.metadata, reader.start_time, reader.end_time
+        files = [
+            (one.path.name, one.path.stat().st_size, one.statistics.message_count)
+            for one in reader.summaries
+        ]
         durations = _durations(reader)
         topics = [(one, durations[name]) for name, one in reader.topics.items()]
-        start, end = reader.start_time, reader.end_time
     except BagReadError as error:
         problem, there, described = str(error), BagFiles(path), dict[str, TopicInfo]()
-        files = [DamagedFile(file, described) for file in there.to_recover()]
-        for file in files:
+        damaged = [DamagedFile(file, described) for file in there.to_recover()]
+        for file in damaged:
             for _ in file.parts():
                 pass
-        if {file.profile for file in files} - {None, "ros2"} or not described:
+        if {file.profile for file in damaged} - {None, "ros2"} or not described:
             raise
-        metadata = there.metadata or next((f.metadata for f in files if f.metadata), None)
-        names, sizes = [file.name for file in files], [file.bytes_read for file in files]
-        counts = [file.kept.total() for file in files]
+        metadata = there.metadata or next((f.metadata for f in damaged if f.metadata), None)
+        files = [(file.name, file.bytes_read, file.kept.total()) for file in damaged]
         topics, of_bag = [], []
         for name, one in described.items():
-            times = [time for file in files for time in file.times.get(name, ())]
+            times = [time for file in damaged for time in file.times.get(name, ())]
             of_bag += times
-            count = sum(file.kept[name] for file in files)
+            count = sum(file.kept[name] for file in damaged)
             duration = max(times, default=0) - min(times, default=0)
             topics.append((replace(one, count=count), duration))
         start, end = min(of_bag, default=None), max(of_bag, default=None)
@@ -91,16 +91,13 @@ def summarise(bag: str | Path) -> BagSummary:
         problem=problem,
         storage_id="mcap",
         ros_distro=metadata.ros_distro if metadata else "",
-        size=sum(sizes),
-        messages=sum(counts),
+        size=sum(size for _, size, _ in files),
+        messages=sum(count for *_, count in files),
         start_ns=start,
         end_ns=end,
         duration_ns=0 if start is None or end is None else end - start,
         custom_data=dict((metadata.custom_data if metadata else None) or {}),
-        files=[
-            {"name": name, "size": size, "messages": count}
-            for name, size, count in zip(names, sizes, counts, strict=True)
-        ],
+        files=[dict(zip(("name", "size", "messages"), file, strict=True)) for file in files],
         topics=[_topic(*each) for each in topics],
     )
 

@@ -9,6 +9,7 @@ Messages are not decoded.
 
 import os
 import re
+import struct
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -16,20 +17,15 @@ from pathlib import Path
 from typing import IO, Any
 
 import msgspec
-import numpy as np
-from mcap.opcode import Opcode
 from mcap.records import Chunk, DataEnd
-from numpy.typing import NDArray
 
 from tsobs_ros.bag.container import (
     INDEX_HEAD,
-    MESSAGE,
-    RECORD,
     RECOVER_HINT,
     Rows,
     Span,
     Summary,
-    by_channel,
+    message_indexes,
     read_summary,
 )
 from tsobs_ros.bag.damaged import DamagedFile
@@ -229,26 +225,14 @@ class _Check(DamagedFile):
         times = rows["log_time"].view("u8")
         start, end = (int(times.min()), int(times.max())) if len(times) else (0, 0)
         self._chunks[part.at] = part.size, start, end
-        entries = np.stack((times.view("i8"), rows["begin"] - MESSAGE.size), axis=1)
         offsets = span.index_offsets if span else {}
-        for id_, places in by_channel(rows):
+        for id_, _, index in message_indexes(rows):
             if (at := offsets.get(id_)) is None:
                 self._error(f"the chunk at byte {part.at} has no message index of channel {id_}")
                 continue
-            size = entries[places].nbytes
-            head = INDEX_HEAD.pack(
-                Opcode.MESSAGE_INDEX, INDEX_HEAD.size - RECORD.size + size, id_, size
-            )
             stream.seek(min(at, self.bytes_read))
-            data = stream.read(len(head) + size)
-            if (
-                len(data) < len(head) + size
-                or not data.startswith(head)
-                or not np.array_equal(
-                    _in_order(np.frombuffer(data, "<i8", offset=len(head)).reshape(-1, 2)),
-                    _in_order(entries[places]),
-                )
-            ):
+            found = stream.read(len(index))
+            if len(found) < len(index) or _in_order(found) != _in_order(index):
                 self._error(f"the index of channel {id_} at byte {at} is not that of its chunk")
 
     def _check_summary(self, summary: Summary) -> None:
@@ -274,6 +258,6 @@ class _Check(DamagedFile):
         self._errors.add(self.name, text)
 
 
-def _in_order(entries: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the entries of a message index by log time and place: each writer has its order."""
-    return entries[np.lexsort(entries.T[::-1])]
+def _in_order(index: bytes) -> tuple[bytes, list[tuple[int, ...]]]:
+    """Return a message index with its entries sorted: each writer has its order."""
+    return index[: INDEX_HEAD.size], sorted(struct.iter_unpack("<QQ", index[INDEX_HEAD.size :]))
