@@ -200,13 +200,8 @@ class Span(NamedTuple):
 
     @property
     def index_offsets(self) -> dict[int, int]:
-        """The places of its message indexes in the file, by channel."""
+        """The places of its message indexes in the file, by channel; a file may have none."""
         return dict(_INDEX_OFFSET.iter_unpack(self.places))
-
-    @property
-    def channels(self) -> frozenset[int] | None:
-        """The channels it has messages of; None if that is unknown."""
-        return frozenset(self.index_offsets) or None
 
 
 class Summary(NamedTuple):

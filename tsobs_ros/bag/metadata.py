@@ -5,7 +5,7 @@
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -152,10 +152,9 @@ class Descriptions:
 
     def add_all(self, schemas: Mapping[int, Schema], channels: Mapping[int, Channel]) -> None:
         """Take what a summary describes."""
-        for schema in schemas.values():
-            self.add(schema)
-        for channel in channels.values():
-            self.add(channel)
+        each: list[Schema | Channel] = [*schemas.values(), *channels.values()]
+        for record in each:
+            self.add(record)
 
     def add(self, record: Schema | Channel) -> None:
         """Take a description; if it differs from an earlier one, the topic may be lost."""
@@ -178,10 +177,8 @@ class Descriptions:
             except ValueError as error:
                 self.problems[record.id] = f"{record.topic}: {error}"
         elif channel is not None and channel != record:
-            mine, its = (
-                (each.topic, each.schema_id, each.message_encoding) for each in (channel, record)
-            )
-            self._contradict("channel", record.id, [record.id] if mine != its else [])
+            is_other = replace(channel, metadata=texts) != record
+            self._contradict("channel", record.id, [record.id] if is_other else [])
 
     def _add_topic(self, channel: Channel, schema: Schema | None) -> None:
         if channel.message_encoding != "cdr":

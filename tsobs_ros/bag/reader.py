@@ -384,7 +384,7 @@ class BagReader:
     def topics_of(self, span: Span) -> set[str]:
         """Return the topics that a chunk may have messages of."""
         channels = self.summaries[span.rank].channels
-        ids = channels.keys() if span.channels is None else span.channels & channels.keys()
+        ids = channels.keys() & span.index_offsets.keys() if span.places else channels.keys()
         return {channels[id_].topic for id_ in ids}
 
     def _add_topics(self, summary: Summary) -> None:

@@ -210,7 +210,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             each = summary.channels.items()
             wanted = {id_: one.topic for id_, one in each if one.topic in topics}
             for span in sorted(summary.spans, key=attrgetter("offset")):
-                if span.channels is None or span.channels & wanted.keys():
+                if not reader.topics_of(span).isdisjoint(topics):
                     self.copy(reader.read(span)[0], wanted)
 
     def copy(self, content: Records, topics: Mapping[int, str]) -> None:
