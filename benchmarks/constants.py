@@ -31,7 +31,7 @@ from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
-CONSTANTS = {name: (value, what) for name, value, what in native.bank_constants()}
+CONSTANTS = {name: (value, what) for name, value, what in native.BANK_CONSTANTS}
 """Value and meaning by name."""
 
 SCENES = (

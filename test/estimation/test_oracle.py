@@ -26,7 +26,7 @@ from tsobs_ros.simulation.scenarios import SCENARIOS, arm_with, simulate
 from tsobs_ros.simulation.signals import Sinusoid
 
 Array = NDArray[np.float64]
-BANK = {name: value for name, value, _ in native.bank_constants()}
+BANK = {name: value for name, value, _ in native.BANK_CONSTANTS}
 PARTS = (Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT, Hypothesis.TONE)
 """Hypotheses with a part of the output that is a state of their own."""
 

@@ -156,7 +156,7 @@ static int is_duration(const signature *of, const argument *t)
            refuse(of, "duration: expected a finite number of at least 0") != NULL;
 }
 
-/* --- layouts of records, and constants --- */
+/* --- layouts of records --- */
 
 enum { FLOW_SIZES = sizeof(flow_sizes) / 8, PLANT_SIZES = sizeof(plant_sizes) / 8 };
 
@@ -186,15 +186,6 @@ BIND(layout, "sd")
         RECORD("history", HISTORY_FIELDS, 0, void)
     }
     return PyErr_Occurred() ? NULL : refuse(of, "expected a record and its sizes");
-}
-
-#define CONSTANT_FORMAT(name, value, what) "(sds)"
-#define CONSTANT_VALUES(name, value, what) , #name, value, what
-
-BIND(bank_constants, "")
-{
-    (void)of, (void)t;
-    return Py_BuildValue("[" BANK_CONSTANTS(CONSTANT_FORMAT) "]" BANK_CONSTANTS(CONSTANT_VALUES));
 }
 
 /* --- functions, flows and simulated plants --- */
@@ -526,7 +517,6 @@ BIND(messages_split, "bD")
 #define METHOD(name) {#name, (PyCFunction)(void (*)(void))name##_bound, METH_FASTCALL, NULL}
 static PyMethodDef methods[] = {
     METHOD(layout),
-    METHOD(bank_constants),
     METHOD(elementary),
     METHOD(weights_of_each),
     METHOD(flow_over),
@@ -550,15 +540,22 @@ static PyMethodDef methods[] = {
 #define SOURCES ""
 #endif
 
+#define CONSTANT_FORMAT(name, value, what) "(sds)"
+#define CONSTANT_VALUES(name, value, what) , #name, value, what
+
 static int add_constants(PyObject *module)
 {
+    PyObject *bank =
+        Py_BuildValue("[" BANK_CONSTANTS(CONSTANT_FORMAT) "]" BANK_CONSTANTS(CONSTANT_VALUES));
     const int failed = PyModule_AddStringConstant(module, "SOURCES", SOURCES) < 0 ||
                        PyModule_AddIntMacro(module, KIND_ARM) < 0 ||
                        PyModule_AddIntMacro(module, KIND_SYSTEM) < 0 ||
                        PyModule_AddIntMacro(module, GAIN_OPEN) < 0 ||
                        PyModule_AddIntMacro(module, GAIN_RICCATI) < 0 ||
                        PyModule_AddIntMacro(module, GAIN_CERTIFIED) < 0 ||
-                       PyModule_AddIntConstant(module, "HYPOTHESES", STANDING + FORKS) < 0;
+                       PyModule_AddIntConstant(module, "HYPOTHESES", STANDING + FORKS) < 0 ||
+                       PyModule_AddObjectRef(module, "BANK_CONSTANTS", bank) < 0;
+    Py_XDECREF(bank);
     return failed ? -1 : 0;
 }
 

@@ -13,6 +13,8 @@ GAIN_OPEN: int
 GAIN_RICCATI: int
 GAIN_CERTIFIED: int
 HYPOTHESES: int
+BANK_CONSTANTS: list[tuple[str, float, str]]
+"""Name, value and meaning of each constant of the bank."""
 SOURCES: str
 
 Numbers = Any
@@ -55,9 +57,6 @@ def history_estimate(*arguments: Any) -> bool:
 
 def history_advance(*arguments: Any) -> None:
     """Offer measurements and estimate at ticks; see `advance` in history.h."""
-
-def bank_constants() -> list[tuple[str, float, str]]:
-    """Return name, value and meaning of each constant of the bank."""
 
 def estimator_correct(model: Any, states: Any, y: Any, corrections: Any, /) -> None:
     """Use one measurement (p), in place, and write its effect."""

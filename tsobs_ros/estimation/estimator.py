@@ -19,7 +19,7 @@ from tsobs_ros.model.matrices import congruent, inverse, joseph
 from tsobs_ros.model.prediction import Flow, Record, Uncertainty, fill_matrix
 from tsobs_ros.settings import check, live_setting
 
-CONSTANTS = {name: place for place, (name, *_) in enumerate(native.bank_constants())}
+CONSTANTS = {name: place for place, (name, *_) in enumerate(native.BANK_CONSTANTS)}
 """Places of the constants of the bank in a model record."""
 
 PERIOD_TOLERANCE = 0.1

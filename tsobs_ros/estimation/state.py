@@ -90,7 +90,7 @@ def new_model(
     model["period"], model["gate"] = period, np.inf
     for name, value in asdict(torque).items():
         model[f"torque_{name}"] = value
-    model["constants"] = [value for _, value, _ in native.bank_constants()]
+    model["constants"] = [value for _, value, _ in native.BANK_CONSTANTS]
     initial = model["initial"]
     initial["sensors"]["value"] = np.nan
     initial["sensors"]["noise_scale"] = initial["noise_scale"] = 1.0
