@@ -94,10 +94,6 @@ class ExampleRun:
         """Return x − x̂, shape (samples, 2, n)."""
         return np.asarray(self.states - self.estimates[variant].x)
 
-    def disturbance_error(self, variant: str) -> Array:
-        """Return ω − ω̂, shape (samples, 2, p)."""
-        return np.asarray(self.disturbance[:, np.newaxis] - self.estimates[variant].disturbance)
-
     def adaptation(self, variant: str) -> Array:
         """Return the largest ‖Ξ̂ᵢ‖ over the rules, shape (samples, 2)."""
         Xi = self.estimates[variant].Xi
@@ -118,7 +114,8 @@ class ExampleRun:
 
     def settled_error(self, variant: str, uncertainty: int) -> Array:
         """Return the largest |x − x̂|, |ω − ω̂| from 10 s on, shape (n + p,), at λ = 0 or 1."""
-        joined = np.concatenate([self.state_error(variant), self.disturbance_error(variant)], -1)
+        omega = self.disturbance[:, np.newaxis] - self.estimates[variant].disturbance
+        joined = np.concatenate([self.state_error(variant), omega], axis=-1)
         return np.asarray(np.abs(joined[self.times >= SETTLED, uncertainty]).max(axis=0))
 
     def settled_rms(self, variant: str, uncertainty: int) -> Array:

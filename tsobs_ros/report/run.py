@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One recorded run of the observer as stamped series of numbers, read from a bag."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -131,32 +131,23 @@ class RecordedRun:
 
     @cached_property
     def _estimated(self) -> dict[str, Estimated]:
-        # A disturbance may jump between its samples.
-        reads = {
-            "true_state": interpolate,
-            "true_disturbance": hold,
-            "true_torque_disturbance": hold,
-        }
-        known = {
-            name: reads.get(name, align)(part, self.stamps)
-            for name, part in self.parts.items()
-            if name in (*ESTIMATED, *TRUE)
-        }
-        nothing = np.full(len(self.stamps), np.nan)
+        def column(name: str, place: int) -> Series | None:
+            part = self.part(name)
+            return part._replace(values=part.values[:, [place]]) if len(part.stamps) else None
 
-        def of(name: str, column: int) -> Array:
-            return known[name][:, column] if name in known else nothing
+        def read(one: Series | None, at: Callable[[Series, Stamps], Array]) -> Array:
+            nothing = np.full(len(self.stamps), np.nan)
+            return nothing if one is None else at(one, self.stamps)[:, 0]
 
-        return {
-            one.key: Estimated(
-                of(one.kind, one.column),
-                of(f"{one.kind}_bound", one.column),
-                truth._replace(values=truth.values[:, [one.column]]) if len(truth.stamps) else None,
-                of(f"true_{one.kind}", one.column),
-            )
-            for one in self.quantities
-            for truth in [self.part(f"true_{one.kind}")]
-        }
+        found = {}
+        for one in self.quantities:
+            names = one.kind, f"{one.kind}_bound", f"true_{one.kind}"
+            value, bound, truth = (column(name, one.column) for name in names)
+            # A disturbance may jump between its samples.
+            between = interpolate if one.kind == "state" else hold
+            rows = read(value, align), read(bound, align), truth, read(truth, between)
+            found[one.key] = Estimated(*rows)
+        return found
 
 
 def read_series(source: BagSource, asked: Mapping[str, tuple[str, Wanted]]) -> dict[str, Series]:
