@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tsobs_ros.bag import BagReader, QosProfile
+from tsobs_ros.bag.metadata import read_metadata
 from tsobs_ros.bag.recording import LatchedMessages, Received, Recording
 from tsobs_ros.errors import BagWriteError
 
@@ -91,7 +92,5 @@ def test_syncing_while_a_bag_is_written_split_and_closed_does_no_harm(tmp_path: 
             writer.write(topic, b"data", time, time)
             if time % 10 == 0:
                 writer.flush()
-    reader = BagReader(tmp_path / "bag")
-    assert [m.log_time for m in reader.messages()] == list(range(number))
-    assert reader.metadata is not None
-    assert reader.metadata.message_count == number
+    assert [log_time for _, log_time, _ in stored(tmp_path / "bag")] == list(range(number))
+    assert read_metadata(tmp_path / "bag").message_count == number
