@@ -7,10 +7,10 @@ rest, and the torque follows from the nominal arm backwards (the link angle is i
 
     τ = J₁ q̈₁ + b₁ q̇₁ + mgl sin q₁,   q₂ = q₁ + τ/k,   u = J₂ q̈₂ + b₂ q̇₂ + τ
 
-So the nominal arm starts and ends at rest, and one without gravity does not drift. A seeded search
-chooses phases and amplitudes for the largest information that a recording of the motion would
-give. Each candidate is as large as the limits allow, for the nominal arm and for others within the
-request's uncertainty; how far they go is simulated.
+So the nominal arm starts and ends at rest, and one without gravity does not drift. Of motions with
+phases and amplitudes at random, the one is taken whose recording would give the most information.
+Each is as large as the limits allow, for the nominal arm and for others within the request's
+uncertainty; how far they go is simulated.
 """
 
 import math
@@ -52,12 +52,14 @@ _BOUND, _RUBBING = 0.3, 0.04
 """Relative error of a number about which the request says nothing, and largest Coulomb friction of
 random arms by the torque of reference."""
 
-_STARTS, _LONGEST = 8, 600.0
-"""Random motions before the search changes the best one, and largest duration [s]."""
+_LONGEST = 600.0
+"""Largest duration [s]."""
 
-_TONES, _KNOTS, _PERIODS, _BEYOND = 24, 6, 3.0, 2.5
-"""Number of tones, and of frequencies at which their amplitudes are chosen; periods of the slowest
-in the motion; the fastest by the joint's resonance."""
+_TONES, _PERIODS, _BEYOND = 24, 3.0, 2.5
+"""Number of tones; periods of the slowest in the motion; the fastest by the joint's resonance."""
+
+_KNOTS, _SPREAD = 6, 1.5
+"""Number of frequencies at which amplitudes are drawn, and 1σ of their logarithms."""
 
 _SMALLEST = 1e-9
 """A link angle that no sensor shows [rad]."""
@@ -156,10 +158,7 @@ time [s],torque [N m],expected_link_angle [rad],expected_motor_angle [rad]
 
 
 class _Motions:
-    """The motions of a request's arm within limits, and what their recordings would show.
-
-    A motion's genes are the phases of its tones [rad] and the logarithms of torques at the knots.
-    """
+    """The motions of a request's arm within limits, and what their recordings would show."""
 
     def __init__(
         self, request: ArmRequest, duration: float, limits: Limits, free: Sequence[str], seed: int
@@ -206,9 +205,10 @@ class _Motions:
         moved = [each not in noises for each in unknowns.numbers]
         self._wanted = np.array(moved) if any(moved) else np.full(unknowns.count, True)
 
-    def angle(self, genes: Array) -> Array:
-        """Return the link angle, up to a scale, shape (n,)."""
-        phases, levels = np.split(genes, [_TONES])
+    def drawn(self, rng: np.random.Generator) -> Array:
+        """Return the link angle of a motion at random, up to a scale, shape (n,)."""
+        phases = rng.uniform(0.0, math.tau, _TONES)
+        levels = _SPREAD * rng.standard_normal(_KNOTS)
         knots = np.linspace(0.0, _TONES - 1.0, _KNOTS)
         amplitudes = self._gains * np.exp(np.interp(np.arange(_TONES), knots, levels))
         # A held torque acts half a period later.
@@ -244,14 +244,13 @@ class _Motions:
         return np.column_stack([np.full(len(arms), np.abs(torque).max()), reached])
 
     def scaled(
-        self, genes: Array, arms: Sequence[Scenario], scale: float, rounds: int
+        self, angle: Array, arms: Sequence[Scenario], scale: float, rounds: int
     ) -> tuple[Array, float, Limits]:
         """Return torque, scale and what is reached of a motion as large as the limits allow.
 
         From the given scale [rad] it is made larger or smaller for so many rounds, then smaller
         until the limits hold for all the arms.
         """
-        angle = self.angle(genes)
         for place in count():
             torque = self.torque(scale * angle)
             reached = self.reached(torque, arms).max(axis=0)
@@ -282,28 +281,20 @@ class _Motions:
         rng: np.random.Generator,
         advance: Callable[[int], None],
     ) -> Array:
-        """Return the genes of the motion that shows most, of so many within the arms' limits."""
-        steps, size, cost = np.repeat([1.0, 2.0], [_TONES, _KNOTS]), 0.5, math.inf
-
-        def start() -> Array:
-            return np.concatenate([rng.uniform(0.0, math.tau, _TONES), np.zeros(_KNOTS)])
-
-        genes = start()
-        torque, scale, _ = self.scaled(genes, arms[:1], 0.3, 3)
+        """Return the link angle, up to a scale, of the motion that shows most, of so many."""
+        first = self.drawn(rng)
+        torque, scale, _ = self.scaled(first, arms[:1], 0.3, 3)
         # The nominal arm and those that come closest to their limits, or beyond.
         shares = (self.reached(torque, arms) / self.limits)[1:, 1:].max(axis=1)
         order = 1 + np.argsort(-shares, kind="stable")[:_TRIED]
         near = [arms[0], *(arms[at] for at in order.tolist())]
-        for place in range(candidates):
-            step = steps * size * rng.standard_normal(len(steps))
-            other = start() if place < _STARTS else genes + step
-            torque, other_scale, _ = self.scaled(other, near, scale, 1)
-            new = float(np.log(self.std(torque)[self._wanted]).mean())
-            size = min(size * 1.5, 1.5) if new < cost else size * 0.9
-            if new < cost:
-                cost, genes, scale = new, other, other_scale
+
+        def unknown(angle: Array) -> float:
+            torque, *_ = self.scaled(angle, near, scale, 1)
             advance(1)
-        return genes
+            return float(np.log(self.std(torque)[self._wanted]).mean())
+
+        return min((self.drawn(rng) for _ in range(candidates)), key=unknown)
 
 
 def excite(
@@ -365,8 +356,8 @@ def excite(
     inner = Limits(at_motor, *((1.0 - _MARGIN) * each for each in limits[1:]))
     motions = _Motions(request, duration, inner, free, seed)
     arms = trial_arms(request, _DRAWS, seed)
-    genes = motions.best(arms, candidates, np.random.default_rng((seed, 0)), advance)
-    torque, _, worst = motions.scaled(genes, arms, 0.3, 4)
+    angle = motions.best(arms, candidates, np.random.default_rng((seed, 0)), advance)
+    torque, _, worst = motions.scaled(angle, arms, 0.3, 4)
     commands = (torque - path.offset) / path.gain
     pairs = zip(motions.unknowns.numbers, motions.std(torque).tolist(), strict=True)
     return Excitation(
