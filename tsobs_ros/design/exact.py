@@ -98,7 +98,7 @@ def _decreases(design: Design) -> Iterator[tuple[str, Rational, Rational]]:
     noise = noise_integral(flow, inverted @ (duration * rational(request.flow.density)) @ inverted)
     gain: Rational = inverted @ rational(design.K)
     X = inverse(D @ rational(design.P) @ D)
-    closed = identity(len(gain)) - gain @ rational(request.flow.output_matrix) @ D
+    closed = np.eye(len(gain), dtype=object) - gain @ rational(request.flow.output_matrix) @ D
     posterior = closed @ X @ closed.T + (gain * rational(request.output_std) ** 2) @ gain.T
     kept = decay_below(2 * Fraction(request.decay_rate) * period)
     if isinstance(request, ArmRequest):
@@ -119,7 +119,7 @@ def _after_system_step(
     phi: Enclosure, noise: Enclosure, T: Fraction, first: Rational, second: Rational, W: Rational
 ) -> Rational:
     """Return an upper bound on the covariance after a system's step from W."""
-    one = identity(len(W))
+    one = np.eye(len(W), dtype=object)
     kick, drive, spread = one + T / 2 * first, T * second, one + T * second
     # Each entry of M Δ N is at most the row sum of M times the column sum of N times ΔΦ's.
     radius = phi.radius * (1 + _row_sum(drive) * _row_sum(kick.T))
@@ -135,18 +135,13 @@ def _bounded(phi: Enclosure, noise: Enclosure, W: Rational) -> Rational:
     # Each entry of ΔΦ W Φᵀ + Φ̃ W ΔΦᵀ is at most twice this sum of n² products.
     error = 2 * n * n * phi.radius * np.abs(W).max() * largest + noise.radius
     centre = phi.centre @ W @ phi.centre.T + noise.centre
-    return np.asarray(centre + n * error * identity(n))
+    return np.asarray(centre + n * error * np.eye(n, dtype=object))
 
 
 def rational(values: Any) -> Rational:
     """Return numbers as the fractions they are; every float is one."""
     array = np.asarray(values, dtype=object)
     return np.vectorize(Fraction, otypes=[object])(array) if array.size else array
-
-
-def identity(n: int) -> Rational:
-    """Return the unit matrix."""
-    return rational(np.eye(n))
 
 
 def is_positive_definite(matrix: Rational) -> bool:
@@ -170,7 +165,7 @@ def is_positive_definite(matrix: Rational) -> bool:
 def inverse(matrix: Rational) -> Rational:
     """Return the inverse of a positive definite matrix, by elimination without pivoting."""
     n = matrix.shape[0]
-    table = np.hstack([matrix, identity(n)])
+    table = np.hstack([matrix, np.eye(n, dtype=object)])
     for place in range(n):
         table[place] = table[place] / table[place, place]
         others = np.arange(n) != place
@@ -180,7 +175,8 @@ def inverse(matrix: Rational) -> Rational:
 
 def exponential(matrix: Rational) -> Enclosure:
     """Return an enclosure of e^M."""
-    return _series(identity(matrix.shape[0]), lambda term: matrix @ term, _row_sum(matrix), 1)
+    one = np.eye(len(matrix), dtype=object)
+    return _series(one, lambda term: matrix @ term, _row_sum(matrix), 1)
 
 
 def noise_integral(matrix: Rational, density: Rational) -> Enclosure:

@@ -351,24 +351,19 @@ class _System:
                 as_matrix("B", rule.B, (n, *inputs))
                 outputs.append(as_matrix("C", C if rule.C is None else rule.C, (p, n)))
                 rules.append(tuple(rule.memberships(self.premises)))
-        sources: dict[str, list[Array]] = {"state": [], "scheduled": []}
         given = [each.scheduled for each in self.premises.values()]
-        widths = n, max((len(each) for each in given if each is not None), default=0)
-        for name, each in self.premises.items():
+        width = max((len(each) for each in given if each is not None), default=0)
+        premise, schedule = (np.zeros((len(given), columns)) for columns in (n, width))
+        for row, (name, each) in enumerate(self.premises.items()):
             with within(f"premises.{name}"):
                 if each.state is None and each.scheduled is None:
                     raise ValueError("expected at least one of state and scheduled")
-                for (source, rows), width in zip(sources.items(), widths, strict=True):
-                    row = getattr(each, source)
-                    row = np.zeros(width) if row is None else row
-                    rows.append(as_matrix(source, row, (width,)))
+                for source, rows in (("state", premise), ("scheduled", schedule)):
+                    if (values := getattr(each, source)) is not None:
+                        rows[row] = as_matrix(source, values, rows[row].shape)
         A, B = (np.array([getattr(rule, name) for rule in self.rules]) for name in "AB")
-        differing = any(rule.C is not None for rule in self.rules)
-        premise, schedule = map(np.array, sources.values())
-        rule_base = RuleBase(tuple(rules))
-        return TSModel(
-            A, B, C, rule_base, premise, schedule, np.array(outputs) if differing else None
-        )
+        own = np.array(outputs) if any(rule.C is not None for rule in self.rules) else None
+        return TSModel(A, B, C, RuleBase(tuple(rules)), premise, schedule, own)
 
 
 def _system_request(data: dict[Any, Any]) -> TSRequest:
