@@ -21,6 +21,7 @@ from tsobs_ros.bag.verification import verify
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.file import load_request, parse_design, save_design
 from tsobs_ros.design.synthesis import synthesise
+from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 Mutate = Callable[[bytes, Sequence[bytes], random.Random], bytes]
@@ -49,7 +50,7 @@ def design_target(_: Path) -> Target:
     def read(path: Path) -> None:
         design = parse_design(path)
         if design.certificate.holds:
-            _step(design.supervised())
+            _step(make_estimator(design, ObserverSettings()))
 
     return Target(_shipped("*.design.yaml"), mutated_text, read, "my.design.yaml")
 

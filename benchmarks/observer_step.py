@@ -34,7 +34,7 @@ from tsobs_ros.estimation.baselines import THETA_STD, THETA_WANDER
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.records import Hypothesis, Measurement
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.methods import make_tracker
+from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
 from tsobs_ros.model.flow import SINE
 from tsobs_ros.model.prediction import Record
@@ -198,8 +198,8 @@ def step_costs(kind: str, design: Design, seconds: float) -> dict[str, float]:
     y, u = runs.measurements[0], runs.torques[0]
     ekf: Any = _LibraryAugmentedEkf(design) if kind == "adaptive" else _LibraryEkf(design)
     contenders: dict[str, Step] = {
-        "in place": _in_place(design.supervised(), y, u),
-        "pure functions": _pure(design.supervised(), y, u),
+        "in place": _in_place(make_estimator(design, ObserverSettings()), y, u),
+        "pure functions": _pure(make_estimator(design, ObserverSettings()), y, u),
         "tracker": _tracking(design, y, u),
         "bayesian-filters": lambda sample: ekf.step(y[sample], u[sample]),
     }
@@ -236,7 +236,7 @@ def _worst(design: Design, turns: int) -> dict[str, float]:
     Each step begins from the same state. The samples are by turns one that fits and an outlier, at
     which forks are tried: medians of both, and the slowest of all, which are the machine's.
     """
-    estimator = design.supervised()
+    estimator = make_estimator(design, ObserverSettings())
     runs = simulate(SCENARIOS["stiff"], [1], 10.0)
     y, u = runs.measurements[0], runs.torques[0]
     start = _awake(estimator, y[:-1], u[:-1])
@@ -268,7 +268,7 @@ def _worst(design: Design, turns: int) -> dict[str, float]:
 
 def _batch(design: Design, runs: Trajectories, arms: int, turns: int) -> dict[str, float]:
     """Return the arm-steps per second of whole runs, on one core and on all; medians."""
-    estimator, cores = design.supervised(), len(os.sched_getaffinity(0))
+    estimator, cores = make_estimator(design, ObserverSettings()), len(os.sched_getaffinity(0))
     stamps = stamps_of(runs.times)
     copies = -(-arms // len(runs.states))
     y = np.tile(runs.measurements, (copies, 1, 1))[:arms]
@@ -312,7 +312,7 @@ def _late(design: Design, count: int, turns: int) -> dict[str, float]:
     times: dict[str, list[float]] = {name: [] for name in orders}
     for _ in range(turns):
         for name, places in orders.items():
-            tracker = Tracker(design.supervised(), **limits, max_steps=count)
+            tracker = Tracker(make_estimator(design, ObserverSettings()), **limits, max_steps=count)
             given = (stamps[places], y[places], u[places])
             times[name].append(timed(lambda: tracker.offer_many(*given, now)))  # noqa: B023
     return {name: float(np.median(each)) for name, each in times.items()}

@@ -21,10 +21,12 @@ from tsobs_ros.core.records import record_type
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 DESIGN = load_design(config_path(FIXED_DESIGN))
-ESTIMATOR = load_design(config_path(SHIPPED_DESIGN)).supervised()
+ADAPTIVE = load_design(config_path(SHIPPED_DESIGN))
+ESTIMATOR = make_estimator(ADAPTIVE, ObserverSettings())
 COUNT = 3
 SIZES = np.array([2, 1, 0, 1, 1, 1])
 
@@ -34,7 +36,7 @@ def numbers(records: Any) -> Any:
 
 
 def tracker(**options: Any) -> Tracker:
-    return Tracker(DESIGN.supervised(), **options)
+    return Tracker(make_estimator(DESIGN, ObserverSettings()), **options)
 
 
 def zeros(*shape: int, kind: Any = float) -> Any:
@@ -170,7 +172,8 @@ def test_what_is_left_in_scratch_memory_decides_nothing(outputs: int) -> None:
     """Of a run with all that wakes the bank: forks, a tone, a stuck sensor, missing numbers."""
     design = "both_encoders.design.yaml"
     folder = Path(__file__).resolve().parents[1] / "estimation" / "data"
-    one = ESTIMATOR if outputs == 1 else load_design(folder / design).supervised()
+    chosen = ADAPTIVE if outputs == 1 else load_design(folder / design)
+    one = make_estimator(chosen, ObserverSettings())
     rng, count = np.random.default_rng(3), 1200
     y = np.tile(0.3 * np.sin(0.02 * np.arange(count))[:, np.newaxis], outputs)
     y += 0.02 * rng.standard_normal(y.shape)

@@ -20,12 +20,14 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.estimation.state import likeliest
+from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.prediction import Record
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, arm_with, simulate
 from tsobs_ros.simulation.signals import Sinusoid
 
 Array = NDArray[np.float64]
+SOON = ObserverSettings(settle_time=0.5)
 BANK = {name: value for name, value, _ in native.BANK_CONSTANTS}
 PARTS = (Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT, Hypothesis.TONE)
 """Hypotheses with a part of the output that is a state of their own."""
@@ -173,7 +175,7 @@ def alone(state: Record, place: int) -> Record:
 def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
     """Of the hypotheses that compete for friction and a tone, each as it stands alone."""
     design = load_design(config_path(SHIPPED_DESIGN))
-    observer, request = design.supervised(0.5), design.request
+    observer, request = make_estimator(design, SOON), design.request
     scenario = arm_with(SCENARIOS["friction"].friction, Sinusoid(0.1, 3.0, 1.0))
     run = simulate(scenario, [1], 6.0)
     (c,), ((variance,),) = request.flow.output_matrix, request.measurement_covariance
@@ -220,7 +222,7 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
 )
 def test_some_hypotheses_trust_the_model_less(kind: Hypothesis, power: float) -> None:
     request = load_design(config_path(SHIPPED_DESIGN)).request
-    observer = load_design(config_path(SHIPPED_DESIGN)).supervised(0.5)
+    observer = make_estimator(load_design(config_path(SHIPPED_DESIGN)), SOON)
     states = [observer.initial(), observer.initial()]
     states[1]["hypotheses"]["kind"][0, 0] = kind
     moved = [observer.predict(one, [0.0], request.period) for one in states]

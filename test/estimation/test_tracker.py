@@ -18,6 +18,7 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator, TorqueLimits
 from tsobs_ros.estimation.records import Estimate, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.arm import TorquePath
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -30,6 +31,7 @@ PROPERTY = settings(max_examples=30)
 DESIGN = load_design(config_path(FIXED_DESIGN))
 ADAPTIVE = load_design(config_path(SHIPPED_DESIGN))
 X_MAX = DESIGN.request.x_max
+SOON = ObserverSettings(settle_time=0.5)
 JUDGED = (RejectReason.IMPLAUSIBLE_TORQUE, RejectReason.UNKNOWN_INPUT, RejectReason.GATED)
 
 
@@ -38,7 +40,7 @@ def estimator(delay: float) -> Estimator:
     """Return the node's observer, which hands over to the certified gain soon."""
     torque = TorquePath(0.9, 0.2, delay) if delay else TorquePath()
     design = replace(DESIGN, request=replace(DESIGN.arm_request, torque=torque))
-    return design.supervised(settle_time=0.05)
+    return make_estimator(design, ObserverSettings(settle_time=0.05))
 
 
 def tracker(delay: float = 0.0, **options: Any) -> Tracker:
@@ -112,14 +114,14 @@ def test_late_samples_change_no_bit_while_hypotheses_compete(batch: int) -> None
     stamps = BEGIN + PERIOD * np.arange(count)
     results, seen = [], set()
     for order in (np.arange(count), np.arange(count).reshape(-1, 20)[:, ::-1].ravel()):
-        one = Tracker(ADAPTIVE.supervised(0.5), x_max=X_MAX)
+        one = Tracker(make_estimator(ADAPTIVE, SOON), x_max=X_MAX)
         for part in np.split(order, range(batch, count, batch)):
             one.offer_many(stamps[part], y[part], u[part], END)
             seen |= {*np.flatnonzero(one.state["hypotheses"]["live"][0]).tolist()}
         results.append((probes(one), one.state.tobytes(), one.rejected))
     assert len(seen) > 8  # standing ones, and forks
     assert results[0] == results[1]
-    whole = Tracker(ADAPTIVE.supervised(0.5), x_max=X_MAX)
+    whole = Tracker(make_estimator(ADAPTIVE, SOON), x_max=X_MAX)
     whole.follow(stamps, y, u)
     assert probes(whole) == results[0][0]
 

@@ -13,6 +13,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.plant import Plant, SimulatedOutput, Trajectories
@@ -59,7 +60,7 @@ def test_what_happens_to_one_sensor_is_seen_and_survived(
     pendulum: Design, output: int, fault: str
 ) -> None:
     """There is no unknown torque, and only the gyroscope's disturbance is part of the design."""
-    observer = pendulum.supervised()
+    observer = make_estimator(pendulum, ObserverSettings())
     runs = simulated(pendulum, 1, 2000, BiasStep(0.05, 0.0), initial_state=(0.5, 0.0))
     truth, y, u = runs.states[0], runs.measurements[0].copy(), runs.torques[0]
     part = slice(1200, 1500) if fault == "missing" else slice(1200, None)

@@ -174,10 +174,6 @@ class Design:
             estimator.supervise(supervision)
         return estimator
 
-    def supervised(self, settle_time: float = 5.0) -> Estimator:
-        """Return the observer for a real system: supervised, and learning what is uncertain."""
-        return self.observer(settle_time, adapt=True, supervision=SupervisionOptions())
-
     def summary(self) -> dict[str, Any]:
         """Return certificate, gain and bounds as plain data."""
         report, request = self.certificate, self.request
