@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, product
-from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -79,21 +79,20 @@ _LINK_ANGLE: dict[str, Any] = {
 
 _MOTION: tuple[Field, Field] = ("position", "velocity")
 
-Terms: TypeAlias = tuple[DisturbanceTerm, ...]
+Terms: TypeAlias = Sequence[DisturbanceTerm]
 
 
-class Channel(NamedTuple):
-    """A disturbance: where it acts, in words, its terms, and the model of their sum."""
+@dataclass(frozen=True)
+class Channel:
+    """A disturbance: where it acts, in words, and its terms."""
 
     name: str
     terms: Terms
-    model: DisturbanceModel
 
-    @classmethod
-    def of(cls, name: str, terms: Iterable[DisturbanceTerm]) -> "Channel":
-        """Return the disturbance by some terms."""
-        each = tuple(terms)
-        return cls(name, each, sum_of(each))
+    @cached_property
+    def model(self) -> DisturbanceModel:
+        """The sum of the terms."""
+        return sum_of(self.terms)
 
 
 def require_squares(name: str, values: Iterable[float]) -> None:
@@ -269,7 +268,7 @@ class Output:
 
     measures: str
     measurement_std: float
-    disturbance: Sequence[DisturbanceTerm] = CLEAN
+    disturbance: Terms = CLEAN
     delay: float = 0.0
 
     def __post_init__(self) -> None:
@@ -300,8 +299,8 @@ class TorqueDisturbance:
     OMIT_EMPTY: ClassVar[bool] = True
     """A side without terms is left out of files."""
 
-    motor: Sequence[DisturbanceTerm] = ()
-    link: Sequence[DisturbanceTerm] = ()
+    motor: Terms = ()
+    link: Terms = ()
 
     def __post_init__(self) -> None:
         for side in SIDES:
@@ -345,7 +344,7 @@ class ArmRequest(Request):
     """
 
     arm: ElasticJointArm = field(default_factory=ElasticJointArm)
-    disturbance: Sequence[DisturbanceTerm] | None = None
+    disturbance: Terms | None = None
     process_noise: ProcessNoise = field(default_factory=ProcessNoise)
     measurement_std: float | None = None
     outputs: Sequence[Output] | None = None
@@ -384,7 +383,7 @@ class ArmRequest(Request):
         self._take(
             sensors=sensors,
             outputs=self.outputs and sensors,
-            channels=tuple(Channel.of(*each) for each in given.items()),
+            channels=tuple(Channel(*each) for each in given.items()),
             torque_sides=tuple(side for side in SIDES if sum_of(sides[side]).state_count),
             output_std=np.array([each.measurement_std for each in sensors]),
             x_max=finite("x_max", self.x_max),
@@ -580,7 +579,7 @@ class TSRequest(Request):
     measurement_std: Sequence[float] | Array
     rate: float
     initial_std: Sequence[float] | Array
-    disturbance: Sequence[Sequence[DisturbanceTerm]] = ()
+    disturbance: Sequence[Terms] = ()
     decay_rate: float = 0.0
     slope_vertices: Sequence[ArrayLike] = ()
     D_s: Sequence[Sequence[float]] | Array | None = None
@@ -617,7 +616,7 @@ class TSRequest(Request):
         numbered = [f"channel {i + 1}" for i in range(len(self.disturbance))]
         names = numbered if self.D_s is not None else self.output_names
         pairs = zip(names, self.disturbance, strict=False)  # a wrong number is refused by `flow`
-        self._take(channels=tuple(Channel.of(*each) for each in pairs))
+        self._take(channels=tuple(Channel(*each) for each in pairs))
         self._check_rates()
         _ = self.flow
         if self.slope_vertices and self.model.premise_known:
