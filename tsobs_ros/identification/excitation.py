@@ -55,11 +55,9 @@ random arms by the torque of reference."""
 _LONGEST = 600.0
 """Largest duration [s]."""
 
-_TONES, _PERIODS, _BEYOND = 24, 3.0, 2.5
-"""Number of tones; periods of the slowest in the motion; the fastest by the joint's resonance."""
-
-_KNOTS, _SPREAD = 6, 1.5
-"""Number of frequencies at which amplitudes are drawn, and 1σ of their logarithms."""
+_TONES, _KNOTS, _PERIODS, _BEYOND = 24, 6, 3.0, 2.5
+"""Number of tones, and of frequencies at which their amplitudes are drawn; periods of the slowest
+in the motion; the fastest by the joint's resonance."""
 
 _SMALLEST = 1e-9
 """A link angle that no sensor shows [rad]."""
@@ -208,8 +206,7 @@ class _Motions:
     def drawn(self, rng: np.random.Generator) -> Array:
         """Return the link angle of a motion at random, up to a scale, shape (n,)."""
         phases = rng.uniform(0.0, math.tau, _TONES)
-        levels = _SPREAD * rng.standard_normal(_KNOTS)
-        knots = np.linspace(0.0, _TONES - 1.0, _KNOTS)
+        knots, levels = np.linspace(0.0, _TONES - 1.0, _KNOTS), rng.standard_normal(_KNOTS)
         amplitudes = self._gains * np.exp(np.interp(np.arange(_TONES), knots, levels))
         # A held torque acts half a period later.
         times = self.times + 0.5 * self.request.period
