@@ -11,7 +11,7 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 
 Kind: TypeAlias = Literal["state", "disturbance", "torque_disturbance"]
 
-JUMP = 0.03
+_JUMP = 0.03
 """Change of an angle's true disturbance from one sample to the next that is a jump [rad].
 
 It is about 1σ of the sensor's noise, and several times what a fault of 0.4 rad at 3 rad/s moves in
@@ -50,7 +50,7 @@ def quantities_of(request: ArmRequest | TSRequest) -> tuple[Quantity, ...]:
             key_name = f"disturbance_{key}", f"disturbance of {name}"
             if alone:
                 key_name = "disturbance", "sensor disturbance"
-            jump = JUMP if is_arm and key.endswith("_angle") else math.inf
+            jump = _JUMP if is_arm and key.endswith("_angle") else math.inf
             found.append(Quantity(*key_name, unit, "disturbance", place, jump))
     if isinstance(request, ArmRequest):
         map_ = request.flow.torque_map
