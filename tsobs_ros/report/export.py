@@ -2,10 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics of a bag as CSV or Parquet files, one each; numbers read back to the same bits.
 
-A topic becomes a table: columns with units, found in a first pass, and rows. Nested fields become
-columns such as `pose.position.x` or `data[3]`. Units are those of REP 103 and of the messages'
-definitions: a unit belongs to a field of a type and to all fields below it, so a Twist's `angular`
-is a Vector3 in rad/s. A field that is not listed has no unit.
+A topic becomes a table: columns, found in a first pass, and rows. Nested fields become columns such
+as `pose.position.x` or `data[3]`. Times and the numbers of a JointState have units.
 """
 
 import csv
@@ -40,32 +38,14 @@ _MAX_INT64 = 2**63 - 1
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 Units: TypeAlias = Mapping[str, Mapping[str, str]]
-"""Units of fields by type, or of a JointState's fields by entry."""
+"""Units of a JointState's fields by entry."""
 
 Cell: TypeAlias = tuple[str, str, Any]
 """Column, unit and value: a number, text, bytes, or a list if the array stays in one column."""
 
 _TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
-_LENGTHS = {"x": "m", "y": "m", "z": "m"}
-_UNITS: Units = {
-    "geometry_msgs/Accel": {"linear": "m/s^2", "angular": "rad/s^2"},
-    "geometry_msgs/Point": _LENGTHS,
-    "geometry_msgs/Point32": _LENGTHS,
-    "geometry_msgs/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
-    "geometry_msgs/Transform": {"translation": "m"},
-    "geometry_msgs/Twist": {"linear": "m/s", "angular": "rad/s"},
-    "geometry_msgs/Wrench": {"force": "N", "torque": "N m"},
-    "sensor_msgs/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s^2"},
-    # Of revolute joints; bags do not distinguish prismatic ones.
-    "sensor_msgs/JointState": {"position": "rad", "velocity": "rad/s", "effort": "N m"},
-    "sensor_msgs/Temperature": {"temperature": "degC"},
-    "trajectory_msgs/JointTrajectoryPoint": {
-        "positions": "rad",
-        "velocities": "rad/s",
-        "accelerations": "rad/s^2",
-        "effort": "N m",
-    },
-}
+# Of revolute joints; bags do not distinguish prismatic ones.
+_UNITS = {"position": "rad", "velocity": "rad/s", "effort": "N m"}
 # An observer's health is no angle, and the disturbance of a velocity is none.
 _RATES = {"position": "rad/s", "velocity": "rad/s^2"}
 _UNITS_OF_ENTRIES: Units = {
@@ -114,11 +94,10 @@ class _Table:
         split = tuple(f"{name}[" for name in self._whole)
         self.columns = [one for one in found.values() if not (split and one.name.startswith(split))]
 
-    def rows(self) -> Iterator[list[Any]]:
-        """Yield the rows; None if a message has nothing for a column."""
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Yield the rows by column; a message may lack some columns."""
         for cells in self._messages():
-            row = {name: value for name, _, value in cells}
-            yield [row.get(column.name) for column in self.columns]
+            yield {name: value for name, _, value in cells}
 
     def _messages(self) -> Iterator[Iterator[Cell]]:
         decode, start = JointStateDecoder(), self._reader.start_time or 0
@@ -153,32 +132,31 @@ class _Table:
         yield "header.stamp", "ns", message.stamp
         yield "header.frame_id", "", message.frame_id
         names = message.names
-        for field, usual in _UNITS["sensor_msgs/JointState"].items():
+        for field, usual in _UNITS.items():
             for place, value in enumerate(getattr(message, field)):
                 name = names[place] if place < len(names) else ""
                 column = f"{field}.{name}" if place < len(names) else f"{field}[{place}]"
                 own = self._units.get(name) or _UNITS_OF_ENTRIES.get(name.rpartition("/")[2], {})
                 yield column, own.get(field, usual), value
 
-    def _flatten(self, value: Any, column: str = "", unit: str = "") -> Iterator[Cell]:
+    def _flatten(self, value: Any, column: str = "") -> Iterator[Cell]:
         """Yield the cells of a message, of an array or of a value."""
         type_ = _type_of(value)
         if isinstance(value, list | tuple):
             nested = bool(value) and bool(_type_of(value[0]))
             if not nested and (len(value) > MAX_COLUMNS or column in self._whole):
-                yield column, unit, list(value)
+                yield column, "", list(value)
                 return
             for place, one in enumerate(value):
-                yield from self._flatten(one, f"{column}[{place}]", unit)
+                yield from self._flatten(one, f"{column}[{place}]")
         elif type_ in _TIMES:
             yield column, "ns", value.sec * NANOSECONDS + value.nanosec
         elif type_:
             for field in value.__slots__:
-                below = "" if "covariance" in field else _UNITS.get(type_, {}).get(field, unit)
                 path = f"{column}.{field}" if column else field
-                yield from self._flatten(getattr(value, field), path, below)
+                yield from self._flatten(getattr(value, field), path)
         else:
-            yield column, unit, bytes(value) if isinstance(value, bytearray | memoryview) else value
+            yield column, "", bytes(value) if isinstance(value, bytearray | memoryview) else value
 
 
 def _type_of(value: Any) -> str:
@@ -260,9 +238,11 @@ def _write_csv(table: _Table, path: Path) -> None:
     with path.open("x", encoding="utf-8", newline="") as stream:
         plain = csv.writer(stream, lineterminator="\n")
         quoted = csv.writer(stream, lineterminator="\n", quoting=csv.QUOTE_ALL)
-        heads = [f"{one.name} [{one.unit}]" if one.unit else one.name for one in table.columns]
-        for row in chain([heads], table.rows()):
-            cells = list(map(_csv_cell, row))
+        titles = {
+            one.name: f"{one.name} [{one.unit}]" if one.unit else one.name for one in table.columns
+        }
+        for row in chain([titles], table.rows()):
+            cells = [_csv_cell(row.get(name)) for name in titles]
             # The csv module leaves a lone carriage return unquoted, which ends a line for readers.
             broken = any(isinstance(cell, str) and "\r" in cell for cell in cells)
             (quoted if broken else plain).writerow(cells)
@@ -293,6 +273,4 @@ def _write_parquet(table: _Table, path: Path) -> None:
     rows = table.rows()
     with path.open("xb") as stream, pq.ParquetWriter(stream, schema) as writer:
         while block := list(islice(rows, _BLOCK)):
-            columns = zip(*block, strict=True)
-            arrays = [pa.array(one, kind.type) for one, kind in zip(columns, schema, strict=True)]
-            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+            writer.write_table(pa.Table.from_pylist(block, schema))
