@@ -10,7 +10,8 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tsobs_ros.bag import BagReader, BagWriter
-from tsobs_ros.bag.cdr import TICK_LOG, TICK_LOG_TEXT, decode_ticks, encode_tick
+from tsobs_ros.bag.cdr import TICK_LOG, decode_ticks, encode_tick
+from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.estimate_topics import parameter_names, sides
 from tsobs_ros.bag.joint_states import (
     JOINT_STATE,
@@ -95,7 +96,7 @@ def as_rows(*messages: bytes) -> "np.ndarray[tuple[int, int], np.dtype[np.uint8]
 def test_a_tick_is_read_as_written_and_has_the_layout_of_its_type(measured: list[bytes]) -> None:
     message = encode_tick(STAMP, 7, True, measured)
     store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(TICK_LOG_TEXT, TICK_LOG))
+    store.register(get_types_from_msg(find_definition(TICK_LOG, []).text, TICK_LOG))
     assert list(store.deserialize_cdr(message, TICK_LOG).data)[1:3] == [7, 1]
     expected = [STAMP, 7, 1, *map(crc32, measured)]
     assert decode_ticks(as_rows(message, message)).tolist() == [expected, expected]

@@ -109,7 +109,13 @@ def test_several_joints_have_columns_of_their_own(tmp_path) -> None:
         opened(path, joints=["c"])
 
 
-def test_a_log_is_estimated_and_becomes_a_bag(arms, estimate, tmp_path) -> None:
+@pytest.mark.parametrize("is_ros_there", [True, False])
+def test_a_log_is_estimated_and_becomes_a_bag(
+    arms, estimate, tmp_path, monkeypatch, is_ros_there
+) -> None:
+    if not is_ros_there:
+        monkeypatch.setattr("sys.prefix", str(tmp_path))
+        monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     rows = [f"{k * 0.005!r},{float(arms.y[k, 0])!r},{float(arms.u[k, 0])!r}" for k in range(1, 200)]
     rows[50], rows[60] = ",".join([rows[50].split(",")[0], "", "0"]), ",0,0"
     run = estimate(opened(log(tmp_path, "t [s],q [rad],tau [N m]", *rows)), output="new")

@@ -119,21 +119,6 @@ class MessageSeries(NamedTuple):
 TICK_LOG = "std_msgs/msg/Int64MultiArray"
 """Type of the tick log's messages."""
 
-TICK_LOG_TEXT = """\
-std_msgs/MultiArrayLayout  layout
-int64[]                    data
-{line}
-MSG: std_msgs/MultiArrayDimension
-string label
-uint32 size
-uint32 stride
-{line}
-MSG: std_msgs/MultiArrayLayout
-std_msgs/MultiArrayDimension[] dim
-uint32 data_offset
-""".format(line="=" * 80)
-"""Definition of the type, for bags that are written without ROS."""
-
 _LABEL = b"stamp [ns], tick since the restart, estimated, CRC-32 of each measurement\0"
 _LABEL += bytes(-len(_LABEL) % 4)
 # Header of CDR, one dimension with label, size and stride, no offset, number of values; values are

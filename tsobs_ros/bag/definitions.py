@@ -35,6 +35,27 @@ _OF_SERVICE = re.compile(
     "((_SendGoal|_GetResult)?_(Event|Request|Response)|_FeedbackMessage|_Goal|_Result|_Feedback)$"
 )
 
+_LINE = "\n" + _SEPARATOR + "\nMSG: "
+# What our bags need, for machines without ROS; without comments.
+_KNOWN = {
+    "std_msgs/msg/String": "string data\n",
+    "std_msgs/msg/Int64MultiArray": _LINE.join(
+        (
+            "std_msgs/MultiArrayLayout layout\nint64[] data",
+            "std_msgs/MultiArrayLayout\nstd_msgs/MultiArrayDimension[] dim\nuint32 data_offset",
+            "std_msgs/MultiArrayDimension\nstring label\nuint32 size\nuint32 stride\n",
+        )
+    ),
+    "sensor_msgs/msg/JointState": _LINE.join(
+        (
+            "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
+            "float64[] effort",
+            "std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id",
+            "builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n",
+        )
+    ),
+}
+
 
 class MessageDefinition(NamedTuple):
     """What a bag stores about one message type.
@@ -67,7 +88,7 @@ def find_definition(msgtype: str, folders: Sequence[Path] | None = None) -> Mess
 
     The order is rosbag2's, so that the text is the same to the byte: the root's text verbatim,
     then each dependency once, depth first, siblings in bytewise order. As there, it is in IDL where
-    the type or a dependency has no `.msg` file.
+    the type or a dependency has no `.msg` file. Those of an observer's bags need no installation.
 
     Args:
         msgtype: The type as `package/msg/Type` or `package/Type`, or a message of a service or an
@@ -86,7 +107,9 @@ def find_definition(msgtype: str, folders: Sequence[Path] | None = None) -> Mess
         try:
             text = _with_dependencies(full, "idl", folders, set())
         except BagWriteError:
-            raise error from None
+            if full not in _KNOWN:
+                raise error from None
+            return MessageDefinition(full, _KNOWN[full], "")
         text, encoding = f"{_SEPARATOR}\nIDL: {full}\n{text}", "ros2idl"
     return MessageDefinition(full, text, _type_hash(full, folders), encoding)
 

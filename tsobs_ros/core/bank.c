@@ -46,7 +46,7 @@ static int state_is_sound(const model *m, const state *at)
     for (long i = 0; i < m->s.hypotheses; i++) {
         const hypothesis h = hypothesis_of(m, at, i);
         if (*h.kind < 0 || *h.kind >= STANDING || *h.output < 0 || *h.output >= m->s.p
-            || *h.fork < NO_FORK || *h.fork > MOVED
+            || *h.fork < NO_FORK || *h.fork > MOVED || *h.tries < 0
             || (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
             return 0;
         }
@@ -224,18 +224,19 @@ static void drop(const model *m, state *at, long place)
     memset(at->hypotheses + place * size, 0, size * sizeof(double));
 }
 
-/* Begin a standing hypothesis from the best one. */
-static void renew(const model *m, state *at, long kind)
+/* Begin a standing hypothesis from another one. */
+static void renew(const model *m, state *at, long kind, long from)
 {
     const long n = (long)m->s.n, p = (long)m->s.p, width = (long)m->s.width;
     hypothesis h = hypothesis_of(m, at, kind);
     const double frequency = *h.frequency, size = *h.size;
-    const int64_t output = *h.output;
-    h = begin_from(m, at, (long)*at->best, kind, NO_FORK, -m->constants[FLOOR]);
+    const int64_t output = *h.output, tries = *h.tries;
+    h = begin_from(m, at, from, kind, NO_FORK, -m->constants[FLOOR]);
     *h.kind = kind;
     *h.frequency = frequency;
     *h.size = size;
     *h.output = output;
+    *h.tries = tries + 1;
     /* What the best one took for a part of the sensors is the disturbance's again. */
     clear_auxiliary(m, &h, first_of_its_own(m, at, kind), width);
     if (kind == FORCE && h.covariance[n * width + n] <= 0.0) {
@@ -260,7 +261,7 @@ static void wake(const model *m, state *at)
     };
     for (long kind = 0; kind < STANDING; kind++) {
         if (*hypothesis_of(m, at, kind).live == 0 && differences[kind] > 0.0) {
-            renew(m, at, kind);
+            renew(m, at, kind, (long)*at->best);
         }
     }
     *at->awake = m->constants[AWAKE];
@@ -422,7 +423,6 @@ static int is_near(const model *m, double one, double other)
 static tone_table find_candidates(const model *m, state *at)
 {
     const int is_arm = *m->design_flow.kind == KIND_ARM && m->s.m > 0 && m->s.plant > 1;
-    const double own = m->domain[1] / m->domain[0];
     const double elapsed = maximum(*at->since, *m->period);
     const double share = share_of(minimum(elapsed, *m->longest), m->constants[AWAKE]);
     double *moments = at->torque_moments;
@@ -440,7 +440,9 @@ static tone_table find_candidates(const model *m, state *at)
     for (long j = 0; j < TONES; j++) {
         const double power = share * loudness(at->torque_tones, j);
         const int is_driven = 2.0 * power * power > most;
-        table.candidate[j] = !is_arm || !(is_driven || is_near(m, table.rate[j], own));
+        const int is_own
+            = is_near(m, table.rate[j], m->modes[0]) || is_near(m, table.rate[j], m->modes[1]);
+        table.candidate[j] = !is_arm || !(is_driven || is_own);
     }
     return table;
 }
@@ -486,13 +488,18 @@ static void listen(const model *m, state *at, const correction *effect)
             *tone.score = -INFINITY; /* it has come to where a wrong model looks the same */
         }
     }
+    /* A slow one takes three periods to show. */
+    const double trial = maximum(m->constants[AWAKE], 20.0 / *tone.frequency);
     if (frequency > 0.0 && *at->best != TONE
         && (*tone.live == 0
-            || (*tone.score < -0.5 * m->constants[FLOOR] && *tone.age > m->constants[AWAKE]))) {
+            || (*tone.score < -0.5 * m->constants[FLOOR] && *tone.age > trial))) {
+        /* What others have learnt of a tone is wrong, in ways of their own: one after the other. */
+        const long others[] = {(long)*at->best, LOUD, AS_DESIGNED};
+        const long parent = others[*tone.tries % 3];
         *tone.frequency = frequency;
         *tone.size = size;
         *tone.output = output;
-        renew(m, at, TONE);
+        renew(m, at, TONE, *hypothesis_of(m, at, parent).live != 0 ? parent : (long)*at->best);
     }
 }
 
@@ -765,7 +772,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
     select_forks(m, at);
     for (long kind = 0; find_live(m, at, &kind, &h) && kind < STANDING; kind++) {
         if (kind != *at->best && (!isfinite(*h.score) || !isfinite(h.x[0]))) {
-            renew(m, at, kind);
+            renew(m, at, kind, (long)*at->best);
         }
     }
     rest(m, at);

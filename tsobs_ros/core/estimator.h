@@ -169,7 +169,8 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(NUMBER, pass_age, 1, 1)    /* and time since then [s] */                        \
     F(NUMBER, frequency, 1, 1)   /* of a tone [rad/s], with its */                    \
     F(NUMBER, size, 1, 1)        /* 1 sigma, and the */                               \
-    F(COUNT, output, 1, 1)       /* output that has it */
+    F(COUNT, output, 1, 1)       /* output that has it, */                            \
+    F(COUNT, tries, 1, 1)        /* and how often it has begun */
 LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
 
 /* All that an estimator remembers. A torque that is late at an arm's motor is held only then. */
@@ -278,6 +279,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(NUMBER, torque_offset, 1, 1)   /* gain u(t - delay) + offset [N m], */                      \
     F(NUMBER, torque_delay, 1, 1)    /* [s] */                                                    \
     F(NUMBER, force, 1, 1)           /* 1 sigma of an unknown one [N m], 0: none is considered */ \
+    F(VECTOR, modes, 2, 1)           /* frequencies of an arm's own motion [rad/s] */             \
     F(COUNT, gain_mode, 1, 1)        /* GAIN_... */                                               \
     F(MATRIX, C, s->p, s->width)     /* states to outputs */                                      \
     F(MATRIX, D, s->p, s->p)         /* samples to expected outputs */                            \

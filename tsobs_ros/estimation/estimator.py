@@ -320,7 +320,7 @@ def certified_estimator(
     if isinstance(flow, ArmFlow):
         one["torque_rate"] = non_negative("torque_rate", torque_rate)
         share = one["constants"][CONSTANTS["FORCE_SHARE"]]
-        one["force"] = share * flow.arm.reference_torque
+        one["force"], one["modes"] = share * flow.arm.reference_torque, flow.arm.modes
     one["initial"]["hypotheses"][0]["settling"] = non_negative("settle_time", settle_time)
     one["domain"] = np.sqrt(np.diag(initial_covariance)[:plant])
     if domain is not None:

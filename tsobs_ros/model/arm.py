@@ -83,6 +83,17 @@ class ElasticJointArm:
         return math.sqrt(held), math.sqrt(held + self.stiffness / self.motor_inertia)
 
     @property
+    def modes(self) -> tuple[float, float]:
+        """Frequencies at which the hanging arm swings by itself [rad/s].
+
+        ω² are the zeros of ω⁴ − (k/J₁ + g + k/J₂) ω² + g k/J₂, with g = mgl/J₁.
+        """
+        motor, gravity = self.stiffness / self.motor_inertia, self.gravity_gain
+        half = 0.5 * (self.stiffness / self.link_inertia + gravity + motor)
+        root = math.sqrt(half * half - gravity * motor)
+        return math.sqrt(half - root), math.sqrt(half + root)
+
+    @property
     def reference_torque(self) -> float:
         """The size of the arm's torques [N m]: gravity's, or 10 rad/s² of both inertias."""
         inertia = self.link_inertia + self.motor_inertia

@@ -10,7 +10,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain, product
@@ -22,16 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.cdr import TICK_LOG, TICK_LOG_TEXT, MessageSeries, encode_text, encode_ticks
+from tsobs_ros.bag.cdr import TICK_LOG, MessageSeries, encode_text, encode_ticks
 from tsobs_ros.bag.container import MAGIC
-from tsobs_ros.bag.definitions import MessageDefinition, find_definition
+from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter, whole_bag
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.file import record_text
 from tsobs_ros.design.record import Design
-from tsobs_ros.errors import BagWriteError, LogError, ModelError
+from tsobs_ros.errors import LogError, ModelError
 from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.health import judge_rate, rate_of
 from tsobs_ros.estimation.records import HEALTH, USED, RejectReason
@@ -47,8 +47,6 @@ from tsobs_ros.series import Series, SeriesSpool, Spool
 from tsobs_ros.settings import values_of
 
 _OF_BAGS = (".mcap", ".yaml", ".db3")
-_STRING = MessageDefinition(STRING, "string data\n", "")
-_TICK_LOG = MessageDefinition(TICK_LOG, TICK_LOG_TEXT, "")
 
 
 @dataclass(frozen=True)
@@ -157,17 +155,15 @@ class Run:
         self._restarts = self._ticks = 0
         self._is_first, self._has_restarted = True, False
 
-    def begin(self, writer: BagWriter, definition: MessageDefinition) -> None:
+    def begin(self, writer: BagWriter, definition: MessageDefinition | None) -> None:
         """Add its topics to a new bag, JointStates of a definition, and write what it runs."""
         for name in self._encoder.topics:
             writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)
-        for end, known, qos in (
-            (topics.DESIGN, _STRING, QosProfile(durability="transient_local", depth=1)),
-            (topics.TICKS, _TICK_LOG, QosProfile()),
+        for end, type_, qos in (
+            (topics.DESIGN, STRING, QosProfile(durability="transient_local", depth=1)),
+            (topics.TICKS, TICK_LOG, QosProfile()),
         ):
-            with suppress(BagWriteError):  # there need not be a ROS
-                known = find_definition(known.type)
-            writer.add_topic(self._prefix + end, known.type, [qos], definition=known)
+            writer.add_topic(self._prefix + end, type_, [qos])
         observer, source = self.observer, self._source
         parameters = values_of(observer.settings)
         text = record_text(source.topic, source.joints, observer.designs, parameters)
@@ -467,7 +463,7 @@ def run_observers(
             known = source.reader.topics[source.topic].definition
             # Before all copies, so that designs come first among the messages of their time.
             for run in runs:
-                run.begin(writer, known or find_definition(JOINT_STATE))
+                run.begin(writer, known)
             if recorded:
                 source.copy(writer)
         for part in windows:

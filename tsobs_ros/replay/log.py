@@ -11,7 +11,6 @@ from weakref import finalize
 import numpy as np
 
 from tsobs_ros.bag.cdr import MessageSeries
-from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.reader import BagReader
@@ -209,9 +208,7 @@ class LogSource(BagSource):
         finalize(self, folder.cleanup)
         bag = Path(folder.name, "log")
         with BagWriter(bag) as writer:
-            definition = find_definition(JOINT_STATE)
-            qos = QosProfile(reliability="best_effort")
-            writer.add_topic(self.topic, JOINT_STATE, [qos], definition=definition)
+            writer.add_topic(self.topic, JOINT_STATE, [QosProfile(reliability="best_effort")])
             for begin, end in passes(stamps):
                 # Log times rise from line to line: time that has gone back goes on after what was.
                 shift = last + _AFTER_RESTART - int(stamps[begin]) if begin else 0
