@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.campaign.batches import observe
+from tsobs_ros.campaign.comparison import THETAS
 from tsobs_ros.checks import Array
-from tsobs_ros.comparison import THETAS
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.baselines import GATE, extended_kalman
 from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, Rows

@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _on_scenarios(options: argparse.Namespace) -> int:
-    from tsobs_ros.comparison import DEFAULT_SCENARIOS, compare_scenarios, render_scenarios
+    from tsobs_ros.campaign.comparison import DEFAULT_SCENARIOS, compare_scenarios, render_scenarios
     from tsobs_ros.design.file import load_design
     from tsobs_ros.files import require_new, write_whole
     from tsobs_ros.methods import ObserverSettings

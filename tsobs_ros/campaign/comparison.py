@@ -18,7 +18,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.methods import METHODS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, without_misfits
 from tsobs_ros.report.comparison import aligned, number_text
-from tsobs_ros.report.metrics import RunMetrics, measure
+from tsobs_ros.report.metrics import measure
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor
@@ -83,7 +83,7 @@ def compare_scenarios(
             if one.name in HIGH_GAIN:
                 chosen = _tuned(design, chosen, runs)
                 thetas[one.name] = chosen.theta
-            found[one.name] = _errors(_measured(design, chosen, runs))
+            found[one.name] = _errors(design, chosen, runs)
             advance(seeds)
         return {**found, "theta": thetas}
 
@@ -116,10 +116,13 @@ def render_scenarios(comparison: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _errors(runs: Sequence[RunMetrics]) -> dict[str, Any]:
+def _errors(design: Design, settings: ObserverSettings, runs: Trajectories) -> dict[str, Any]:
     """Return an observer's errors in the runs of a scenario, as plain data."""
-    normalised = [run.normalised_rmse for run in runs]
-    quantities = zip(*(run.quantities for run in runs), strict=True)
+    observed = observe(design, runs, settings)
+    each_run = range(len(runs.physical))
+    measured = [measure(recorded(runs, run, observed.of(run))) for run in each_run]
+    normalised = [one.normalised_rmse for one in measured]
+    quantities = zip(*(one.quantities for one in measured), strict=True)
     rmse = {each[0].quantity.key: _root_mean([one.rmse for one in each]) for each in quantities}
     return {
         "normalised_rmse": _root_mean(normalised),
@@ -150,19 +153,12 @@ def _fitted(scenario: Scenario, design: Design) -> Scenario:
     )
 
 
-def _measured(design: Design, settings: ObserverSettings, runs: Trajectories) -> list[RunMetrics]:
-    observed = observe(design, runs, settings)
-    places = range(len(runs.physical))
-    return [measure(recorded(runs, run, observed.of(run))) for run in places]
-
-
 def _tuned(design: Design, settings: ObserverSettings, runs: Trajectories) -> ObserverSettings:
     """Return settings with the best θ of the first run."""
-    some = Trajectories(runs.times, *(each[:1] for each in runs[1:]))
-    choices = [replace(settings, theta=theta) for theta in THETAS]
+    first = Trajectories(runs.times, *(each[:1] for each in runs[1:]))
 
     def error(choice: ObserverSettings) -> float:
-        (run,) = _measured(design, choice, some)
-        return math.inf if run.normalised_rmse is None else run.normalised_rmse
+        found: float | None = _errors(design, choice, first)["normalised_rmse"]
+        return math.inf if found is None else found
 
-    return min(choices, key=error)
+    return min((replace(settings, theta=theta) for theta in THETAS), key=error)

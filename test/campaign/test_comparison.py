@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from tsobs_ros.campaign.comparison import compare_scenarios, render_scenarios
 from tsobs_ros.cli.main import main
-from tsobs_ros.comparison import compare_scenarios, render_scenarios
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
