@@ -45,8 +45,9 @@ _MARGIN, _ANGLE_SHARE = 0.15, 0.9
 """Share of the limits of angle and velocity that the arms that are tried leave free, and largest
 angle by the request's domain."""
 
-_DRAWS, _TRIED = 64, 4
-"""Random arms within the uncertainty, and those that candidates are simulated with."""
+_DRAWS, _TRIED = 64, slice(0, 17, 2)
+"""Random arms within the uncertainty, and the arms with which candidates are simulated: the nominal
+one and every second corner."""
 
 _BOUND, _RUBBING = 0.3, 0.04
 """Relative error of a number about which the request says nothing, and largest Coulomb friction of
@@ -59,8 +60,9 @@ _TONES, _KNOTS, _PERIODS, _BEYOND = 24, 6, 3.0, 2.5
 """Number of tones, and of frequencies at which their amplitudes are drawn; periods of the slowest
 in the motion; the fastest by the joint's resonance."""
 
-_SMALLEST = 1e-9
-"""A link angle that no sensor shows [rad]."""
+_FIRST, _ROUNDS, _SMALLEST = 0.3, 3, 1e-9
+"""Largest link angle of a motion at first [rad], the number of times that it is made larger or
+smaller, and an angle that no sensor shows [rad]."""
 
 _EDGE, _TAIL = 0.1, 2.0
 """Share of the motion in which its window rises, and falls; time after it with limits [s]."""
@@ -201,7 +203,7 @@ class _Motions:
         # A noise shows with any motion.
         noises = unknowns.noises().numbers
         moved = [each not in noises for each in unknowns.numbers]
-        self._wanted = np.array(moved) if any(moved) else np.full(unknowns.count, True)
+        self.wanted = np.array(moved) if any(moved) else np.full(unknowns.count, True)
 
     def drawn(self, rng: np.random.Generator) -> Array:
         """Return the link angle of a motion at random, up to a scale, shape (n,)."""
@@ -232,36 +234,33 @@ class _Motions:
         return np.asarray(torque)
 
     def reached(self, torque: Array, arms: Sequence[Scenario]) -> Array:
-        """Return torque, angle and velocity that each arm reaches, shape (arms, 3)."""
+        """Return the largest torque, angle and velocity of some arms, shape (3,)."""
         whole = np.concatenate([torque, np.zeros(round(_TAIL * self.request.rate))])
         with ThreadPoolExecutor(WORKERS) as pool:
             states = pool.map(lambda arm: simulated(arm, whole), arms)
-            largest = np.array([np.abs(each).max(axis=0) for each in states])
-        reached = np.maximum(largest[:, :2], largest[:, 2:])
-        return np.column_stack([np.full(len(arms), np.abs(torque).max()), reached])
+            largest = np.max([np.abs(each).max(axis=0) for each in states], axis=0)
+        return np.append(np.abs(torque).max(), np.maximum(largest[:2], largest[2:]))
 
-    def scaled(
-        self, angle: Array, arms: Sequence[Scenario], scale: float, rounds: int
-    ) -> tuple[Array, float, Limits]:
-        """Return torque, scale and what is reached of a motion as large as the limits allow.
+    def scaled(self, angle: Array, arms: Sequence[Scenario]) -> tuple[Array, Limits]:
+        """Return torque and what is reached of a motion as large as the limits of all arms allow.
 
-        From the given scale [rad] it is made larger or smaller for so many rounds, then smaller
-        until the limits hold for all the arms.
+        It is made larger or smaller for some rounds, then smaller until the limits hold.
         """
+        scale = _FIRST
         for place in count():
             torque = self.torque(scale * angle)
-            reached = self.reached(torque, arms).max(axis=0)
+            reached = self.reached(torque, arms)
             ratio = max(float((reached / self.limits).max()), 1e-9)
-            if place >= rounds and ratio <= 1.0:
+            if place >= _ROUNDS and ratio <= 1.0:
                 break
-            scale *= min(max(0.99 / ratio, 0.1), 3.0 if place < rounds else 1.0)
+            scale *= min(max(0.99 / ratio, 0.1), 3.0 if place < _ROUNDS else 1.0)
             # Beyond its limit of angle nothing is gained.
             scale = min(scale, self.limits.angle)
             if scale < _SMALLEST:
                 raise ModelError(
                     f"limits: expected room for a motion of {_SMALLEST:g} rad, got {self.limits}"
                 )
-        return torque, scale, Limits(*reached.tolist())
+        return torque, Limits(*reached.tolist())
 
     def std(self, torque: Array) -> Array:
         """Return 1σ of the numbers after a recording, by that before it, shape (k,)."""
@@ -270,28 +269,6 @@ class _Motions:
         recording = Recording(self.times, durations, y, torque)
         information = Likelihood(self.unknowns, recording).evaluate(np.zeros(k)).information
         return np.sqrt(np.diag(np.linalg.inv(information + np.eye(k))))
-
-    def best(
-        self,
-        arms: Sequence[Scenario],
-        candidates: int,
-        rng: np.random.Generator,
-        advance: Callable[[int], None],
-    ) -> Array:
-        """Return the link angle, up to a scale, of the motion that shows most, of so many."""
-        first = self.drawn(rng)
-        torque, scale, _ = self.scaled(first, arms[:1], 0.3, 3)
-        # The nominal arm and those that come closest to their limits, or beyond.
-        shares = (self.reached(torque, arms) / self.limits)[1:, 1:].max(axis=1)
-        order = 1 + np.argsort(-shares, kind="stable")[:_TRIED]
-        near = [arms[0], *(arms[at] for at in order.tolist())]
-
-        def unknown(angle: Array) -> float:
-            torque, *_ = self.scaled(angle, near, scale, 1)
-            advance(1)
-            return float(np.log(self.std(torque)[self._wanted]).mean())
-
-        return min((self.drawn(rng) for _ in range(candidates)), key=unknown)
 
 
 def excite(
@@ -353,8 +330,15 @@ def excite(
     inner = Limits(at_motor, *((1.0 - _MARGIN) * each for each in limits[1:]))
     motions = _Motions(request, duration, inner, free, seed)
     arms = trial_arms(request, _DRAWS, seed)
-    angle = motions.best(arms, candidates, np.random.default_rng((seed, 0)), advance)
-    torque, _, worst = motions.scaled(angle, arms, 0.3, 4)
+    rng = np.random.default_rng((seed, 0))
+
+    def unknown(angle: Array) -> float:
+        torque, _ = motions.scaled(angle, arms[_TRIED])
+        advance(1)
+        return float(np.log(motions.std(torque)[motions.wanted]).mean())
+
+    angle = min((motions.drawn(rng) for _ in range(candidates)), key=unknown)
+    torque, worst = motions.scaled(angle, arms)
     commands = (torque - path.offset) / path.gain
     pairs = zip(motions.unknowns.numbers, motions.std(torque).tolist(), strict=True)
     return Excitation(
