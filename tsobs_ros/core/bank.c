@@ -494,8 +494,8 @@ static void listen(const model *m, state *at, const correction *effect)
         && (*tone.live == 0
             || (*tone.score < -0.5 * m->constants[FLOOR] && *tone.age > trial))) {
         /* What others have learnt of a tone is wrong, in ways of their own: one after the other. */
-        const long others[] = {(long)*at->best, LOUD, AS_DESIGNED};
-        const long parent = others[*tone.tries % 3];
+        const long others[] = {(long)*at->best, COLOURED_NOISE, LOUD, AS_DESIGNED};
+        const long parent = others[*tone.tries % 4];
         *tone.frequency = frequency;
         *tone.size = size;
         *tone.output = output;
