@@ -129,7 +129,7 @@ class Estimates:
 
     @property
     def proved(self) -> Flags:
-        """Whether that is so, but for what is uncertain of learnt parameters, shape (n,)."""
+        """Whether the bounds are certified but for the learnt parameters, shape (n,)."""
         return np.isin(self.basis, PROVED)
 
 
@@ -307,8 +307,8 @@ def estimate_bag(
 ) -> BagEstimates:
     """Estimate over a bag or a CSV log, as `tsobs estimate`.
 
-    Where a bag has the estimates of a live observer, they are made at the same instants and
-    compared; else at every measurement.
+    If a bag has a live observer's estimates, new ones are made at the same instants and compared;
+    else they are made at every measurement.
 
     Args:
         path: A bag's folder, an MCAP file, or a log: any other file.

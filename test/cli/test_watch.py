@@ -24,7 +24,7 @@ from tsobs_ros.cli.picture import picture
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.watcher import View
 
-TIMEOUT = 60.0
+TIMEOUT = 180.0
 # Colours, the cursor and modes; what follows [H is a picture.
 ESCAPES = re.compile(r"\x1b\[[?\d;]*[A-GI-Za-z]")
 
@@ -51,14 +51,14 @@ def test_a_terminal_shows_an_observer_until_it_is_interrupted(
     printed = ""
 
     def shown() -> list[str]:
-        """Return the lines of the newest whole picture that has a fault with its size."""
+        """Return the lines of the newest whole picture of a fault while measurements come."""
         nonlocal printed
         with suppress(OSError):  # nothing more, or the other side was closed
             while data := os.read(own, 65536):
                 printed += data.decode(errors="replace")
         pictures = [ESCAPES.sub("", each) for each in printed.split("\x1b[H")[1:-1]]
         fault = r"WARN +sensor fault +bias; magnitude \[rad\] 0\.\d+; for \d"
-        found = [each for each in pictures if re.search(fault, each)]
+        found = [each for each in pictures if re.search(fault, each) and "TRACKING" in each]
         return [line.rstrip() for line in found[-1].split("\r\n")] if found else []
 
     try:

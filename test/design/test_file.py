@@ -201,6 +201,7 @@ ARM = [
     (("certificate", "P", 1, 2), math.inf, r"certificate.P\[1\]\[2\]: expected a finite number"),
     (("design", "arm"), {"link_inertia": 1e-200, "motor_inertia": 1e-200}, "must be finite"),
     (OUTPUTS, [{**OUTPUT, "measures": "link_angle"}], "disturbance: expected in outputs, one per"),
+    (("design", "measurement_std"), None, "design.measurement_std: expected a value, got None"),
 ]
 SYSTEM = [
     (("system", "rules"), ..., "system.rules: missing"),

@@ -134,7 +134,7 @@ def recover(
             for file in files
         )
         raise BagReadError(f"{source}: no message can be recovered: {'; '.join(each)}")
-    (previous, _), added = first, 0
+    previous, added = first[0], 0
     chunks = chain([first], found)
     del first  # a chunk may be large
     metadata = there.metadata or previous.metadata

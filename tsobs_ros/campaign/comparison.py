@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tsobs_ros.campaign.batches import observe, recorded
-from tsobs_ros.checks import check_names
+from tsobs_ros.checks import check_names, positive
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.methods import METHODS, ObserverSettings
@@ -60,9 +60,10 @@ def compare_scenarios(
     scenario's, unless a duration is given [s].
 
     Raises:
-        ModelError: A name is unknown, no observer can observe the arm, or it has not the link
-            angle as its only output.
+        ModelError: A name is unknown, there are no seeds, no observer can observe the arm, or it
+            has not the link angle as its only output.
     """
+    positive("seeds", seeds)
     check_names("scenario", scenarios, SCENARIOS)
     request = design.arm_request
     unfit = request.torque_sides or request.sensors[0].delay

@@ -27,7 +27,7 @@ from tsobs_ros.yaml_files import read_yaml, yaml_text
 FORMAT, VERSION = "tsobs_ros campaign", 1
 CAMPAIGN = "campaign.yaml"
 
-_HEADER = "# What this folder has the runs of, written by `tsobs campaign`.\n"
+_HEADER = "# The campaign of this folder's runs, written by `tsobs campaign`.\n"
 
 
 class CampaignError(TsobsError, RuntimeError):
@@ -46,7 +46,7 @@ class OutputEntries:
 class ScenarioEntries(OutputEntries):
     """A scenario, drawn; `config/campaign.yaml` describes the entries.
 
-    The sensor and the disturbance are the first output's. What the campaign has too replaces that.
+    Sensor and disturbance are the first output's. Entries replace the campaign's of the same name.
     """
 
     uncertainty: float

@@ -20,6 +20,9 @@
 /* Kinds of an innovation for the noise's scale, 0 for none. */
 enum { REGULAR = 1, OUTLIER = 2 };
 
+/* Hypotheses that a tone begins from, one after the other. */
+enum { PARENTS = 4 };
+
 /* --- views --- */
 
 int sizes_are_sound(const int64_t *numbers)
@@ -46,7 +49,7 @@ static int state_is_sound(const model *m, const state *at)
     for (long i = 0; i < m->s.hypotheses; i++) {
         const hypothesis h = hypothesis_of(m, at, i);
         if (*h.kind < 0 || *h.kind >= STANDING || *h.output < 0 || *h.output >= m->s.p
-            || *h.fork < NO_FORK || *h.fork > MOVED || *h.tries < 0
+            || *h.fork < NO_FORK || *h.fork > MOVED || *h.next_parent < 0 || *h.next_parent >= PARENTS
             || (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
             return 0;
         }
@@ -230,13 +233,13 @@ static void renew(const model *m, state *at, long kind, long from)
     const long n = (long)m->s.n, p = (long)m->s.p, width = (long)m->s.width;
     hypothesis h = hypothesis_of(m, at, kind);
     const double frequency = *h.frequency, size = *h.size;
-    const int64_t output = *h.output, tries = *h.tries;
+    const int64_t output = *h.output, next_parent = *h.next_parent;
     h = begin_from(m, at, from, kind, NO_FORK, -m->constants[FLOOR]);
     *h.kind = kind;
     *h.frequency = frequency;
     *h.size = size;
     *h.output = output;
-    *h.tries = tries + 1;
+    *h.next_parent = (next_parent + 1) % PARENTS;
     /* What the best one took for a part of the sensors is the disturbance's again. */
     clear_auxiliary(m, &h, first_of_its_own(m, at, kind), width);
     if (kind == FORCE && h.covariance[n * width + n] <= 0.0) {
@@ -494,8 +497,8 @@ static void listen(const model *m, state *at, const correction *effect)
         && (*tone.live == 0
             || (*tone.score < -0.5 * m->constants[FLOOR] && *tone.age > trial))) {
         /* What others have learnt of a tone is wrong, in ways of their own: one after the other. */
-        const long others[] = {(long)*at->best, COLOURED_NOISE, LOUD, AS_DESIGNED};
-        const long parent = others[*tone.tries % 4];
+        const long others[PARENTS] = {(long)*at->best, COLOURED_NOISE, LOUD, AS_DESIGNED};
+        const long parent = others[*tone.next_parent];
         *tone.frequency = frequency;
         *tone.size = size;
         *tone.output = output;

@@ -36,7 +36,7 @@ enum {
     FORCE,          /* an unknown torque at the motor */
     IMPERFECT,      /* a model that is wrong in ways that it does not say */
     LOUD,           /* white noise that is larger than designed */
-    COLOURED_NOISE, /* noise that is alike from sample to sample */
+    COLOURED_NOISE, /* noise that is correlated in time */
     DRIFT,          /* sensors that move away */
     TONE,           /* a sensor that oscillates */
     STANDING,
@@ -170,7 +170,7 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(NUMBER, frequency, 1, 1)   /* of a tone [rad/s], with its */                    \
     F(NUMBER, size, 1, 1)        /* 1 sigma, and the */                               \
     F(COUNT, output, 1, 1)       /* output that has it, */                            \
-    F(COUNT, tries, 1, 1)        /* and how often it has begun */
+    F(COUNT, next_parent, 1, 1)  /* and what it begins from next time */
 LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
 
 /* All that an estimator remembers. A torque that is late at an arm's motor is held only then. */

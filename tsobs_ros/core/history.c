@@ -61,9 +61,9 @@ static int64_t count_before(const tracker *t, int64_t stamp)
 
 int history_is_sound(const history *h)
 {
-    const int64_t places = *h->max_steps + 2;
     return *h->max_steps >= 1 && *h->max_steps <= MOST_STEPS && *h->first >= 0
-           && *h->first < places && *h->length >= 0 && *h->length <= places && *h->has_base >= 0
+           && *h->first < *h->max_steps + 2 && *h->length >= 0
+           && *h->length <= *h->max_steps + 2 && *h->has_base >= 0
            && *h->has_base <= (*h->length > 0) && *h->span >= 0 && *h->future >= 0
            && *h->restart_after >= 0;
 }

@@ -213,7 +213,7 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
     with naming(path):
         answer = decode({name: data.pop(name) for name in _ANSWER if name in data}, _Answer)
         is_arm = kind == _ARM
-        request = decode(data, _ArmFile).design if is_arm else _system_request(data)
+        request = _arm_request(data) if is_arm else _system_request(data)
         p, n = request.flow.output_matrix.shape
         K = as_matrix("gain.K", answer.gain.K, (n,) if is_arm and p == 1 else (n, p))
         P = as_matrix("certificate.P", answer.certificate.P, (n, n))
@@ -251,7 +251,7 @@ def load_request(path: FilePath) -> AnyRequest:
             request = _system_request(data)
         else:
             data = data if "design" in data else {"design": data}
-            request = decode(data, _ArmFile).design
+            request = _arm_request(data)
             arm = data["design"].get("arm", _ARM_PARAMETERS)
             # In silence the shipped arm's would be taken for one that is not like it at all.
             if missing := [name for name in _ARM_PARAMETERS if name not in arm]:
@@ -364,6 +364,14 @@ class _System:
         A, B = (np.array([getattr(rule, name) for rule in self.rules]) for name in "AB")
         own = np.array(outputs) if any(rule.C is not None for rule in self.rules) else None
         return TSModel(A, B, C, RuleBase(tuple(rules)), premise, schedule, own)
+
+
+def _arm_request(data: Mapping[str, Any]) -> ArmRequest:
+    design = data.get("design")
+    for name in ("disturbance", "measurement_std", "outputs"):
+        if isinstance(design, Mapping) and name in design and design[name] is None:
+            raise DesignFileError(f"design.{name}: expected a value, got None")
+    return decode(data, _ArmFile).design
 
 
 def _system_request(data: dict[Any, Any]) -> TSRequest:

@@ -65,7 +65,7 @@ __all__ = [
 ]
 
 NO_LIMIT = 1e9
-"""A torque [N m], or rate of it [N m/s], from which on any is plausible."""
+"""A torque [N m], or rate of it [N m/s]; a limit from it on counts as none."""
 
 _MAX_MATRICES = 16
 """Vertex matrices; l of them make l² inequalities."""
@@ -335,8 +335,8 @@ class ArmRequest(Request):
             `model.flow.ARM_DIRECTIONS`: relative, or N m s/rad for a damping. That of
             gravity is left out if there is none.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
-        torque_limit: Largest plausible torque [N m]; None: see `torque_limits`; any is from
-            `NO_LIMIT` on, or by 0, which a file that asks for a design may not have.
+        torque_limit: Largest plausible torque [N m]; None: see `torque_limits`; from `NO_LIMIT`
+            on, or with 0, there is no limit. A request file may not have 0.
         torque_rate_limit: Its largest plausible rate [N m/s]; likewise.
 
     Raises:
@@ -529,7 +529,7 @@ class ArmRequest(Request):
         )
 
     def at_rate(self, rate: float) -> Self:
-        # Delays of few periods are many short ones, and move no error.
+        # Delays could be too many short periods; no error depends on them.
         outputs = self.outputs and [replace(output, delay=0.0) for output in self.outputs]
         return replace(self, rate=rate, torque=DIRECT, outputs=outputs)
 

@@ -25,7 +25,7 @@ CONSTANTS = {name: place for place, (name, *_) in enumerate(native.BANK_CONSTANT
 PERIOD_TOLERANCE = 0.1
 """Steps within this fraction of the design's period count as regular samples.
 
-For jitter, whose mean is the period. A sensor that is steadily 10 % slow makes the bound 2 % small.
+It allows for jitter about the period. If a sensor is always 10 % slow, bounds are 2 % too small.
 """
 
 TORQUE_RATE = 1.0
@@ -66,8 +66,8 @@ class TorqueLimits(NamedTuple):
 class SupervisionOptions:
     """When samples are not used.
 
-    σ is times the noise's scale; a disturbance beyond π and the arm and its sensor turned together
-    look the same; core/bank.c counts repetitions.
+    Each σ is multiplied by the noise scale. A disturbance beyond π looks like arm and sensor turned
+    together. Repetitions are counted in core/bank.c.
     """
 
     gate: float = live_setting(
@@ -100,8 +100,8 @@ class Correction(NamedTuple):
 class Estimator:
     """The estimator of one system; its states are records, which no step changes.
 
-    `Design.observer` and `Design.supervised` make it for a design; `estimation.baselines` makes
-    those to compare with.
+    `Design.observer` and `methods.make_estimator` make it for a design; `estimation.baselines`
+    makes those to compare with.
 
     Attributes:
         shape: Sizes.
@@ -301,7 +301,7 @@ def certified_estimator(
     Args:
         K: Filter gain, shape (n, p).
         X: Bound that is proved for it on the error covariance before each sample, shape (n, n).
-        late_factor: Factor of the bound's root for a period from when the next sample is late; NaN
+        late_factor: Factor of the 1σ bound for up to a period after the next sample is due; NaN
             if none is known.
         settle_time: Least duration of the Riccati phase [s].
         gain_mode: Whether the certified gain ever takes over.

@@ -33,7 +33,7 @@ USED = 0
 class RejectReason(Code):
     """Why a measurement was not used; the text is its name in reports.
 
-    Of one with an implausible torque or an unknown input the outputs are used all the same.
+    If its torque is implausible or an input unknown, its outputs are still used.
     """
 
     NON_FINITE = 1, "non-finite", "the driver has no reading; see what it logs"
@@ -62,7 +62,7 @@ class Basis(Code):
         "the bound is void: the measurements contradict the design",
         "the arm, the noise or the disturbance differs from it",
     )
-    HYPOTHESIS = 7, "the bound is not certified: it is that of an arm or a sensor unlike designed"
+    HYPOTHESIS = 7, "the bound is not certified: it is that of another arm or sensor model"
     OUTSIDE = 8, "the bound is void: the link angle is outside of the certificate's domain"
 
     @property
@@ -95,7 +95,7 @@ class Hypothesis(Code):
     LOUD = 3, "the sensor is much noisier than designed", "a larger measurement_std would expect it"
     COLOURED_NOISE = (
         4,
-        "the sensor's noise is alike from sample to sample: a filter in the sensor?",
+        "the sensor's noise is correlated in time: a filter in the sensor?",
         "a gauss_markov disturbance of 0.02 to 0.1 s in the design would estimate it",
     )
     DRIFT = (
@@ -121,7 +121,7 @@ _EMPTY = np.zeros(0)
 
 
 class Estimate(NamedTuple):
-    """The estimate at one instant, in physical units; what there is none of has length 0.
+    """The estimate at one instant, in physical units; absent quantities have length 0.
 
     Its fields are those of `tsobs_ros.Estimates` at that instant, and
 

@@ -29,7 +29,7 @@ QUANTITIES = ("link_angle", "link_velocity", "motor_angle", "motor_velocity")
 """Names of what a sensor can measure (rad, rad/s), in the order of the states."""
 
 ANGLES = (QUANTITIES[LINK_ANGLE], QUANTITIES[MOTOR_ANGLE])
-"""Those of them whose derivative is a state, the next one."""
+"""The quantities whose derivative is the next state."""
 
 SIDES = ("motor", "link")
 """Where a torque may disturb an arm, in the order of the torques' states."""

@@ -4,7 +4,7 @@
 
     ẋ = Σ hᵢ(z)(Aᵢx + Bᵢu),   y = C x + disturbance + noise,   z = Z x + Z_s s
 
-It has one output matrix, and premises that are linear in what is known: s are scheduled signals, an
+It has one output matrix, and premises that are linear in x and s. Scheduled signals s are known: an
 ambient temperature, a set point, or a measurement that is as good as exact. They are held over a
 step and travel with the input, as [u; s].
 
@@ -18,7 +18,7 @@ order, and exact for one rule. What matters for a proof is that its error map is
 
     e⁺ = Φ [Φ + T N₂ Φ (I + (T/2) N₁)] e + Φ (I + T N₂) n₁ + n₂
 
-with N₁ and N₂ two matrices that g(x) − g(x̂) = N (x − x̂) holds for, and affine in each of them:
+for two matrices N₁, N₂ with g(x) − g(x̂) = N (x − x̂). The map is affine in each of them:
 
 - if the premise is known, N = Σ hᵢ(Aᵢ − A₀), a convex combination over the rules;
 - if it is the estimate, N is a mean of the Jacobian of g (mean value theorem): a convex
@@ -137,7 +137,7 @@ class TSModel:
 class TSFlow(Flow):
     """Predicts the augmented state x̄ = [x; w] of a T–S system (or of a batch of equal ones).
 
-    Process noise are the densities of white noise on each state's derivative [unit²/s], shape (n,).
+    Process noise: densities of white noise on each state's derivative [unit²/s], shape (n,).
 
     Raises:
         ModelError: As `Flow`; a density is negative or of the wrong shape.

@@ -210,7 +210,7 @@ def _encoded(values: Array) -> dict[str, str]:
 def _outline(band: Band) -> tuple[Array, Array]:
     """Return the outlines of a band, with NaN between its parts."""
     x, y = [np.zeros(0)], [np.zeros(0)]
-    for own in stretches(np.isfinite(band.lower + band.upper)):
+    for own in stretches(np.isfinite(band.lower) & np.isfinite(band.upper)):
         x += [band.times[own], band.times[own][::-1], np.array([np.nan])]
         y += [band.upper[own], band.lower[own][::-1], np.array([np.nan])]
     return np.concatenate(x)[:-1], np.concatenate(y)[:-1]

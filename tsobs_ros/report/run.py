@@ -52,7 +52,7 @@ _OWN |= {"health": topics.HEALTH, "innovation": topics.INNOVATION}
 
 
 class Estimated(NamedTuple):
-    """A quantity of a run: m estimates with their 1σ bounds, the truth, and that at their stamps.
+    """A quantity of a run: m estimates, 1σ bounds, the truth, and the truth at the same stamps.
 
     What is unknown is NaN; a truth that is not recorded is None.
     """
@@ -153,8 +153,8 @@ class RecordedRun:
 def read_series(source: BagSource, asked: Mapping[str, tuple[str, Wanted]]) -> dict[str, Series]:
     """Read numbers of topics of JointStates, all in one pass and up to any damage.
 
-    Asked for are full names of topics, each with groups of places; of each message the last group
-    is read of which it has any entry. Messages without any do not count.
+    `asked` has full names of topics, each with groups of places. If a message has entries of
+    several groups, the last of these is read. Messages without any do not count.
 
     Raises:
         BagReadError: The bag has no such topic, or a topic is of another type.

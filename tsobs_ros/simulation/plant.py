@@ -67,8 +67,8 @@ class PlantScenario:
         duration: How long a run is [s].
         outputs: What measures each output, p of them.
         inputs: Signals of the inputs, then of the scheduled signals, in the absence of a command.
-        fed_back: Of each scheduled signal the number of the output whose last finite measurement
-            it is, None of a signal of its own.
+        fed_back: For each scheduled signal, the number of the output whose last finite measurement
+            it is; None for an independent signal.
         torque_disturbance: Signals of the disturbance of each torque.
         torque_error: What the first reported input has beyond the applied one [N m], added up.
         torque: How the commanded first input, which is the reported one, reaches the plant.
@@ -208,9 +208,9 @@ class Trajectories(NamedTuple):
     Attributes:
         times: k/rate, since the start [s], shape (samples,).
         states: True states in the nominal arm's design coordinates, shape (runs, samples, 4).
-        disturbances: What each measurement has beyond the truth, its delay, latency, noise and
+        disturbances: Measurement minus truth, without the effects of delay, latency, noise and
             outliers, shape (runs, samples, p). Of a stuck sensor it is the frozen value minus the
-            true one, of an output with a delay that of so long ago.
+            true one; if the output has a delay, minus the true one before that delay.
         measurements: y, NaN if lost, shape (runs, samples, p).
         torques: Torque reported from each sample to the next [N m]: the one commanded, and its
             error, shape (runs, samples, 1).

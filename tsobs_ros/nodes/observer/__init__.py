@@ -63,8 +63,8 @@ from tsobs_ros.settings import settings_of, values_of
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
 
-# A tick takes what waits for no longer than this share of its period, and this time [s]: what is
-# left of half a period is for the estimation. The rest waits in the queue.
+# A tick reads the queue for at most this share of its period, and at most this time [s]. The rest
+# of half a period is for the estimation. Unread messages stay in the queue.
 _MAX_SHARE = 0.4
 _MAX_BACKLOG = 0.05
 # What one node can do [Hz]; a design may be for more.
@@ -216,7 +216,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._publisher.publish_restart(now, self._resets)
 
     def _publish_record(self) -> None:
-        """Publish what runs, for those who come later too."""
+        """Publish designs and parameters, latched."""
         values = values_of(self.parameters)
         text = record_text(
             self.resolve_topic_name("joint_measurements"),

@@ -18,7 +18,7 @@ from tsobs_ros.nodes.observer.joints import FAILURES, ObservedJoint
 
 _MANY_REJECTED = 0.01
 _MANY_MISSED = 0.05
-# The clock has jumped if it went back, or on by more than this [ns], so much faster than time.
+# The clock has jumped if it went back, or ahead by over this [ns] and this many times too fast.
 _JUMP = 1_000_000_000
 _FASTEST = 100
 
