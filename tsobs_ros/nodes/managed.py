@@ -332,7 +332,8 @@ class ManagedNode(LifecycleNode, Generic[P]):
         try:
             return answer(request, response)
         except Exception as error:  # whatever rclpy raises of a request that it does not expect
-            reason = printable(f"cannot answer {type(request).__name__}: {error!r}")
+            kind = type(error).__name__
+            reason = printable(f"cannot answer {type(request).__name__}: {error} ({kind})")
             if self.is_due("request"):
                 self.log(Level.WARN, reason)
             result = SetParametersResult(successful=False, reason=reason)
