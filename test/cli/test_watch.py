@@ -51,14 +51,15 @@ def test_a_terminal_shows_an_observer_until_it_is_interrupted(
     printed = ""
 
     def shown() -> list[str]:
-        """Return the lines of the newest whole picture of a fault while measurements come."""
+        """Return the lines of the newest whole picture of a fault while all else is well."""
         nonlocal printed
         with suppress(OSError):  # nothing more, or the other side was closed
             while data := os.read(own, 65536):
                 printed += data.decode(errors="replace")
         pictures = [ESCAPES.sub("", each) for each in printed.split("\x1b[H")[1:-1]]
         fault = r"WARN +sensor fault +bias; magnitude \[rad\] 0\.\d+; for \d"
-        found = [each for each in pictures if re.search(fault, each) and "TRACKING" in each]
+        wanted = "TRACKING", r"OK +certificate ", fault
+        found = [each for each in pictures if all(re.search(one, each) for one in wanted)]
         return [line.rstrip() for line in found[-1].split("\r\n")] if found else []
 
     try:
