@@ -68,11 +68,12 @@ class _LibraryEkf(ExtendedKalmanFilter):  # type: ignore[misc]
     def predict_x(self, u: Any = 0) -> None:
         """Predict and linearise there, by NumPy's products."""
         step, x = self.flow.nominal, self.x[:, 0].copy()
-        x[1] -= step.half_kick * np.sin(x[0])
-        before = self._kick(step.half_kick * np.cos(x[0]))
+        half = 0.5 * step.duration * self.flow.gravity_gain
+        x[1] -= half * np.sin(x[0])
+        before = self._kick(half * np.cos(x[0]))
         x = step.phi @ x + step.gamma @ u
-        self.F = self._kick(step.half_kick * np.cos(x[0])) @ step.phi @ before
-        x[1] -= step.half_kick * np.sin(x[0])
+        self.F = self._kick(half * np.cos(x[0])) @ step.phi @ before
+        x[1] -= half * np.sin(x[0])
         self.x = x[:, np.newaxis]
 
     def step(self, y: Array, u: Array) -> None:
@@ -121,16 +122,17 @@ class _LibraryAugmentedEkf(ExtendedKalmanFilter):  # type: ignore[misc]
     def _kick(self, x: Array, torque: float) -> tuple[Array, Array]:
         step, n = self.flow.nominal, self.flow.state_count
         half, theta = 0.5 * step.duration, x[n:]
+        gravity = half * self.flow.gravity_gain
         push = (self.effects @ [*x[:4], np.sin(x[LINK_ANGLE]), torque, 0.0]).T
         change = np.tensordot(theta, self.effects, 1)
         jacobian = self._identity.copy()
         jacobian[_ROWS, :4] += half * change[:, :4]
         jacobian[_ROWS, LINK_ANGLE] += half * change[:, SINE] * np.cos(x[LINK_ANGLE])
         jacobian[_ROWS, n:] = half * push
-        jacobian[LINK_VELOCITY, LINK_ANGLE] -= step.half_kick * np.cos(x[LINK_ANGLE])
+        jacobian[LINK_VELOCITY, LINK_ANGLE] -= gravity * np.cos(x[LINK_ANGLE])
         kicked = x.copy()
         kicked[_ROWS] += half * (push @ theta)
-        kicked[LINK_VELOCITY] -= step.half_kick * np.sin(x[LINK_ANGLE])
+        kicked[LINK_VELOCITY] -= gravity * np.sin(x[LINK_ANGLE])
         return kicked, jacobian
 
 

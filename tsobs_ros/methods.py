@@ -18,7 +18,7 @@ from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.estimation import baselines
 from tsobs_ros.estimation.estimator import GAIN_MODES, TORQUE_RATE, Estimator, SupervisionOptions
 from tsobs_ros.estimation.events import STALE_AFTER
-from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.estimation.tracker import Tracker, require_steps
 from tsobs_ros.paper.observer import (
     PAPER_WARNING,
     SYSTEM_WARNING,
@@ -272,8 +272,7 @@ def export_c(
             within 1 and a million.
         OSError: The file cannot be written.
     """
-    if not 1 <= max_steps <= 10**6:
-        raise ModelError(f"max_steps: expected 1 to 1000000, got {max_steps}")
+    require_steps(max_steps)
     tracker = make_tracker(design, settings)
     tracker.memory["max_steps"] = max_steps
     model = tracker.estimator.model.view(np.int64)

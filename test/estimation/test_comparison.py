@@ -56,7 +56,7 @@ def test_parameters_of_an_ekf_are_as_states() -> None:
         push = effects[:, rows] @ [*x[:4], np.sin(x[0]), torque, 0.0]
         after = x.copy()
         after[rows] += 0.5 * step.duration * (x[n:] @ push)
-        after[LINK_VELOCITY] -= step.half_kick * np.sin(x[0])
+        after[LINK_VELOCITY] -= 0.5 * step.duration * flow.gravity_gain * np.sin(x[0])
         return after
 
     def slope(x: Array, torque: float) -> Array:

@@ -173,9 +173,10 @@ def test_the_bound_covers_the_time_between_samples_too(fraction: float) -> None:
     np.testing.assert_allclose(observer.readout(between).state_bound, design.bound_std[:4])
     root, step = np.linalg.cholesky(design.P), flow.transition(fraction * T)
     after = observer.model["posterior"][0, :5, :5]
+    half = 0.5 * step.duration * flow.gravity_gain
     for first, second in product(design.request.slope_range, repeat=2):
         before, kick = np.eye(5), np.eye(5)
-        before[1, 0], kick[1, 0] = -step.half_kick * first, -step.half_kick * second
+        before[1, 0], kick[1, 0] = -half * first, -half * second
         spread = step.phi @ before @ after @ before.T @ step.phi.T + step.noise
         assert np.linalg.eigvalsh(root.T @ kick @ spread @ kick.T @ root)[-1] <= 1.0 + 1e-6
     late = observer.predict(corrected, u, 3.0 * T, between_samples=True)

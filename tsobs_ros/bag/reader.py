@@ -208,25 +208,24 @@ class BagReader:
                 raise self._error("too many chunks overlap in time to be read in order of log time")
 
     def _load(
-        self, span: Span, numbers: Sequence[Mapping[int, int]], start: int, end: int
+        self, span: Span, numbers: Sequence[NDArray[np.int64]], start: int, end: int
     ) -> tuple[Rows, bytes]:
         """Return the messages of a span that are wanted, in order of log time, and its records."""
         (data, rows), chunk = self.read(span)
-        new = np.full(2**16, -1)
-        new[list(numbers[span.rank])] = list(numbers[span.rank].values())
-        rows["channel"] = new[rows["channel"]]
+        rows["channel"] = numbers[span.rank].take(rows["channel"], mode="clip")
         times = rows["log_time"]
         rows = rows[(rows["channel"] >= 0) & (times >= start) & (times < end)]
         self.unchecked += 0 if chunk.uncompressed_crc else len(rows)
         return rows[np.argsort(rows["log_time"], kind="stable")], data
 
-    def _numbers(self, topics: Sequence[str]) -> list[dict[int, int]]:
-        """Return the place of each wanted channel's topic, by file."""
-        place = {name: number for number, name in enumerate(topics)}
-        return [
-            {id_: place[one.topic] for id_, one in summary.channels.items() if one.topic in place}
-            for summary in self.summaries
-        ]
+    def _numbers(self, topics: Sequence[str]) -> list[NDArray[np.int64]]:
+        """Return the place of each channel's topic, by file; -1 of others, at the end of all."""
+        place, found = {name: number for number, name in enumerate(topics)}, []
+        for channels in (summary.channels for summary in self.summaries):
+            found.append(np.full(max(channels, default=0) + 2, -1))
+            for id_, channel in channels.items():
+                found[-1][id_] = place.get(channel.topic, -1)
+        return found
 
     def _messages(
         self, topics: Sequence[str], rows: Rows, records: Mapping[int, bytes]
@@ -282,12 +281,12 @@ class BagReader:
         self.require(names)
         found: list[BagMessage] = []
         for name in names:
-            last: list[BagMessage] = []
+            last, numbers = list[BagMessage](), self._numbers([name])
             spans = [s for s in self.spans if s.start < time_ns and name in self.topics_of(s)]
             for span in sorted(spans, key=attrgetter("end", "rank", "offset"), reverse=True):
                 if len(last) == depth and last[0].log_time >= span.end:
                     break
-                rows, data = self._load(span, self._numbers([name]), 0, time_ns)
+                rows, data = self._load(span, numbers, 0, time_ns)
                 both = [*self._messages([name], rows[-depth:], {0: data}), *last]
                 last = sorted(both, key=itemgetter(3))[-depth:]
             found += last

@@ -49,7 +49,8 @@ static int state_is_sound(const model *m, const state *at)
     for (long i = 0; i < m->s.hypotheses; i++) {
         const hypothesis h = hypothesis_of(m, at, i);
         if (*h.kind < 0 || *h.kind >= STANDING || *h.output < 0 || *h.output >= m->s.p
-            || *h.fork < NO_FORK || *h.fork > MOVED || *h.next_parent < 0 || *h.next_parent >= PARENTS
+            || *h.fork < NO_FORK || *h.fork > MOVED || *h.next_parent < 0
+            || *h.next_parent >= PARENTS
             || (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
             return 0;
         }

@@ -70,13 +70,6 @@ NO_LIMIT = 1e9
 _MAX_MATRICES = 16
 """Vertex matrices; l of them make l² inequalities."""
 
-_LINK_ANGLE: dict[str, Any] = {
-    "measures": QUANTITIES[LINK_ANGLE],
-    "measurement_std": 0.028,
-    "disturbance": (DisturbanceTerm("bias"),),
-}
-"""What is measured if a request does not say it."""
-
 _MOTION: tuple[Field, Field] = ("position", "velocity")
 
 Terms: TypeAlias = Sequence[DisturbanceTerm]
@@ -284,6 +277,10 @@ class Output:
         return sum_of(self.disturbance)
 
 
+_LINK_ANGLE = Output(QUANTITIES[LINK_ANGLE], 0.028, (DisturbanceTerm("bias"),))
+"""What is measured if a request does not say it."""
+
+
 @dataclass(frozen=True)
 class TorqueDisturbance:
     """Unknown torques of an arm beside the known one [N m].
@@ -364,10 +361,13 @@ class ArmRequest(Request):
     """What is measured, one entry per output."""
 
     def __post_init__(self) -> None:
-        own = {"disturbance": self.disturbance, "measurement_std": self.measurement_std}
-        own = {name: value for name, value in own.items() if value is not None}
+        own: dict[str, Any] = {
+            name: value
+            for name in ("disturbance", "measurement_std")
+            if (value := getattr(self, name)) is not None
+        }
         if self.outputs is None:
-            alone = Output(**{**_LINK_ANGLE, **own})
+            alone = replace(_LINK_ANGLE, **own)
             self._take(disturbance=alone.disturbance, measurement_std=alone.measurement_std)
         elif own:
             where = "expected in outputs, one per output, not beside them"

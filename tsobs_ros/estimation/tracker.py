@@ -88,6 +88,12 @@ class TrackerRun(NamedTuple):
     outcomes: Outcomes
 
 
+def require_steps(max_steps: int) -> None:
+    """Refuse a largest number of measurements in a history that the core has no room for."""
+    if not 1 <= max_steps <= 10**6:
+        raise ModelError(f"max_steps: expected 1 to 1000000, got {max_steps}")
+
+
 class Tracker:
     """Runs an estimator over measurements in the order of their stamps; see `make_tracker`.
 
@@ -121,8 +127,7 @@ class Tracker:
         restart_after: float = 5.0,
         max_steps: int = 1024,
     ) -> None:
-        if not 1 <= max_steps <= 10**6:
-            raise ModelError(f"max_steps: expected 1 to 1000000, got {max_steps}")
+        require_steps(max_steps)
         self.estimator, model = estimator, numbers_of(estimator.model)
         room, state = np.zeros(native.tracker_room(model, max_steps)), estimator.model["initial"]
         begin, numbers = _MEMORY.itemsize // 8, (max_steps + 2) * state.itemsize // 8

@@ -141,14 +141,12 @@ class Transition(NamedTuple):
         phi: State transition Φ, shape (n, n).
         gamma: Effect of held inputs Γ, shape (n, inputs).
         noise: Covariance the process noise adds, shape (n, n).
-        half_kick: Half the duration times mgl/J₁ of an arm [1/s].
     """
 
     duration: float
     phi: Array
     gamma: Array
     noise: Array
-    half_kick: float = 0.0
 
 
 class Flow(ABC):
@@ -264,7 +262,7 @@ class Flow(ABC):
         phi, gamma, noise = np.empty((n, n)), np.empty((n, m)), np.empty((n, n))
         series, scratch = (self._series, self._terms, self._reach), np.empty(n * (4 * n + 2 * m))
         native.flow_over(*series, self.linear_share * duration, phi, gamma, noise, scratch, n, m)
-        return Transition(duration, phi, gamma, noise, 0.5 * duration * self.gravity_gain)
+        return Transition(duration, phi, gamma, noise)
 
     @abstractmethod
     def error_map(self, first: Array, second: Array) -> tuple[Array, Array]:
@@ -287,7 +285,7 @@ class Flow(ABC):
         n, m = self.state_count, self.input_count
         k, inputs = 0 if uncertainty is None else uncertainty.count, m - self.scheduled_count
         sizes = FlowSizes(n, m, inputs, k, self.plant_count, *self.rule_counts)
-        record, (_, phi, gamma, noise, _) = np.zeros(1, record_type("flow", sizes)), self.nominal
+        record, (_, phi, gamma, noise) = np.zeros(1, record_type("flow", sizes)), self.nominal
         for name, values in {
             **sizes._asdict(),
             "kind": self.kind,

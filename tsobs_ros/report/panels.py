@@ -425,6 +425,7 @@ def _learnt(run: RecordedRun) -> Iterator[Plot]:
 def _health(times: Array, values: Array) -> Plot:
     """Return the plot of noise scale and coloured power, and of when no bound is claimed."""
     scale, coloured, void = values[:, 0], values[:, 1], values[:, CLAIMED] == 0.0
+    ends = [*times.tolist(), *times[-1:].tolist()]  # the last one lasts to the end
     return Plot(
         "noise scale",
         "design's = 1",
@@ -434,7 +435,7 @@ def _health(times: Array, values: Array) -> Plot:
             thinned_curve("coloured power", times, coloured, Style(MUTED, 1.0, "--"), _SLOW_GAP),
         ),
         (f"marked: no bound is claimed, {100.0 * void.mean():.3g} %",),
-        spans=tuple((times[own][0], times[: own.stop + 1][-1]) for own in stretches(void)),
+        spans=tuple((ends[one.start], ends[one.stop]) for one in stretches(void)),
     )
 
 

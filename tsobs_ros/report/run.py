@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One recorded run of the observer as stamped series of numbers, read from a bag."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -131,22 +131,21 @@ class RecordedRun:
 
     @cached_property
     def _estimated(self) -> dict[str, Estimated]:
-        def column(name: str, place: int) -> Series | None:
-            part = self.part(name)
-            return part._replace(values=part.values[:, [place]]) if len(part.stamps) else None
+        nothing, known = np.full(len(self.stamps), np.nan), dict[str, Array]()
+        for name in {*ESTIMATED, *TRUE} & self.parts.keys():
+            # A disturbance may jump between its samples.
+            between = interpolate if name == "true_state" else hold if name in TRUE else align
+            known[name] = between(self.parts[name], self.stamps)
 
-        def read(one: Series | None, at: Callable[[Series, Stamps], Array]) -> Array:
-            nothing = np.full(len(self.stamps), np.nan)
-            return nothing if one is None else at(one, self.stamps)[:, 0]
+        def of(name: str, place: int) -> Array:
+            return known[name][:, place] if name in known else nothing
 
         found = {}
-        for one in self.quantities:
-            names = one.kind, f"{one.kind}_bound", f"true_{one.kind}"
-            value, bound, truth = (column(name, one.column) for name in names)
-            # A disturbance may jump between its samples.
-            between = interpolate if one.kind == "state" else hold
-            rows = read(value, align), read(bound, align), truth, read(truth, between)
-            found[one.key] = Estimated(*rows)
+        for kind, place, key in ((one.kind, one.column, one.key) for one in self.quantities):
+            truth = self.part(f"true_{kind}")
+            own = truth._replace(values=truth.values[:, [place]]) if len(truth.stamps) else None
+            at_stamps = of(f"true_{kind}", place)
+            found[key] = Estimated(of(kind, place), of(f"{kind}_bound", place), own, at_stamps)
         return found
 
 
