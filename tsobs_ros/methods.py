@@ -276,7 +276,7 @@ def export_c(
     tracker = make_tracker(design, settings)
     tracker.memory["max_steps"] = max_steps
     model = tracker.estimator.model.view(np.int64)
-    words = np.concatenate([[0, 0, len(model), 0], model, tracker.memory.view(np.int64)])
+    words = np.concatenate([[0, 0, 0], model, tracker.memory.view(np.int64)])
     native.exported_seal(words)
     room = native.exported_open(words)
     if sys.byteorder == "big":

@@ -178,7 +178,7 @@ def test_batches_in_any_order_give_the_estimates_of_arrival_in_order(
     assert (together.used, together.rewinds) == (in_order.used, late)
     assert (together.failures, together.restarts) == (0, 0)
     # One pass over what is newer than the oldest of a batch.
-    assert together.memory["generation"][0] == steps
+    assert together.memory["steps"][0] == steps
 
 
 def test_the_domain_is_left_where_the_angle_is_too_large() -> None:

@@ -9,43 +9,40 @@
 #include "tsobs.h"
 
 /* The text "tsobs-c", read as a little-endian number; of another byte order it is another one. */
-#define MAGIC INT64_C(0x00632d73626f7374)
+#define MAGIC UINT64_C(0x00632d73626f7374)
 #define HEAD (sizeof(exported_head) / 8)
 
-/* Add a number to a checksum (Fowler, Noll and Vo's, by words). */
-static uint64_t add_word(uint64_t sum, uint64_t word)
+/* Add bytes to a checksum (Fowler, Noll and Vo's), which begins as EMPTY. */
+#define EMPTY UINT64_C(0xcbf29ce484222325)
+static uint64_t add_bytes(uint64_t sum, const void *bytes, size_t count)
 {
-    sum = (sum ^ word) * UINT64_C(0x100000001b3);
-    return sum ^ (sum >> 32);
+    for (const unsigned char *byte = bytes; count > 0; byte++, count--) {
+        sum = (sum ^ *byte) * UINT64_C(0x100000001b3);
+    }
+    return sum;
 }
 
-static int64_t sum_of_records(const void *words, size_t bytes)
+static uint64_t sum_of_records(const exported_head *head, size_t bytes)
 {
-    uint64_t sum = UINT64_C(0xcbf29ce484222325);
-    for (size_t i = HEAD; i < bytes / 8; i++) {
-        sum = add_word(sum, ((const uint64_t *)words)[i]);
-    }
-    return (int64_t)sum;
+    return add_bytes(EMPTY, head + 1, bytes - sizeof *head);
 }
 
 #define ADD_FIELD(kind, name, rows, columns) #kind " " #name " " #rows " " #columns ","
 #define ADD_CONSTANT(name, value, what) #name ","
 
 /* Return a number that is another one if any field of the records in an exported design is. */
-static int64_t layout_of_records(void)
+static uint64_t layout_of_records(void)
 {
     static const char *const lists[] = {
         FLOW_FIELDS(ADD_FIELD, s),  SENSOR_FIELDS(ADD_FIELD, s),  HYPOTHESIS_FIELDS(ADD_FIELD, s),
         STATE_FIELDS(ADD_FIELD, s), MODEL_FIELDS(ADD_FIELD, s),   HISTORY_FIELDS(ADD_FIELD, s),
         ESTIMATE_FIELDS(ADD_FIELD, s), BANK_CONSTANTS(ADD_CONSTANT),
     };
-    uint64_t sum = 0;
+    uint64_t sum = EMPTY;
     for (size_t i = 0; i < sizeof lists / sizeof lists[0]; i++) {
-        for (const char *text = lists[i]; *text != '\0'; text++) {
-            sum = add_word(sum, (unsigned char)*text);
-        }
+        sum = add_bytes(sum, lists[i], strlen(lists[i]));
     }
-    return (int64_t)(sum >> 1);
+    return sum;
 }
 
 void exported_seal(void *words, size_t bytes)
@@ -53,12 +50,13 @@ void exported_seal(void *words, size_t bytes)
     exported_head *head = words;
     head->magic = MAGIC;
     head->layout = layout_of_records();
-    head->checksum = sum_of_records(words, bytes);
+    head->checksum = sum_of_records(head, bytes);
 }
 
 const char *exported_open(exported *view, const void *words, size_t bytes)
 {
     const exported_head *head = words;
+    const size_t least = HEAD + history_size(NULL);
     model m;
     if ((uintptr_t)words % 8 != 0) {
         return "expected words that are aligned to 8 bytes";
@@ -70,13 +68,11 @@ const char *exported_open(exported *view, const void *words, size_t bytes)
         return "exported by another version of tsobs_ros: export it by the one whose sources "
                "this program was built from";
     }
-    if (bytes % 8 != 0 || bytes / 8 < HEAD + history_size(NULL)
-        || (size_t)head->model_length + HEAD + history_size(NULL) != bytes / 8
-        || head->checksum != sum_of_records(words, bytes)) {
+    if (bytes % 8 != 0 || bytes / 8 < least || head->checksum != sum_of_records(head, bytes)) {
         return "incomplete or damaged";
     }
     view->model = (const double *)words + HEAD;
-    view->model_length = (size_t)head->model_length;
+    view->model_length = bytes / 8 - least;
     view->memory = view->model + view->model_length;
     const char *wrong = model_view((double *)view->model, view->model_length, &m);
     if (wrong != NULL) {

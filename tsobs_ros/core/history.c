@@ -15,7 +15,7 @@ static const double NANOSECONDS = 1e9;
 /* Return where the numbers of a state are, given its place from the oldest on. */
 static double *numbers_at(const tracker *t, int64_t place)
 {
-    const int64_t slot = (*t->h.first + place) % (t->slots - SPARE);
+    const int64_t slot = (*t->h.first + place) % (*t->h.max_steps + 2);
     return t->room.ring + (size_t)slot * t->state_size;
 }
 
@@ -31,26 +31,22 @@ static int64_t stamp_at(const tracker *t, int64_t place)
     return *(const int64_t *)(const void *)numbers_at(t, place);
 }
 
-/* Return the numbers of a spare state: that in a gap, or the one that is read. */
-enum { COASTED = 2, SHOWN = 1 };
-static double *spare_numbers(const tracker *t, int64_t from_end)
-{
-    return t->room.ring + (size_t)(t->slots - from_end) * t->state_size;
-}
-
 /* Return the newest stamp [ns], 0 if there is none. */
 static int64_t newest_stamp(const tracker *t)
 {
     return *t->h.length > 0 ? stamp_at(t, *t->h.length - 1) : 0;
 }
 
-/* Return the number of states in the ring before a stamp [ns]. */
-static int64_t count_before(const tracker *t, int64_t stamp)
+/* Return the number of states in the ring up to a stamp [ns], most often all. */
+static int64_t count_up_to(const tracker *t, int64_t stamp)
 {
     int64_t low = 0, high = *t->h.length;
+    if (newest_stamp(t) <= stamp) {
+        return high;
+    }
     while (low < high) {
         const int64_t middle = (low + high) / 2;
-        if (stamp_at(t, middle) < stamp) {
+        if (stamp_at(t, middle) <= stamp) {
             low = middle + 1;
         } else {
             high = middle;
@@ -63,8 +59,7 @@ int history_is_sound(const history *h)
 {
     return *h->max_steps >= 1 && *h->max_steps <= MOST_STEPS && *h->first >= 0
            && *h->first < *h->max_steps + 2 && *h->length >= 0
-           && *h->length <= *h->max_steps + 2 && *h->has_base >= 0
-           && *h->has_base <= (*h->length > 0) && *h->span >= 0 && *h->future >= 0
+           && *h->length <= *h->max_steps + 1 && *h->span >= 0 && *h->future >= 0
            && *h->restart_after >= 0;
 }
 
@@ -87,7 +82,6 @@ const char *tracker_bind(
         return "expected the room of a tracker of this model";
     }
     view->room = tracker_room_view(&sizes, room);
-    view->slots = sizes.slots;
     view->state_size = state_size(&view->m.s);
     view->effect = correction_view(&view->m.s, view->room.effect);
     view->scratch = work_view(&view->m.s, view->room.work);
@@ -100,7 +94,8 @@ const char *tracker_bind(
 static int64_t refusal(
     const tracker *t, int64_t stamp, const double *y, const double *u, int64_t now)
 {
-    const int64_t newest = newest_stamp(t);
+    const history *h = &t->h;
+    const int64_t place = count_up_to(t, stamp) - 1;
     const int has_inputs = *t->m.torque_limit > 0.0 /* then a torque is judged */
                            || count_finite(u, (long)t->m.s.m) == t->m.s.m;
     if (!has_inputs || count_finite(y, (long)t->m.s.p) == 0) {
@@ -109,16 +104,14 @@ static int64_t refusal(
     if (stamp <= 0) {
         return ZERO_STAMP;
     }
-    if (stamp - *t->h.future > now) {
+    if (stamp - *h->future > now) {
         return FROM_FUTURE;
     }
-    if (*t->h.length == 0 || stamp > newest) {
-        return USED;
-    }
-    if (stamp < newest - *t->h.span || (*t->h.has_base != 0 && stamp <= stamp_at(t, 0))) {
+    if (stamp < newest_stamp(t) - *h->span
+        || (*h->length > *h->max_steps && stamp <= stamp_at(t, 0))) {
         return TOO_OLD;
     }
-    return stamp_at(t, count_before(t, stamp)) == stamp ? DUPLICATE : USED;
+    return place >= 0 && stamp_at(t, place) == stamp ? DUPLICATE : USED;
 }
 
 /* Start over from the initial state, but go on counting. */
@@ -149,17 +142,15 @@ static int correct_by_sample(tracker *t, state *at, const double *y, const doubl
     return isfinite(total) != 0;
 }
 
-/* Forget what is out of reach of a late measurement, and what is too much. */
+/* Forget what is too much, and what is out of reach of a late measurement, but not the last of that:
+ * a rewind begins there. */
 static void forget_oldest(tracker *t, int64_t stamp)
 {
     history *h = &t->h;
-    while (stamp_at(t, *h->has_base) < stamp - *h->span
-           || *h->length - *h->has_base > *h->max_steps) {
-        if (*h->has_base != 0) {
-            *h->first = (*h->first + 1) % (t->slots - SPARE);
-            *h->length -= 1;
-        }
-        *h->has_base = 1;
+    while (*h->length > *h->max_steps + 1
+           || (*h->length > 1 && stamp_at(t, 1) < stamp - *h->span)) {
+        *h->first = (*h->first + 1) % (*h->max_steps + 2);
+        *h->length -= 1;
     }
 }
 
@@ -197,7 +188,8 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
     memcpy(at.u, u, (size_t)t->m.s.m * sizeof *u);
     at.judged[code] += code != USED;
     *h->length += 1;
-    *h->generation += 1;
+    *h->steps += 1;
+    *h->coasted_periods = 0;
     forget_oldest(t, stamp);
     return code;
 }
@@ -217,12 +209,10 @@ static int64_t set_aside(tracker *t, int64_t place)
     return late;
 }
 
-/* Write what became of a measurement that was not refused. */
-static void write_outcome(
-    const tracker *t, const double *y, int64_t code, const outcomes *written, int64_t i)
+/* Write what became of the outputs of a measurement that was not refused. */
+static void write_outcome(const tracker *t, const double *y, const outcomes *written, int64_t i)
 {
     const int64_t p = t->m.s.p;
-    written->codes[i] = code;
     for (int64_t j = 0; j < p; j++) {
         const double variance = t->effect.innovation_covariance[j * p + j];
         const int64_t used = t->effect.weight[j] > 0.0 ? USED : GATED;
@@ -232,15 +222,18 @@ static void write_outcome(
     }
 }
 
-void offer(tracker *t, const measurements *given, int64_t now, const outcomes *written)
+/* Offer the measurements from one up to another. */
+static void offer_some(
+    tracker *t, const measurements *given, int64_t i, int64_t end, int64_t now,
+    const outcomes *written)
 {
     const int64_t p = t->m.s.p, m = t->m.s.m;
     /* In a rewind: how many measurements were set aside, and how many of them were used again. */
-    int64_t late = 0, again = 0, i = 0;
-    while (i < given->count || again < late) {
+    int64_t late = 0, again = 0;
+    while (i < end || again < late) {
         /* One that is older than its predecessor waits until a rewind is over. */
         const int is_repeated =
-            again < late && (i >= given->count || given->stamps[i] > t->room.stamps[again] ||
+            again < late && (i >= end || given->stamps[i] > t->room.stamps[again] ||
                              given->stamps[i] < newest_stamp(t));
         if (is_repeated) {
             step_to(t, t->room.stamps[again], t->room.y + again * p, t->room.u + again * m);
@@ -253,24 +246,28 @@ void offer(tracker *t, const measurements *given, int64_t now, const outcomes *w
         if (code == USED && again < late && stamp == t->room.stamps[again]) {
             code = DUPLICATE;
         }
-        if (code != USED) {
+        if (code == USED) {
+            if (again >= late && stamp < newest_stamp(t)) {
+                late = set_aside(t, count_up_to(t, stamp));
+                again = 0;
+            }
+            *t->h.rewinds += again < late;
+            *t->h.accepted += 1;
+            code = step_to(t, stamp, y, u);
+            write_outcome(t, y, written, i);
+        } else {
             t->h.refused[code] += 1;
-            written->codes[i] = code;
             for (int64_t j = 0; j < p; j++) {
                 written->output_codes[i * p + j] = code;
             }
-            i++;
-            continue;
         }
-        if (again >= late && *t->h.length > 0 && stamp < newest_stamp(t)) {
-            late = set_aside(t, count_before(t, stamp));
-            again = 0;
-        }
-        *t->h.rewinds += again < late;
-        *t->h.accepted += 1;
-        write_outcome(t, y, step_to(t, stamp, y, u), written, i);
-        i++;
+        written->codes[i++] = code;
     }
+}
+
+void offer(tracker *t, const measurements *given, int64_t now, const outcomes *written)
+{
+    offer_some(t, given, 0, given->count, now, written);
 }
 
 /* --- estimates --- */
@@ -285,19 +282,13 @@ static state coast(tracker *t, int64_t place, double duration)
     const double period = *t->m.period;
     const int64_t whole = duration > 2.0 * period ? (int64_t)floor(duration / period) : 0;
     const int is_memorable = place == *h->length - 1;
-    int64_t taken = 0;
-    double *numbers = spare_numbers(t, SHOWN);
-    state shown = state_view(&t->m.s, numbers);
+    int64_t taken = is_memorable && *h->coasted_periods <= whole ? *h->coasted_periods : 0;
+    const double *from = taken > 0 ? t->room.coasted : numbers_at(t, place);
+    state shown = state_view(&t->m.s, t->room.shown);
     if (!(duration > 0.0)) {
         return state_at(t, place);
     }
-    if (is_memorable && *h->coasted_generation == *h->generation && *h->coasted_periods > 0 &&
-        *h->coasted_periods <= whole) {
-        copy_state(&t->m, spare_numbers(t, COASTED), numbers);
-        taken = *h->coasted_periods;
-    } else {
-        copy_state(&t->m, numbers_at(t, place), numbers);
-    }
+    copy_state(&t->m, from, t->room.shown);
     while (taken < whole) {
         /* First two at once, so that it is no regular step for the estimator. */
         const int64_t periods = taken == 0 ? 2 : 1;
@@ -305,9 +296,8 @@ static state coast(tracker *t, int64_t place, double duration)
         taken += periods;
     }
     if (whole > 0 && is_memorable) {
-        copy_state(&t->m, numbers, spare_numbers(t, COASTED));
+        copy_state(&t->m, t->room.shown, t->room.coasted);
         *h->coasted_periods = whole;
-        *h->coasted_generation = *h->generation;
     }
     const double rest = duration - (double)whole * period;
     if (rest > 0.0) {
@@ -318,10 +308,7 @@ static state coast(tracker *t, int64_t place, double duration)
 
 int estimate_at(tracker *t, int64_t stamp, double *row)
 {
-    int64_t place = *t->h.length - 1;
-    if (*t->h.length > 0 && stamp < newest_stamp(t)) {
-        place = count_before(t, stamp + 1) - 1;
-    }
+    const int64_t place = count_up_to(t, stamp) - 1;
     if (place < 0) {
         return 0;
     }
@@ -350,16 +337,11 @@ void advance(
     tracker *t, const measurements *given, const outcomes *written, const history_ticks *ticks,
     int64_t stale_after)
 {
-    const int64_t p = t->m.s.p, m = t->m.s.m, width = (int64_t)estimate_size(&t->m.s);
+    const int64_t width = (int64_t)estimate_size(&t->m.s);
     int64_t done = 0;
     for (int64_t tick = 0; tick < ticks->count; tick++) {
         const int64_t known = ticks->known[tick], stamp = ticks->stamps[tick];
-        const measurements news = {
-            known - done, given->stamps + done, given->y + done * p, given->u + done * m};
-        const outcomes theirs = {
-            written->codes + done, written->output_codes + done * p,
-            written->innovations + done * p, written->expected_std + done * p};
-        offer(t, &news, ticks->now[tick], &theirs);
+        offer_some(t, given, done, known, ticks->now[tick], written);
         done = known;
         ticks->newest[tick] = newest_stamp(t);
         ticks->there[tick] = ticks->newest[tick] > 0 && stamp - ticks->newest[tick] <= stale_after &&

@@ -12,23 +12,19 @@
 
 #include "estimator.h"
 
-enum {
-    SPARE = 2,           /* states at the end of a ring: one in a gap, and one that is read */
-    MOST_STEPS = 1000000 /* measurements that a history has room for */
-};
+enum { MOST_STEPS = 1000000 }; /* measurements that a history has room for */
 
-/* What a history needs beside its ring. */
+/* What a history needs beside its ring. The oldest state is only there to rewind to if there are more
+ * than `max_steps`. */
 #define HISTORY_FIELDS(F, s)                                                               \
     F(COUNT, first, 1, 1)           /* place of the oldest state in the ring, */           \
     F(COUNT, length, 1, 1)          /* and number of states */                             \
-    F(COUNT, has_base, 1, 1)        /* whether the oldest is only there to rewind to */    \
-    F(COUNT, generation, 1, 1)      /* count of changes */                                 \
-    F(COUNT, coasted_generation, 1, 1) /* that of the state in a gap, */                   \
-    F(COUNT, coasted_periods, 1, 1) /* which is so many periods after the newest sample */ \
-    F(COUNT, accepted, 1, 1)        /* counts of measurements, */                          \
-    F(COUNT, rewinds, 1, 1)         /* late ones, put in their place, */                   \
-    F(COUNT, bad_outputs, 1, 1)     /* estimates that were not finite, */                  \
-    F(COUNTS, refused, OUTCOMES, 1) /* and measurements refused, by outcome */             \
+    F(COUNT, coasted_periods, 1, 1) /* periods from the newest to the one in a gap, or 0 */ \
+    F(COUNT, steps, 1, 1)           /* count of corrections, */                            \
+    F(COUNT, accepted, 1, 1)        /* of measurements, */                                 \
+    F(COUNT, rewinds, 1, 1)         /* of late ones, put in their place, */                \
+    F(COUNT, bad_outputs, 1, 1)     /* of estimates that were not finite, */               \
+    F(COUNTS, refused, OUTCOMES, 1) /* and of measurements refused, by outcome */          \
     F(COUNT, span, 1, 1)            /* how far back a late measurement may reach [ns] */   \
     F(COUNT, future, 1, 1)          /* how far ahead of the clock a stamp may be [ns] */   \
     F(COUNT, restart_after, 1, 1)   /* longest gap [ns] */                                 \
@@ -36,15 +32,18 @@ enum {
     F(NUMBER, x_max, 1, 1)          /* half width of the certificate's domain */
 LAYOUT_DECLARE(history, HISTORY_FIELDS, void)
 
-/* The room of a tracker: its history with a ring of states; and as scratch records of a step, and in a
- * rewind the measurements after the late one, to be used again, as many as states at most. */
+/* The room of a tracker: its history with a ring of states, one in a gap and one that is read; and as
+ * scratch records of a step, and in a rewind the measurements after the late one, to be used again, as
+ * many as states at most. */
 typedef struct {
     const estimator_sizes *s;
-    int64_t slots; /* states in the ring, the spare ones included */
+    int64_t slots; /* states in the ring */
 } room_sizes;
 #define ROOM_FIELDS(F, z)                           \
     F(VECTOR, memory, history_size(NULL), 1)        \
     F(MATRIX, ring, z->slots, state_size(z->s))     \
+    F(VECTOR, coasted, state_size(z->s), 1)         \
+    F(VECTOR, shown, state_size(z->s), 1)           \
     F(VECTOR, effect, correction_size(z->s), 1)     \
     F(VECTOR, work, work_size(z->s), 1)             \
     F(COUNTS, stamps, z->slots, 1)                  \
@@ -52,10 +51,10 @@ typedef struct {
     F(MATRIX, u, z->slots, z->s->m)
 LAYOUT_DECLARE(tracker_room, ROOM_FIELDS, room_sizes)
 
-/* Return the sizes of a room for so many measurements. */
+/* Return the sizes of a room for so many measurements, with the state before them and one to come. */
 static inline room_sizes room_for(const estimator_sizes *s, int64_t max_steps)
 {
-    const room_sizes sizes = {s, max_steps + 2 + SPARE};
+    const room_sizes sizes = {s, max_steps + 2};
     return sizes;
 }
 
@@ -64,8 +63,7 @@ typedef struct {
     model m;
     history h;
     tracker_room room;
-    int64_t slots;
-    size_t state_size; /* numbers of each */
+    size_t state_size; /* numbers of one */
     correction effect;
     work scratch;
 } tracker;

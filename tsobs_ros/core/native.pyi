@@ -41,7 +41,7 @@ def messages_split(data: bytes | memoryview, found: Numbers, /) -> int:
     """Write the fields of each message in some records, and return their number or -1."""
 
 def exported_seal(words: Numbers, /) -> None:
-    """Complete the head of an exported design, which has the model's length."""
+    """Write the head of an exported design, the first three words."""
 
 def exported_open(words: Numbers, /) -> int:
     """Return the numbers of the room that a tracker of an exported design needs."""

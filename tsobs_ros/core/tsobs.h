@@ -23,10 +23,9 @@ extern "C" {
 #include "history.h"
 
 /* What an exported design begins with, before its model record and the memory record of a new
- * tracker. layout: of these records; a change of any of their fields changes it. model_length: words
- * of the model. checksum: of both. */
+ * tracker. layout: of these records; a change of any of their fields changes it. checksum: of both. */
 typedef struct {
-    int64_t magic, layout, model_length, checksum;
+    uint64_t magic, layout, checksum;
 } exported_head;
 
 /* An exported design. room: numbers that each tracker needs; row: of an estimate. */
@@ -42,7 +41,7 @@ const char *exported_open(exported *view, const void *words, size_t bytes);
 /* Make a new tracker in a room of its own. */
 void exported_start(const exported *from, double *room, tracker *view);
 
-/* Complete the head, which has the model's length, of so many bytes. */
+/* Write the head of an exported design of so many bytes. */
 void exported_seal(void *words, size_t bytes);
 
 #ifdef __cplusplus

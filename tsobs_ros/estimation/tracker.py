@@ -160,7 +160,7 @@ class Tracker:
         self.memory["refused"] += judged
         self.memory["accepted"] -= judged.sum()
         self.memory["bad_outputs"] += self.state["failures"]
-        for name in ("first", "length", "has_base", "coasted_periods"):
+        for name in ("first", "length", "coasted_periods"):
             self.memory[name] = 0
 
     @property
