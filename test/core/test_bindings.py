@@ -77,8 +77,8 @@ def calls() -> dict[str, dict[str, Any]]:
         "history_estimate": {**memories, "stamp": 10**9, "row": zeros(width)},
         "history_advance": {**memories, **given, **results, **ticks},
         "flow_over": {
-            "series": zeros(4, 10), "terms": 4, "reach": 1.0, "duration": 1.0, "phi": zeros(4),
-            "gamma": zeros(2), "noise": zeros(4), "scratch": zeros(20), "n": 2, "m": 1,
+            "series": zeros(4, 10), "terms": 4, "reach": 1.0, "duration": 1.0, "flow": zeros(10),
+            "scratch": zeros(14), "n": 2, "m": 1,
         },
         "weights_of_each": {
             "shapes": zeros(2, kind=int), "parameters": zeros(2, 4), "z": zeros(3),
@@ -137,7 +137,7 @@ def test_numbers_out_of_range_are_refused(
 
 
 def test_arguments_of_another_kind_are_refused() -> None:
-    with pytest.raises(TypeError, match="flow_over: expected 10 arguments, got 1"):
+    with pytest.raises(TypeError, match="flow_over: expected 8 arguments, got 1"):
         native.flow_over(zeros(3))
     with pytest.raises(ValueError, match="elementary: argument 2: expected aligned 8-byte numbers"):
         native.elementary("sine", np.zeros(3, np.float32))

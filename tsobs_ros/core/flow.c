@@ -17,7 +17,7 @@
 int flow_is_sound(double *memory, size_t length)
 {
     const int64_t most = 1000;
-    if (length < 8) { /* the kind and the sizes */
+    if (length < 1 + FLOW_SIZES) { /* the kind and the sizes */
         return 0;
     }
     const flow_sizes s = flow_sizes_of(memory);
@@ -32,45 +32,37 @@ int flow_is_sound(double *memory, size_t length)
            && *f.period >= SHORTEST && *f.terms >= 0 && *f.terms <= SERIES_TERMS;
 }
 
-/* --- the linear flow --- */
-
-/* Evaluate `count` polynomials by Horner's rule; each row of `series` has their coefficients. */
-static void evaluate(
-    const double *series, long count, long terms, double step, double *restrict values)
+static const flow_sizes *sizes_of(const flow *f)
 {
-    for (long place = 0; place < count; place++) {
-        values[place] = 0.0;
-    }
-    for (long row = terms - 1; row >= 0; row--) {
-        const double *restrict coefficients = series + row * count;
-        for (long place = 0; place < count; place++) {
-            values[place] = values[place] * step + coefficients[place];
-        }
-    }
+    return (const flow_sizes *)f->sizes;
 }
 
+/* --- the linear flow --- */
+
 void flow_over(
-    const double *series, long terms, double reach, double duration, double *phi, double *gamma,
-    double *noise, double *scratch, long n, long m)
+    const double *series, long terms, double reach, double duration, double *restrict written,
+    double *scratch, long n, long m)
 {
-    const long squares = n * n, gammas = n * m, width = 2 * squares + gammas;
-    double *values = scratch, *turned = values + width, *forced = turned + squares;
-    double step = duration;
+    const long squares = n * n, gammas = n * m, count = 2 * squares + gammas;
+    double *phi = written, *gamma = phi + squares, *noise = gamma + gammas, step = duration;
     long doublings = 0;
     while (step > reach) {
         doublings += 1;
         step *= 0.5;
     }
-    evaluate(series, width, terms, step, values);
-    memcpy(phi, values, (size_t)squares * sizeof *phi);
-    memcpy(gamma, values + squares, (size_t)gammas * sizeof *gamma);
-    memcpy(noise, values + squares + gammas, (size_t)squares * sizeof *noise);
+    memset(written, 0, (size_t)count * sizeof *written);
+    for (long row = terms - 1; row >= 0; row--) { /* Horner's rule */
+        const double *restrict coefficients = series + row * count;
+        for (long place = 0; place < count; place++) {
+            written[place] = written[place] * step + coefficients[place];
+        }
+    }
     for (; doublings > 0; doublings--) {
-        multiply(phi, gamma, forced, n, n, m);
-        add_scaled(gamma, 1.0, forced, gammas);
-        congruence(phi, noise, noise, values, n);
-        multiply(phi, phi, turned, n, n, n);
-        memcpy(phi, turned, (size_t)squares * sizeof *phi);
+        multiply(phi, gamma, scratch, n, n, m);
+        add_scaled(gamma, 1.0, scratch, gammas);
+        congruence(phi, noise, noise, scratch, n);
+        multiply(phi, phi, scratch, n, n, n);
+        memcpy(phi, scratch, (size_t)squares * sizeof *phi);
     }
 }
 
@@ -79,24 +71,11 @@ linear_step other_step(const flow *f, double duration, const flow_step *work)
     const linear_step step = {duration, work->phi, work->gamma, work->noise};
     flow_over(
         f->series, (long)*f->terms, *f->reach, *f->kind == KIND_ARM ? duration : 0.5 * duration,
-        work->phi, work->gamma, work->noise, work->over, (long)*f->n, (long)*f->inputs);
+        work->phi, work->squares, sizes_of(f)->n, sizes_of(f)->inputs);
     return step;
 }
 
 /* --- arms --- */
-
-/* What a kick of half a step sees: the state before it, its sine, and the torques. */
-typedef struct {
-    double before[4], sin, drive, external;
-} kick;
-
-/* Return what effects add to the acceleration of the link, or of the motor, in a unit of time. */
-enum { OF_LINK, OF_MOTOR };
-static double added(const double *effects, int of, const kick *now)
-{
-    return dot(effects + 4 * of, now->before, 4) + effects[LINK_SINE + of] * now->sin
-           + effects[LINK_TORQUE + of] * now->drive + effects[LINK_EXTERNAL + of] * now->external;
-}
 
 /* Kick both velocities by gravity and by theta for half a step, whose effects sum to `total`; and if
  * so asked, the rows of effects with them, and write the kick's Jacobian less I: the rows of both
@@ -105,38 +84,34 @@ static void kick_arm(
     const flow *f, const double *total, double torque, double half, double *x, int wanted,
     const flow_step *work)
 {
-    const long n = (long)*f->n, k = (long)*f->k;
-    double *link = work->vectors, *motor = link + n, cos;
+    const long n = sizes_of(f)->n, k = sizes_of(f)->k;
+    double *rows = work->vectors, causes[CAUSES], cos;
+    memcpy(causes, x, 4 * sizeof *x);
+    sine_and_cosine(x[0], &causes[BY_SINE], &cos);
     /* What theta does to the known torque, it does to its unknown part. */
-    kick now = {{x[0], x[1], x[2], x[3]}, 0.0, torque + dot(f->motor_torque, x, n),
-                dot(f->link_torque, x, n)};
-    sine_and_cosine(x[0], &now.sin, &cos);
-    x[1] += added(total, OF_LINK, &now);
-    x[3] += added(total, OF_MOTOR, &now);
+    causes[BY_TORQUE] = torque + dot(f->motor_torque, x, n);
+    causes[BY_EXTERNAL] = dot(f->link_torque, x, n);
+    x[1] += dot(total, causes, CAUSES);
+    x[3] += dot(total + CAUSES, causes, CAUSES);
     if (wanted == NOTHING) {
         return;
     }
-    for (int of = OF_LINK; of <= OF_MOTOR; of++) {
-        const double by_torque = total[LINK_TORQUE + of], by_external = total[LINK_EXTERNAL + of];
-        double *row = of == OF_LINK ? link : motor;
+    for (long of = 0; of < 2; of++) {
+        const double *by = total + of * CAUSES;
         for (long j = 0; j < n; j++) {
-            row[j] = (j < 4 ? total[4 * of + j] : 0.0) + by_torque * f->motor_torque[j]
-                     + by_external * f->link_torque[j];
+            rows[of * n + j] = (j < 4 ? by[j] : 0.0) + by[BY_TORQUE] * f->motor_torque[j]
+                               + by[BY_EXTERNAL] * f->link_torque[j];
         }
-        row[0] += total[LINK_SINE + of] * cos;
+        rows[of * n] += by[BY_SINE] * cos;
     }
     for (long i = 0; i < k + (wanted == COVARIANCE); i++) {
-        const double *by = f->effects + i * EFFECTS;
         double *row = work->effects + i * n;
-        const double on_link = dot(link, row, n), on_motor = dot(motor, row, n);
-        row[1] += on_link;
-        row[3] += on_motor;
-        if (i < k) {
-            row[1] += half * added(by, OF_LINK, &now);
-            row[3] += half * added(by, OF_MOTOR, &now);
-        } else {
-            row[1] += total[LINK_TORQUE];
-            row[3] += total[MOTOR_TORQUE];
+        const double moved[2] = {dot(rows, row, n), dot(rows + n, row, n)};
+        for (long of = 0; of < 2; of++) {
+            double *velocity = row + 1 + 2 * of;
+            *velocity += moved[of];
+            *velocity += i < k ? half * dot(f->effects + (2 * i + of) * CAUSES, causes, CAUSES)
+                               : total[of * CAUSES + BY_TORQUE];
         }
     }
 }
@@ -173,16 +148,16 @@ static void step_arm(
     const flow *f, const linear_step *over, double *x, const double *theta, const double *u,
     int wanted, const flow_step *work)
 {
-    const long n = (long)*f->n, k = (long)*f->k, inputs = (long)*f->inputs;
+    const long n = sizes_of(f)->n, k = sizes_of(f)->k, inputs = sizes_of(f)->inputs;
     const double half = 0.5 * over->duration;
     double *link = work->vectors, *motor = link + n, *changes = motor + n, *moved = changes + 2 * n;
-    double total[EFFECTS] = {0.0};
-    for (long place = 0; place < EFFECTS; place++) {
+    double total[2 * CAUSES] = {0.0};
+    for (long place = 0; place < 2 * CAUSES; place++) {
         for (long i = 0; i < k; i++) {
-            total[place] += half * (theta[i] * f->effects[i * EFFECTS + place]);
+            total[place] += half * (theta[i] * f->effects[i * 2 * CAUSES + place]);
         }
     }
-    total[LINK_SINE] -= half * *f->gravity_gain;
+    total[BY_SINE] -= half * *f->gravity_gain;
     if (wanted != NOTHING) {
         memset(work->effects, 0, (size_t)((k + 1) * n) * sizeof *work->effects);
     }
@@ -223,9 +198,9 @@ static void enter(
     const flow *f, const double *x, const double *theta, const double *u, double *entering,
     double *jacobian, double *direct, const flow_step *work)
 {
-    const long n = (long)*f->n, k = (long)*f->k, rules = (long)*f->rules;
-    const long plant = (long)*f->plant, inputs = (long)*f->inputs, signals = plant + inputs;
-    const long premises = (long)*f->premises, scheduled = (long)*f->m - inputs;
+    const flow_sizes *s = sizes_of(f);
+    const long n = s->n, k = s->k, rules = s->rules, plant = s->plant, premises = s->premises;
+    const long inputs = s->inputs, signals = plant + inputs, scheduled = s->m - inputs;
     double *signal = work->signals, *entries = signal + signals, *turning = work->rates;
     memcpy(signal, x, (size_t)plant * sizeof *signal);
     memcpy(signal + plant, u, (size_t)inputs * sizeof *signal);
@@ -276,7 +251,7 @@ static void linearise_system(
     const flow *f, const linear_step *over, double *N1, double *N2, int wanted,
     const flow_step *work)
 {
-    const long n = (long)*f->n, k = (long)*f->k, squares = n * n;
+    const long n = sizes_of(f)->n, k = sizes_of(f)->k, squares = n * n;
     const double T = over->duration;
     double *inner = N2 + squares, *outer = inner + squares, *scratch = outer + squares;
     double *one = work->vectors, *other = one + n;
@@ -315,7 +290,7 @@ static void step_system(
     const flow *f, const linear_step *over, double *x, const double *theta, const double *u,
     int wanted, const flow_step *work)
 {
-    const long n = (long)*f->n, k = (long)*f->k, inputs = (long)*f->inputs;
+    const long n = sizes_of(f)->n, k = sizes_of(f)->k, inputs = sizes_of(f)->inputs;
     double *forced = work->vectors, *moved = forced + n, *entering = moved + n, *middle = entering + n;
     double *N1 = wanted != NOTHING ? work->squares : NULL, *N2 = N1 != NULL ? N1 + n * n : NULL;
     for (long i = 0; i < n; i++) {

@@ -38,54 +38,35 @@ void rule_weights(
 #define SERIES_TERMS 60 /* most rows of a series of Taylor coefficients */
 #define SHORTEST 1e-6   /* least period [s], so that those of any duration can be counted */
 
-/* Numbers of scratch that `flow_over` needs for n states and m inputs. */
-static inline size_t flow_over_scratch_size(long n, long m)
-{
-    return (size_t)(n * (2 * n + m) + 2 * n * n + n * m);
-}
-
-/* Write Phi (n, n), Gamma (n, m) and Q (n, n) over a duration of at least 0 [s].
+/* Write Phi (n, n), Gamma (n, m) and Q (n, n), one behind the other, over a duration of at least 0 [s].
  *
- * `series` has the Taylor coefficients of Phi, Gamma and Q side by side in `terms` rows, of
- * n (2 n + m) numbers, and serves steps up to `reach` [s]; a longer one is halved and doubled. */
+ * `series` has the Taylor coefficients of all three in `terms` rows, and serves steps up to `reach` [s];
+ * a longer one is halved and doubled. `scratch` has n (3 n + m) numbers. */
 void flow_over(
-    const double *series, long terms, double reach, double duration, double *phi, double *gamma,
-    double *noise, double *scratch, long n, long m);
+    const double *series, long terms, double reach, double duration, double *written,
+    double *scratch, long n, long m);
 
 /* --- models --- */
 
 enum { KIND_ARM, KIND_SYSTEM };
 
-/* What theta = 1 adds to both accelerations of an arm: by x (4 each, the link's first), by sin x_1,
- * by the torque of the motor and by a torque at the link. */
-enum {
-    LINK_SINE = 8,
-    MOTOR_SINE,
-    LINK_TORQUE,
-    MOTOR_TORQUE,
-    LINK_EXTERNAL,
-    MOTOR_EXTERNAL,
-    EFFECTS
-};
+/* What accelerates the link and the motor of an arm: its four states, then these, by the torque of the
+ * motor and by a torque at the link. */
+enum { BY_SINE = 4, BY_TORQUE, BY_EXTERNAL, CAUSES };
 
 /* Sizes of a model: n augmented states, m signals, the inputs and then the scheduled ones, k
  * parameters, the plant's own states, rules and premise variables. */
 typedef struct {
     int64_t n, m, inputs, k, plant, rules, premises;
 } flow_sizes;
+enum { FLOW_SIZES = sizeof(flow_sizes) / sizeof(int64_t) };
 
 /* Numbers of a model. deviations: [A B] of each rule of a T-S system less the mean; directions: their
  * change by each parameter; schedule: scheduled signals to premise variables. The linear flow of a
  * T-S system is that of half a step. */
 #define FLOW_FIELDS(FIELD, s)                                                        \
     FIELD(COUNT, kind, 1, 1)         /* KIND_... */                                  \
-    FIELD(COUNT, n, 1, 1)            /* flow_sizes */                                \
-    FIELD(COUNT, m, 1, 1)                                                            \
-    FIELD(COUNT, inputs, 1, 1)                                                       \
-    FIELD(COUNT, k, 1, 1)                                                            \
-    FIELD(COUNT, plant, 1, 1)                                                        \
-    FIELD(COUNT, rules, 1, 1)                                                        \
-    FIELD(COUNT, premises, 1, 1)                                                     \
+    FIELD(COUNTS, sizes, FLOW_SIZES, 1) /* flow_sizes */                             \
     FIELD(NUMBER, period, 1, 1)      /* nominal step [s] */                          \
     FIELD(COUNT, terms, 1, 1)        /* of the series of the linear flow, */         \
     FIELD(NUMBER, reach, 1, 1)       /* up to which it serves [s] */                 \
@@ -94,7 +75,7 @@ typedef struct {
     FIELD(MATRIX, gamma, s->n, s->inputs)                                            \
     FIELD(MATRIX, noise, s->n, s->n)                                                 \
     FIELD(NUMBER, gravity_gain, 1, 1) /* of an arm */                                \
-    FIELD(MATRIX, effects, s->k, EFFECTS) /* of an arm's parameters */               \
+    FIELD(MATRIX, effects, s->k * 2, CAUSES) /* of theta = 1 on an arm's accelerations */ \
     FIELD(VECTOR, motor_torque, s->n, 1) /* states that make up unknown torques, */  \
     FIELD(VECTOR, link_torque, s->n, 1) /* of an arm */                              \
     FIELD(MATRIX, deviations, s->rules * s->plant, s->plant + s->inputs)             \
@@ -114,8 +95,7 @@ LAYOUT_DECLARE(flow, FLOW_FIELDS, flow_sizes)
     FIELD(MATRIX, phi, s->n, s->n) /* linear flow over a step that is not nominal, */ \
     FIELD(MATRIX, gamma, s->n, s->inputs)                                             \
     FIELD(MATRIX, noise, s->n, s->n)                                                  \
-    FIELD(VECTOR, over, flow_over_scratch_size(s->n, s->inputs), 1) /* and for it */  \
-    FIELD(MATRIX, squares, 7 * s->n, s->n)                                            \
+    FIELD(MATRIX, squares, s->n, 7 * s->n + s->inputs)                                \
     FIELD(MATRIX, vectors, 6, s->n)                                                   \
     FIELD(MATRIX, direct, 2 * s->k, s->n)                                             \
     FIELD(VECTOR, rates, s->plant, 1)                                                 \
@@ -134,9 +114,7 @@ typedef struct {
 /* Return the sizes that stand in a record, behind its kind. */
 static inline flow_sizes flow_sizes_of(const double *memory)
 {
-    flow_sizes s;
-    memcpy(&s, memory + 1, sizeof s);
-    return s;
+    return *(const flow_sizes *)(const void *)(memory + 1);
 }
 
 /* Return whether some numbers are a record whose sizes and counts belong together. */

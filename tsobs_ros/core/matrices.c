@@ -73,10 +73,9 @@ int is_nonnegative(double *s, long n)
     return 1;
 }
 
-/* Write L and, on the diagonal, D of s = L D L'. */
-static void factorise(const double *s, double *factor, long n)
+void solve(const double *s, const double *b, double *factor, double *result, long n)
 {
-    for (long j = 0; j < n; j++) {
+    for (long j = 0; j < n; j++) { /* L and, on the diagonal, D */
         double *at_j = factor + j * n;
         double pivot = s[j * n + j];
         for (long k = 0; k < j; k++) {
@@ -91,11 +90,6 @@ static void factorise(const double *s, double *factor, long n)
             factor[i * n + j] = total / pivot;
         }
     }
-}
-
-void solve(const double *s, const double *b, double *factor, double *result, long n)
-{
-    factorise(s, factor, n);
     for (long i = 0; i < n; i++) {
         result[i] = b[i];
         for (long k = 0; k < i; k++) {

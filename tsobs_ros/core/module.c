@@ -158,7 +158,7 @@ static int is_duration(const signature *of, const argument *t)
 
 /* --- layouts of records --- */
 
-enum { FLOW_SIZES = sizeof(flow_sizes) / 8, PLANT_SIZES = sizeof(plant_sizes) / 8 };
+enum { PLANT_SIZES = sizeof(plant_sizes) / 8 };
 
 #define FIELD_FORMAT(kind, name, rows, columns) "(ssll)"
 #define FIELD_VALUES(kind, name, rows, columns) , #name, #kind, (long)(rows), (long)(columns)
@@ -227,18 +227,17 @@ BIND(weights_of_each, "dddDii")
     Py_RETURN_NONE;
 }
 
-BIND(flow_over, "diffDDDDii")
+BIND(flow_over, "diffDDii")
 {
-    const int64_t sizes[3] = {t[1].integer, t[8].integer, t[9].integer};
-    const int64_t terms = sizes[0], n = sizes[1], m = sizes[2];
-    if (!are_sizes(of, sizes, 3, 0) || !is_duration(of, &t[3]) ||
-        !HAVE(0, terms * n * (2 * n + m)) ||
-        !HAVE(4, n * n, n * m, n * n, (int64_t)flow_over_scratch_size((long)n, (long)m))) {
+    const int64_t sizes[3] = {t[1].integer, t[6].integer, t[7].integer};
+    const int64_t terms = sizes[0], n = sizes[1], m = sizes[2], numbers = n * (2 * n + m);
+    if (!are_sizes(of, sizes, 3, 0) || !is_duration(of, &t[3]) || !HAVE(0, terms * numbers) ||
+        !HAVE(4, numbers, n * (3 * n + m))) {
         return NULL;
     }
     flow_over(
-        t[0].numbers, (long)terms, t[2].number, t[3].number, t[4].numbers, t[5].numbers,
-        t[6].numbers, t[7].numbers, (long)n, (long)m);
+        t[0].numbers, (long)terms, t[2].number, t[3].number, t[4].numbers, t[5].numbers, (long)n,
+        (long)m);
     Py_RETURN_NONE;
 }
 

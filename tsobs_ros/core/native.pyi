@@ -32,7 +32,7 @@ def weights_of_each(
     """Write the weights (samples, r) of r rules at z (samples, q)."""
 
 def flow_over(*arguments: Any) -> None:
-    """Write Φ, Γ and Q over a duration [s]; scratch has n (4 n + 2 m) numbers."""
+    """Write Φ, Γ and Q over a duration [s]; see `flow_over` in flow.h."""
 
 def simulate(*arguments: Any) -> None:
     """Move plants over samples by their sizes and record; see simulate.h."""

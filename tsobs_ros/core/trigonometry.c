@@ -8,13 +8,6 @@
 #define PI 3.14159265358979323846
 #define TWO_PI 6.28318530717958647693
 
-/* Return the largest whole number up to x, for |x| < 2^51, without a call. */
-static double round_down(double x)
-{
-    const double whole = (x + 6755399441055744.0) - 6755399441055744.0; /* 1.5 * 2^52 */
-    return whole > x ? whole - 1.0 : whole;
-}
-
 /* Return an angle less `whole` quarters of a turn: pi/2 in three parts, the first two of 33 bits,
  * so that small multiples of them are exact. */
 static double less_quarters(double angle, double whole)
@@ -57,7 +50,7 @@ void sine_and_cosine(double angle, double *sin, double *cos)
         }
     }
     if (fabs(angle) > 0.25 * PI) {
-        const double whole = round_down(angle * (2.0 / PI) + 0.5);
+        const double whole = floor(angle * (2.0 / PI) + 0.5);
         angle = less_quarters(angle, whole);
         quarters = (long)whole;
     }
@@ -88,7 +81,7 @@ double exponential(double x)
     if (!(x >= -745.2)) {
         return isnan(x) ? x : 0.0;
     }
-    const double whole = round_down(x * 1.44269504088896338700e00 + 0.5);
+    const double whole = floor(x * 1.44269504088896338700e00 + 0.5);
     const double high = x - whole * 6.93147180369123816490e-01;
     const double low = whole * 1.90821492927058770002e-10;
     const double r = high - low, t = r * r;

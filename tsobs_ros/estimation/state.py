@@ -19,7 +19,7 @@ from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.model.arm import DIRECT, TorquePath
-from tsobs_ros.model.prediction import FlowSizes, Record
+from tsobs_ros.model.prediction import Record
 
 
 class Shape(NamedTuple):
@@ -79,7 +79,7 @@ def new_model(
     n, plant, p, m, k, t = shape
     # Torques on their way: one message per output and period, and some more as stamps jitter.
     late = p * (math.ceil(torque.delay / period) + 1) + 1 if torque.delay else 0
-    scratch = record_type("flow_step", [int(flow[name][0]) for name in FlowSizes._fields])
+    scratch = record_type("flow_step", flow["sizes"][0])
     sizes = (
         n, n + (1 + max(2, p) if auxiliary else 0), plant, p, m, k, t,
         native.HYPOTHESES if auxiliary else 1, late,

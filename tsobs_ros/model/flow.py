@@ -148,8 +148,7 @@ class ArmFlow(Flow):
         numbers: dict[str, Any] = {"gravity_gain": self.gravity_gain, **torques}
         if uncertainty is not None and uncertainty.count:
             rows = uncertainty.directions[:, 0, [LINK_VELOCITY, MOTOR_VELOCITY]]
-            columns = (rows[..., place] for place in (SINE, TORQUE, EXTERNAL))
-            numbers["effects"] = np.hstack([rows[..., :4].reshape(-1, 8), *columns])
+            numbers["effects"] = rows.reshape(-1, EXTERNAL + 1)
         return numbers
 
     def error_map(self, first: Array, second: Array) -> tuple[Array, Array]:

@@ -259,10 +259,11 @@ class Flow(ABC):
     def transition(self, duration: float) -> Transition:
         """Return the linear flow of a step of a duration [s]."""
         n, m = self.state_count, self.input_count - self.scheduled_count
-        phi, gamma, noise = np.empty((n, n)), np.empty((n, m)), np.empty((n, n))
-        series, scratch = (self._series, self._terms, self._reach), np.empty(n * (4 * n + 2 * m))
-        native.flow_over(*series, self.linear_share * duration, phi, gamma, noise, scratch, n, m)
-        return Transition(duration, phi, gamma, noise)
+        series, scratch = (self._series, self._terms, self._reach), np.empty(n * (3 * n + m))
+        found = np.empty(n * (2 * n + m))
+        native.flow_over(*series, self.linear_share * duration, found, scratch, n, m)
+        parts = np.split(found, (n * n, n * (n + m)))
+        return Transition(duration, *(part.reshape(n, -1) for part in parts))
 
     @abstractmethod
     def error_map(self, first: Array, second: Array) -> tuple[Array, Array]:
@@ -287,7 +288,7 @@ class Flow(ABC):
         sizes = FlowSizes(n, m, inputs, k, self.plant_count, *self.rule_counts)
         record, (_, phi, gamma, noise) = np.zeros(1, record_type("flow", sizes)), self.nominal
         for name, values in {
-            **sizes._asdict(),
+            "sizes": sizes,
             "kind": self.kind,
             "period": self.period,
             "terms": self._terms,
