@@ -25,37 +25,36 @@ static double rub(double level, double speed)
 /* Return the spring's twist, which is 0 within the play. */
 static double twist_of(const simulated_arm *arm, const double *x)
 {
-    const double turn = x[2] - x[0], free = *arm->free_play;
+    const double turn = x[2] - x[0], free = arm->free_play;
     if (!(free > 0.0)) {
         return turn;
     }
     return turn > free ? turn - free : turn < -free ? turn + free : 0.0;
 }
 
-/* Return the arm that moves, which is another one with the payload, and what is held of it. */
-static simulated_arm arm_in(const simulated_plant *plant, const double **held)
+/* Return the arm that moves, which is another one with the payload. */
+static const simulated_arm *arm_of(const simulated_plant *plant)
 {
-    *held = plant->signals + 4;
-    return simulated_arm_view(
-        NULL, plant->arms + ((*held)[IS_LOADED] != 0.0 ? simulated_arm_size(NULL) : 0));
+    const simulated_arm *arms = (const simulated_arm *)plant->arms;
+    return plant->signals[4 + IS_LOADED] != 0.0 ? arms + 1 : arms;
 }
 
 /* Write the slope of an arm's state. */
 static void arm_slope(const simulated_plant *plant, double *slope)
 {
-    const double *x = plant->signals, *held;
-    const simulated_arm arm = arm_in(plant, &held);
-    const double twist = twist_of(&arm, x);
+    const double *x = plant->signals, *held = x + 4;
+    const simulated_arm *arm = arm_of(plant);
+    const double twist = twist_of(arm, x);
     /* Subtracted, so that a push of zero changes no bit, the sign of a zero included. */
     const double drive =
-        held[DRIVE] / *arm.motor_inertia - (0.0 - held[ON_MOTOR]) / *arm.motor_inertia;
-    const double brake = (0.0 - held[ON_LINK]) / *arm.link_inertia;
+        held[DRIVE] / arm->motor_inertia - (0.0 - held[ON_MOTOR]) / arm->motor_inertia;
+    const double brake = (0.0 - held[ON_LINK]) / arm->link_inertia;
     slope[0] = x[1];
-    slope[1] = *arm.link_spring * twist - *arm.gravity * sine(x[0]) - *arm.link_drag * x[1] -
-               rub(*arm.link_rub, x[1]) - brake;
+    slope[1] = arm->link_spring * twist - arm->gravity * sine(x[0]) - arm->link_drag * x[1]
+               - rub(arm->link_rub, x[1]) - brake;
     slope[2] = x[3];
     slope[3] =
-        drive - *arm.motor_spring * twist - *arm.motor_drag * x[3] - rub(*arm.motor_rub, x[3]);
+        drive - arm->motor_spring * twist - arm->motor_drag * x[3] - rub(arm->motor_rub, x[3]);
 }
 
 /* Write the torques that an arm without friction and payload would need: less friction, the spring's
@@ -63,20 +62,19 @@ static void arm_slope(const simulated_plant *plant, double *slope)
  * dJ q1'' + dmgl sin q1. */
 static void arm_outputs(const simulated_plant *plant, double *torques)
 {
-    const double *x = plant->signals, *held;
-    const simulated_arm arm = arm_in(plant, &held);
-    const double inertia = *arm.added_inertia, weight = *arm.added_gravity;
-    torques[0] = held[ON_MOTOR] - *arm.motor_viscous * x[3] - rub(*arm.motor_coulomb, x[3]);
-    torques[1] = held[ON_LINK] - *arm.link_viscous * x[1] - rub(*arm.link_coulomb, x[1]);
-    if (*arm.free_play > 0.0) {
-        const double slack = x[2] - x[0] - twist_of(&arm, x);
-        torques[0] += *arm.motor_inertia * *arm.motor_spring * slack;
-        torques[1] -= *arm.link_inertia * *arm.link_spring * slack;
+    const double *x = plant->signals, *held = x + 4;
+    const simulated_arm *arm = arm_of(plant);
+    torques[0] = held[ON_MOTOR] - arm->motor_viscous * x[3] - rub(arm->motor_coulomb, x[3]);
+    torques[1] = held[ON_LINK] - arm->link_viscous * x[1] - rub(arm->link_coulomb, x[1]);
+    if (arm->free_play > 0.0) {
+        const double slack = x[2] - x[0] - twist_of(arm, x);
+        torques[0] += arm->motor_inertia * arm->motor_spring * slack;
+        torques[1] -= arm->link_inertia * arm->link_spring * slack;
     }
-    if (inertia > 0.0 || weight > 0.0) {
+    if (arm->added_inertia > 0.0 || arm->added_gravity > 0.0) {
         double slope[4];
         arm_slope(plant, slope);
-        torques[1] -= inertia * slope[1] + weight * sine(x[0]);
+        torques[1] -= arm->added_inertia * slope[1] + arm->added_gravity * sine(x[0]);
     }
 }
 

@@ -12,24 +12,18 @@
 #include "layout.h"
 
 /* An arm that moves, with what differs from the nominal one. */
-#define SIMULATED_ARM_FIELDS(F, s)                                                                \
-    F(NUMBER, gravity, 1, 1)       /* mgl over the link's inertia */                              \
-    F(NUMBER, motor_inertia, 1, 1) /* [kg m2] */                                                  \
-    F(NUMBER, link_spring, 1, 1)   /* k, b and Coulomb friction over the link's inertia */        \
-    F(NUMBER, link_drag, 1, 1)                                                                    \
-    F(NUMBER, motor_spring, 1, 1)  /* k, b and Coulomb friction over the motor's inertia */       \
-    F(NUMBER, motor_drag, 1, 1)                                                                   \
-    F(NUMBER, link_rub, 1, 1)      /* of the former, */                                           \
-    F(NUMBER, motor_rub, 1, 1)     /* of the latter */                                            \
-    F(NUMBER, link_inertia, 1, 1)  /* [kg m2] */                                                  \
-    F(NUMBER, link_viscous, 1, 1)  /* friction [N m s/rad] */                                     \
-    F(NUMBER, link_coulomb, 1, 1)  /* friction [N m] */                                           \
-    F(NUMBER, motor_viscous, 1, 1)                                                                \
-    F(NUMBER, motor_coulomb, 1, 1)                                                                \
-    F(NUMBER, added_inertia, 1, 1) /* the payload's [kg m2] */                                    \
-    F(NUMBER, added_gravity, 1, 1) /* the payload's [N m] */                                      \
-    F(NUMBER, free_play, 1, 1)     /* twist to either side that the spring does not feel [rad] */
-LAYOUT_DECLARE(simulated_arm, SIMULATED_ARM_FIELDS, void)
+typedef struct {
+    double gravity;       /* mgl over the link's inertia */
+    double motor_inertia; /* [kg m2] */
+    double link_spring, link_drag;   /* k and b over the link's inertia, */
+    double motor_spring, motor_drag; /* and over the motor's */
+    double link_rub, motor_rub;      /* Coulomb friction over these */
+    double link_inertia;             /* [kg m2] */
+    double link_viscous, link_coulomb; /* friction [N m s/rad], [N m] */
+    double motor_viscous, motor_coulomb;
+    double added_inertia, added_gravity; /* the payload's [kg m2], [N m] */
+    double free_play; /* twist to either side that the spring does not feel [rad] */
+} simulated_arm;
 
 /* Inputs of an arm: torques of the drive, and in addition to it on motor and link [N m]; and whether
  * the payload is carried. */
@@ -62,7 +56,7 @@ static inline int64_t noisy_count(const plant_sizes *s)
     F(COUNT, substeps, 1, 1)   /* steps of a sampling period, */                   \
     F(NUMBER, substep, 1, 1)   /* and length of one [s] */                         \
     F(VECTOR, noise, noisy_count(s), 1) /* what multiplies the normal numbers */   \
-    F(MATRIX, arms, s->rules == 0 ? 2 : 0, simulated_arm_size(NULL))               \
+    F(MATRIX, arms, s->rules == 0 ? 2 : 0, sizeof(simulated_arm) / 8)              \
     F(MATRIX, rates, s->rules * s->n, s->n + s->m)                                 \
     F(MATRIX, outputs, s->rules * s->p, s->n)                                      \
     F(COUNTS, shapes, s->rules * s->premises, 1)                                   \
