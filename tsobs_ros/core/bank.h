@@ -6,11 +6,8 @@
 #ifndef TSOBS_BANK_H
 #define TSOBS_BANK_H
 
-#include <math.h>
-
+#include "arithmetic.h"
 #include "estimator.h"
-#include "matrices.h"
-#include "trigonometry.h"
 
 /* The smaller and the larger of two numbers; the first if one of them is NaN. */
 static inline double minimum(double a, double b)

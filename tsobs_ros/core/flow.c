@@ -9,10 +9,7 @@
  */
 #include "flow.h"
 
-#include <math.h>
-
-#include "matrices.h"
-#include "trigonometry.h"
+#include "arithmetic.h"
 
 int flow_is_sound(double *memory, size_t length)
 {
@@ -77,9 +74,9 @@ linear_step other_step(const flow *f, double duration, const flow_step *work)
 
 /* --- arms --- */
 
-/* Kick both velocities by gravity and by theta for half a step, whose effects sum to `total`; and if
- * so asked, the rows of effects with them, and write the kick's Jacobian less I: the rows of both
- * velocities. */
+/* Kick both velocities by gravity and by theta for half a step, whose effects sum to `total`;
+ * and if so asked, the rows of effects with them, and write the kick's Jacobian less I: the rows
+ * of both velocities. */
 static void kick_arm(
     const flow *f, const double *total, double torque, double half, double *x, int wanted,
     const flow_step *work)
@@ -192,8 +189,8 @@ static void step_arm(
 
 /* --- T-S systems --- */
 
-/* Write what enters x in addition to the linear flow, sum of h_i (D_i + sum of theta times directions) [x; u],
- * and unless NULL its Jacobian, and its derivatives by theta, (k, n). */
+/* Write what enters x in addition to the linear flow, sum of h_i (D_i + sum of theta times
+ * directions) [x; u], and unless NULL its Jacobian, and its derivatives by theta, (k, n). */
 static void enter(
     const flow *f, const double *x, const double *theta, const double *u, double *entering,
     double *jacobian, double *direct, const flow_step *work)
@@ -291,7 +288,8 @@ static void step_system(
     int wanted, const flow_step *work)
 {
     const long n = sizes_of(f)->n, k = sizes_of(f)->k, inputs = sizes_of(f)->inputs;
-    double *forced = work->vectors, *moved = forced + n, *entering = moved + n, *middle = entering + n;
+    double *forced = work->vectors, *moved = forced + n, *entering = moved + n;
+    double *middle = entering + n;
     double *N1 = wanted != NOTHING ? work->squares : NULL, *N2 = N1 != NULL ? N1 + n * n : NULL;
     for (long i = 0; i < n; i++) {
         forced[i] = dot(over->gamma + i * inputs, u, inputs);

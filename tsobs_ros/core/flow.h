@@ -38,10 +38,9 @@ void rule_weights(
 #define SERIES_TERMS 60 /* most rows of a series of Taylor coefficients */
 #define SHORTEST 1e-6   /* least period [s], so that those of any duration can be counted */
 
-/* Write Phi (n, n), Gamma (n, m) and Q (n, n), one behind the other, over a duration of at least 0 [s].
- *
- * `series` has the Taylor coefficients of all three in `terms` rows, and serves steps up to `reach` [s];
- * a longer one is halved and doubled. `scratch` has n (3 n + m) numbers. */
+/* Write Phi (n, n), Gamma (n, m) and Q (n, n), one behind the other, over a duration of at least
+ * 0 [s]. `series` has the Taylor coefficients of all three in `terms` rows, and serves steps up to
+ * `reach` [s]; a longer one is halved and doubled. `scratch` has n (3 n + m) numbers. */
 void flow_over(
     const double *series, long terms, double reach, double duration, double *written,
     double *scratch, long n, long m);
@@ -50,8 +49,8 @@ void flow_over(
 
 enum { KIND_ARM, KIND_SYSTEM };
 
-/* What accelerates the link and the motor of an arm: its four states, then these, by the torque of the
- * motor and by a torque at the link. */
+/* What accelerates the link and the motor of an arm: its four states, the sine of the link's angle,
+ * the torque of the motor and one at the link. */
 enum { BY_SINE = 4, BY_TORQUE, BY_EXTERNAL, CAUSES };
 
 /* Sizes of a model: n augmented states, m signals, the inputs and then the scheduled ones, k
@@ -61,9 +60,9 @@ typedef struct {
 } flow_sizes;
 enum { FLOW_SIZES = sizeof(flow_sizes) / sizeof(int64_t) };
 
-/* Numbers of a model. deviations: [A B] of each rule of a T-S system less the mean; directions: their
- * change by each parameter; schedule: scheduled signals to premise variables. The linear flow of a
- * T-S system is that of half a step. */
+/* Numbers of a model. deviations: [A B] of each rule of a T-S system less the mean; directions:
+ * their change by each parameter; schedule: scheduled signals to premise variables. The linear
+ * flow of a T-S system is that of half a step. */
 #define FLOW_FIELDS(FIELD, s)                                                        \
     FIELD(COUNT, kind, 1, 1)         /* KIND_... */                                  \
     FIELD(COUNTS, sizes, FLOW_SIZES, 1) /* flow_sizes */                             \
@@ -123,8 +122,8 @@ int flow_is_sound(double *memory, size_t length);
 /* Return the linear flow over a step of another length than the nominal one, kept in `work`. */
 linear_step other_step(const flow *f, double duration, const flow_step *work);
 
-/* Move x, n numbers, over a step with parameters theta and held signals u, and write what is wanted of
- * the step's linearisation: nothing, J and the effects of theta, or all. */
+/* Move x, n numbers, over a step with parameters theta and held signals u, and write what is
+ * wanted of the step's linearisation: nothing, J and the effects of theta, or all. */
 enum { NOTHING, DERIVATIVES, COVARIANCE };
 void take_step(
     const flow *f, const linear_step *over, double *x, const double *theta, const double *u,

@@ -3,10 +3,9 @@
  */
 #include "history.h"
 
-#include <math.h>
 #include <string.h>
 
-#include "matrices.h"
+#include "arithmetic.h"
 
 static const double NANOSECONDS = 1e9;
 
@@ -142,8 +141,8 @@ static int correct_by_sample(tracker *t, state *at, const double *y, const doubl
     return isfinite(total) != 0;
 }
 
-/* Forget what is too much, and what is out of reach of a late measurement, but not the last of that:
- * a rewind begins there. */
+/* Forget what is too much, and what is out of reach of a late measurement, but not the last of
+ * that: a rewind begins there. */
 static void forget_oldest(tracker *t, int64_t stamp)
 {
     history *h = &t->h;
@@ -344,7 +343,8 @@ void advance(
         offer_some(t, given, done, known, ticks->now[tick], written);
         done = known;
         ticks->newest[tick] = newest_stamp(t);
-        ticks->there[tick] = ticks->newest[tick] > 0 && stamp - ticks->newest[tick] <= stale_after &&
-                             estimate_at(t, stamp, ticks->rows + tick * width);
+        ticks->there[tick] = ticks->newest[tick] > 0
+                             && stamp - ticks->newest[tick] <= stale_after
+                             && estimate_at(t, stamp, ticks->rows + tick * width);
     }
 }

@@ -14,8 +14,8 @@
 
 enum { MOST_STEPS = 1000000 }; /* measurements that a history has room for */
 
-/* What a history needs beside its ring. The oldest state is only there to rewind to if there are more
- * than `max_steps`. */
+/* What a history needs beside its ring. The oldest state is only there to rewind to if there are
+ * more than `max_steps`. */
 #define HISTORY_FIELDS(F, s)                                                               \
     F(COUNT, first, 1, 1)           /* place of the oldest state in the ring, */           \
     F(COUNT, length, 1, 1)          /* and number of states */                             \
@@ -32,9 +32,9 @@ enum { MOST_STEPS = 1000000 }; /* measurements that a history has room for */
     F(NUMBER, x_max, 1, 1)          /* half width of the certificate's domain */
 LAYOUT_DECLARE(history, HISTORY_FIELDS, void)
 
-/* The room of a tracker: its history with a ring of states, one in a gap and one that is read; and as
- * scratch records of a step, and in a rewind the measurements after the late one, to be used again, as
- * many as states at most. */
+/* The room of a tracker: its history with a ring of states, one in a gap and one that is read;
+ * and as scratch records of a step, and in a rewind the measurements after the late one, to be
+ * used again, as many as states at most. */
 typedef struct {
     const estimator_sizes *s;
     int64_t slots; /* states in the ring */
@@ -51,7 +51,7 @@ typedef struct {
     F(MATRIX, u, z->slots, z->s->m)
 LAYOUT_DECLARE(tracker_room, ROOM_FIELDS, room_sizes)
 
-/* Return the sizes of a room for so many measurements, with the state before them and one to come. */
+/* Return the sizes of a room for so many measurements, the one before them and the one to come. */
 static inline room_sizes room_for(const estimator_sizes *s, int64_t max_steps)
 {
     const room_sizes sizes = {s, max_steps + 2};
@@ -71,12 +71,12 @@ typedef struct {
 /* Return whether the places and limits of a history belong together. */
 int history_is_sound(const history *h);
 
-/* Bind a view. Return NULL, or what is wrong with the model or the room: a length, or a place in it. */
+/* Bind a view. Return NULL, or what is wrong with model or room: a length, or a place in it. */
 const char *tracker_bind(
     tracker *view, double *model, size_t model_length, double *room, size_t room_length);
 
-/* Measurements: stamps [ns], (n,); outputs, NaN of one that is missing, (n, p); and inputs from each
- * measurement until the next one, (n, m). */
+/* Measurements: stamps [ns], (n,); outputs, NaN of one that is missing, (n, p); and inputs from
+ * each measurement until the next one, (n, m). */
 typedef struct {
     int64_t count;
     const int64_t *stamps;
@@ -101,9 +101,9 @@ void offer(tracker *t, const measurements *given, int64_t now, const outcomes *w
  * which is counted. The row is that of `estimate_view`. */
 int estimate_at(tracker *t, int64_t stamp, double *row);
 
-/* Ticks: stamps of estimates, ascending, and times on their clock [ns]; numbers of measurements that are
- * offered before each, ascending. Written: the stamp of the newest one in use [ns], whether there is an
- * estimate, and its row. */
+/* Ticks: stamps of estimates, ascending, and times on their clock [ns]; numbers of measurements
+ * that are offered before each, ascending. Written: the stamp of the newest one in use [ns],
+ * whether there is an estimate, and its row. */
 typedef struct {
     int64_t count;
     const int64_t *stamps, *now, *known;
@@ -111,7 +111,7 @@ typedef struct {
     double *rows;
 } history_ticks;
 
-/* Offer measurements and estimate at ticks, unless the newest one is older than `stale_after` [ns]. */
+/* Offer measurements and estimate at ticks, unless the newest is older than `stale_after` [ns]. */
 void advance(
     tracker *t, const measurements *given, const outcomes *written, const history_ticks *ticks,
     int64_t stale_after);

@@ -3,10 +3,8 @@
  *
  * Grades of membership functions, and the rule weights that follow from them.
  */
-#include <math.h>
-
+#include "arithmetic.h"
 #include "flow.h"
-#include "trigonometry.h"
 
 /* 1 between b and c, falling in straight lines to 0 at a and d, of which two may be infinite. */
 static double trapezoid(double z, const double *corners, double *slope)

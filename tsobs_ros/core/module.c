@@ -11,12 +11,10 @@
 #define Py_LIMITED_API 0x030B0000
 #endif
 #include <Python.h>
-#include <math.h>
 #include <string.h>
 
-#include "matrices.h"
+#include "arithmetic.h"
 #include "simulate.h"
-#include "trigonometry.h"
 #include "tsobs.h"
 
 /* --- arguments --- */
@@ -29,18 +27,16 @@
 typedef struct {
     Py_buffer buffer;
     int held;       /* whether that is to be released */
-    void *bytes;    /* where an array is, */
-    double *numbers;
-    int64_t *counts;
+    void *at;       /* where an array is, */
     int64_t length; /* and how many numbers of 8 bytes it has; of bytes, bytes */
     double number;
     int64_t integer;
     const char *text;
 } argument;
 
-/* A function: its name, one letter for each argument, and its body. The letters: 'd' an array that is
- * read, 'D' one that is written, both contiguous and of 8-byte numbers, 'b' bytes, 'f' a float, 'i' an
- * int, 's' a text. The body returns a new reference, or NULL with an exception. */
+/* A function: its name, one letter for each argument, and its body. The letters: 'd' an array
+ * that is read, 'D' one that is written, both contiguous and of 8-byte numbers, 'b' bytes, 'f' a
+ * float, 'i' an int, 's' a text. The body returns a new reference, or NULL with an exception. */
 typedef struct signature {
     const char *name, *format;
     PyObject *(*body)(const struct signature *of, const argument *t);
@@ -74,11 +70,9 @@ static int take(const signature *of, int place, PyObject *given, argument *t)
         return 0;
     }
     t->held = 1;
-    t->bytes = t->buffer.buf;
-    t->numbers = t->buffer.buf;
-    t->counts = t->buffer.buf;
+    t->at = t->buffer.buf;
     t->length = t->buffer.len / unit;
-    if (t->buffer.len % unit != 0 || (uintptr_t)t->bytes % (uintptr_t)unit != 0) {
+    if (t->buffer.len % unit != 0 || (uintptr_t)t->at % (uintptr_t)unit != 0) {
         PyErr_Format(PyExc_ValueError, "%s: argument %d: expected aligned 8-byte numbers", of->name,
                      place + 1);
         return 0;
@@ -164,14 +158,14 @@ enum { PLANT_SIZES = sizeof(plant_sizes) / 8 };
 #define FIELD_VALUES(kind, name, rows, columns) , #name, #kind, (long)(rows), (long)(columns)
 #define RECORD(name, FIELDS, count, sizes)                                                     \
     if (strcmp(t[0].text, name) == 0 && t[1].length == (count)) {                              \
-        const sizes *s = t[1].bytes;                                                           \
+        const sizes *s = t[1].at;                                                              \
         (void)s;                                                                               \
         return Py_BuildValue("[" FIELDS(FIELD_FORMAT, s) "]" FIELDS(FIELD_VALUES, s));         \
     }
 
 BIND(layout, "sd")
 {
-    const int64_t count = t[1].length, *numbers = t[1].counts;
+    const int64_t count = t[1].length, *numbers = t[1].at;
     if (count == ESTIMATOR_SIZES ? sizes_are_sound(numbers) : are_sizes(of, numbers, count, 0)) {
         RECORD("sensor", SENSOR_FIELDS, ESTIMATOR_SIZES, estimator_sizes)
         RECORD("hypothesis", HYPOTHESIS_FIELDS, ESTIMATOR_SIZES, estimator_sizes)
@@ -190,6 +184,13 @@ BIND(layout, "sd")
 
 /* --- functions, flows and simulated plants --- */
 
+static double cosine(double angle)
+{
+    double sin, cos;
+    sine_and_cosine(angle, &sin, &cos);
+    return cos;
+}
+
 BIND(elementary, "sD")
 {
     static const struct {
@@ -200,8 +201,9 @@ BIND(elementary, "sD")
     };
     for (size_t place = 0; place < sizeof known / sizeof known[0]; place++) {
         if (strcmp(known[place].name, t[0].text) == 0) {
+            double *numbers = t[1].at;
             for (int64_t i = 0; i < t[1].length; i++) {
-                t[1].numbers[i] = known[place].value(t[1].numbers[i]);
+                numbers[i] = known[place].value(numbers[i]);
             }
             Py_RETURN_NONE;
         }
@@ -216,13 +218,13 @@ BIND(weights_of_each, "dddDii")
         return NULL;
     }
     const int64_t samples = t[2].length / q;
+    const double *z = t[2].at;
+    double *weights = t[3].at;
     if (!HAVE(0, r * q, 4 * r * q) || !HAVE(3, samples * r)) {
         return NULL;
     }
     for (int64_t k = 0; k < samples; k++) {
-        rule_weights(
-            t[0].counts, t[1].numbers, t[2].numbers + k * q, t[3].numbers + k * r, NULL, (long)r,
-            (long)q);
+        rule_weights(t[0].at, t[1].at, z + k * q, weights + k * r, NULL, (long)r, (long)q);
     }
     Py_RETURN_NONE;
 }
@@ -236,36 +238,34 @@ BIND(flow_over, "diffDDii")
         return NULL;
     }
     flow_over(
-        t[0].numbers, (long)terms, t[2].number, t[3].number, t[4].numbers, t[5].numbers, (long)n,
-        (long)m);
+        t[0].at, (long)terms, t[2].number, t[3].number, t[4].at, t[5].at, (long)n, (long)m);
     Py_RETURN_NONE;
 }
 
 BIND(simulate, "dDddDDD")
 {
-    const plant_sizes *s = t[0].bytes;
-    if (!HAVE(0, PLANT_SIZES) || !are_sizes(of, t[0].counts, PLANT_SIZES, 0) ||
+    const plant_sizes *s = t[0].at;
+    if (!HAVE(0, PLANT_SIZES) || !are_sizes(of, t[0].at, PLANT_SIZES, 0) ||
         !are_sizes(of, &s->n, 1, 1)) {
         return NULL;
     }
     const int64_t held = s->m + s->scheduled, runs = t[4].length / s->n;
     const int64_t samples = runs > 0 ? t[5].length / (s->n * runs) : 0, all = runs * samples;
     const int64_t size = (int64_t)simulated_plant_size(s);
-    const double *kicks = t[3].length > 0 ? t[3].numbers : NULL;
+    const double *kicks = t[3].length > 0 ? t[3].at : NULL;
     if (s->rules == 0 && (s->n != 4 || held != ARM_INPUTS || s->p != 2)) {
         return refuse(of, "expected the sizes of an arm");
     }
     if (!HAVE(1, size, all * held) || !HAVE(6, all * s->p)) {
         return NULL;
     }
-    const simulated_plant plant = simulated_plant_view(s, t[1].numbers);
+    const simulated_plant plant = simulated_plant_view(s, t[1].at);
     if (kicks != NULL && all > 0 && *plant.substeps > t[3].length / (noisy_count(s) * all)) {
         return refuse(of, "expected noise of each substep");
     }
     Py_BEGIN_ALLOW_THREADS
     simulate(
-        &plant, s, t[2].numbers, kicks, t[4].numbers, t[5].numbers, t[6].numbers, (long)runs,
-        (long)samples);
+        &plant, s, t[2].at, kicks, t[4].at, t[5].at, t[6].at, (long)runs, (long)samples);
     Py_END_ALLOW_THREADS
     Py_RETURN_NONE;
 }
@@ -275,12 +275,12 @@ BIND(simulate, "dDddDDD")
 /* Bind the model and the state, the first two arguments; return whether they belong together. */
 static int take_state(const signature *of, const argument *t, model *m, state *at)
 {
-    const char *wrong = model_view(t[0].numbers, (size_t)t[0].length, m);
+    const char *wrong = model_view(t[0].at, (size_t)t[0].length, m);
     if (wrong == NULL && (size_t)t[1].length != state_size(&m->s)) {
         wrong = "expected a state of the model";
     }
     if (wrong == NULL) {
-        *at = state_view(&m->s, t[1].numbers);
+        *at = state_view(&m->s, t[1].at);
     }
     return wrong == NULL || refuse(of, wrong) != NULL;
 }
@@ -292,8 +292,8 @@ BIND(estimator_correct, "dDdD")
     if (!take_state(of, t, &m, &at) || !HAVE(2, m.s.p, (int64_t)correction_size(&m.s))) {
         return NULL;
     }
-    correction effect = correction_view(&m.s, t[3].numbers);
-    correct(&m, &at, t[2].numbers, &effect);
+    correction effect = correction_view(&m.s, t[3].at);
+    correct(&m, &at, t[2].at, &effect);
     Py_RETURN_NONE;
 }
 
@@ -305,8 +305,8 @@ BIND(estimator_predict, "dDdfiD")
         !is_duration(of, &t[3])) {
         return NULL;
     }
-    work scratch = work_view(&m.s, t[5].numbers);
-    hold_inputs(&m, &at, t[2].numbers);
+    work scratch = work_view(&m.s, t[5].at);
+    hold_inputs(&m, &at, t[2].at);
     predict(&m, &at, t[3].number, t[4].integer != 0, &scratch);
     Py_RETURN_NONE;
 }
@@ -319,8 +319,8 @@ BIND(estimator_read, "ddDD")
         !HAVE(2, (int64_t)estimate_size(&m.s), (int64_t)work_size(&m.s))) {
         return NULL;
     }
-    const estimate said = estimate_view(&m.s, t[2].numbers);
-    work scratch = work_view(&m.s, t[3].numbers);
+    const estimate said = estimate_view(&m.s, t[2].at);
+    work scratch = work_view(&m.s, t[3].at);
     read_out(&m, &at, &said, &scratch);
     Py_RETURN_NONE;
 }
@@ -336,7 +336,7 @@ BIND(estimator_innovations, "dDdddfffiDDDDD")
     if (m.s.k != 0) {
         return refuse(of, "expected a model without parameters");
     }
-    const sample_log log = {count, t[2].numbers, t[3].numbers, t[4].numbers};
+    const sample_log log = {count, t[2].at, t[3].at, t[4].at};
     const filter_options options = {t[5].number, t[6].number, t[7].number};
     for (int64_t i = 0; i < count; i++) {
         if (!(log.durations[i] <= MAX_DURATION)) {
@@ -348,12 +348,11 @@ BIND(estimator_innovations, "dDdddfffiDDDDD")
               (int64_t)work_size(&m.s))) {
         return NULL;
     }
-    correction effect = correction_view(&m.s, t[12].numbers);
-    work scratch = work_view(&m.s, t[13].numbers);
+    correction effect = correction_view(&m.s, t[12].at);
+    work scratch = work_view(&m.s, t[13].at);
     Py_BEGIN_ALLOW_THREADS
     write_innovations(
-        &m, &at, &log, &options, t[8].integer, t[9].numbers, t[10].numbers, t[11].numbers,
-        &effect, &scratch);
+        &m, &at, &log, &options, t[8].integer, t[9].at, t[10].at, t[11].at, &effect, &scratch);
     Py_END_ALLOW_THREADS
     Py_RETURN_NONE;
 }
@@ -364,7 +363,7 @@ BIND(estimator_innovations, "dDdddfffiDDDDD")
 static int take_tracker(const signature *of, const argument *t, tracker *bound)
 {
     const char *wrong = tracker_bind(
-        bound, t[0].numbers, (size_t)t[0].length, t[1].numbers, (size_t)t[1].length);
+        bound, t[0].at, (size_t)t[0].length, t[1].at, (size_t)t[1].length);
     return wrong == NULL || refuse(of, wrong) != NULL;
 }
 
@@ -375,15 +374,15 @@ static int take_measurements(
     outcomes *written)
 {
     const int64_t count = t[2].length, outputs = count * by->m.s.p;
-    *given = (measurements){count, t[2].counts, t[3].numbers, t[4].numbers};
-    *written = (outcomes){t[to].counts, t[to + 1].counts, t[to + 2].numbers, t[to + 3].numbers};
+    *given = (measurements){count, t[2].at, t[3].at, t[4].at};
+    *written = (outcomes){t[to].at, t[to + 1].at, t[to + 2].at, t[to + 3].at};
     return HAVE(3, outputs, count * by->m.s.m) && HAVE(to, count, outputs, outputs, outputs);
 }
 
 BIND(tracker_room, "di")
 {
     model m;
-    const char *wrong = model_view(t[0].numbers, (size_t)t[0].length, &m);
+    const char *wrong = model_view(t[0].at, (size_t)t[0].length, &m);
     if (wrong != NULL || t[1].integer < 1 || t[1].integer > MOST_STEPS) {
         return refuse(of, wrong != NULL ? wrong : "max_steps: expected 1 to 1000000");
     }
@@ -409,7 +408,7 @@ BIND(history_estimate, "dD" "iD")
     if (!take_tracker(of, t, &by) || !HAVE(3, (int64_t)estimate_size(&by.m.s))) {
         return NULL;
     }
-    return PyBool_FromLong(estimate_at(&by, t[2].integer, t[3].numbers));
+    return PyBool_FromLong(estimate_at(&by, t[2].integer, t[3].at));
 }
 
 BIND(history_advance, "dD" "ddd" "DDDD" "ddd" "DDD" "i")
@@ -417,7 +416,7 @@ BIND(history_advance, "dD" "ddd" "DDDD" "ddd" "DDD" "i")
     tracker by;
     measurements given;
     outcomes written;
-    const int64_t count = t[9].length, *known = t[11].counts;
+    const int64_t count = t[9].length, *known = t[11].at;
     if (!take_tracker(of, t, &by) || !take_measurements(of, t, 5, &by, &given, &written) ||
         !HAVE(10, count, count, count, count, count * (int64_t)estimate_size(&by.m.s))) {
         return NULL;
@@ -428,7 +427,7 @@ BIND(history_advance, "dD" "ddd" "DDDD" "ddd" "DDD" "i")
         }
     }
     const history_ticks ticks = {
-        count, t[9].counts, t[10].counts, known, t[12].counts, t[13].counts, t[14].numbers,
+        count, t[9].at, t[10].at, known, t[12].at, t[13].at, t[14].at,
     };
     Py_BEGIN_ALLOW_THREADS
     advance(&by, &given, &written, &ticks, t[15].integer);
@@ -443,14 +442,14 @@ BIND(exported_seal, "D")
     if (!HAVE(0, (int64_t)sizeof(exported_head) / 8)) {
         return NULL;
     }
-    exported_seal(t[0].bytes, (size_t)t[0].length * 8);
+    exported_seal(t[0].at, (size_t)t[0].length * 8);
     Py_RETURN_NONE;
 }
 
 BIND(exported_open, "d")
 {
     exported design;
-    const char *wrong = exported_open(&design, t[0].bytes, (size_t)t[0].length * 8);
+    const char *wrong = exported_open(&design, t[0].at, (size_t)t[0].length * 8);
     if (wrong != NULL) {
         return refuse(of, wrong);
     }
@@ -471,9 +470,10 @@ static uint64_t number_at(const uint8_t *at, int size)
     return value;
 }
 
-/* Write channel, log time, publish time, first byte and size of the data of each message to rows of
- * `room` numbers. Return how many there are; -1 if a record, which is a byte for its kind, 8 for the
- * length of what follows, and that, is not whole. No array operation finds where one begins. */
+/* Write channel, log time, publish time, first byte and size of the data of each message to rows
+ * of `room` numbers. Return how many there are; -1 if a record, which is a byte for its kind, 8
+ * for the length of what follows, and that, is not whole. No array operation finds where one
+ * begins. */
 static int64_t split_messages(const uint8_t *data, size_t size, int64_t *found, size_t room)
 {
     size_t at = 0, count = 0, length;
@@ -506,7 +506,7 @@ BIND(messages_split, "bD")
     (void)of;
     Py_BEGIN_ALLOW_THREADS
     count = split_messages(
-        t[0].bytes, (size_t)t[0].length, t[1].counts, (size_t)(t[1].length / MESSAGE_FIELDS));
+        t[0].at, (size_t)t[0].length, t[1].at, (size_t)(t[1].length / MESSAGE_FIELDS));
     Py_END_ALLOW_THREADS
     return PyLong_FromLongLong(count);
 }

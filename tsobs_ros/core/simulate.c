@@ -5,9 +5,8 @@
 
 #include <string.h>
 
+#include "arithmetic.h"
 #include "flow.h"
-#include "matrices.h"
-#include "trigonometry.h"
 
 /* Speed below which Coulomb friction is proportional to the speed [rad/s]. */
 #define CREEP 0.01
@@ -57,8 +56,8 @@ static void arm_slope(const simulated_plant *plant, double *slope)
         drive - arm->motor_spring * twist - arm->motor_drag * x[3] - rub(arm->motor_rub, x[3]);
 }
 
-/* Write the torques that an arm without friction and payload would need: less friction, the spring's
- * torque that play lacks, and on the link less what turns the payload and holds it,
+/* Write the torques that an arm without friction and payload would need: less friction, the
+ * spring's torque that play lacks, and on the link less what turns the payload and holds it,
  * dJ q1'' + dmgl sin q1. */
 static void arm_outputs(const simulated_plant *plant, double *torques)
 {

@@ -25,12 +25,12 @@ typedef struct {
     double free_play; /* twist to either side that the spring does not feel [rad] */
 } simulated_arm;
 
-/* Inputs of an arm: torques of the drive, and in addition to it on motor and link [N m]; and whether
- * the payload is carried. */
+/* Inputs of an arm: torques of the drive, and in addition to it on motor and link [N m]; and
+ * whether the payload is carried. */
 enum { DRIVE, ON_MOTOR, ON_LINK, IS_LOADED, ARM_INPUTS };
 
-/* Sizes of a plant: states, inputs, scheduled signals, outputs, rules, of which an arm has none, and
- * premises. */
+/* Sizes of a plant: states, inputs, scheduled signals, outputs, rules, of which an arm has none,
+ * and premises. */
 typedef struct {
     int64_t n, m, scheduled, p, rules, premises;
 } plant_sizes;

@@ -23,7 +23,8 @@ extern "C" {
 #include "history.h"
 
 /* What an exported design begins with, before its model record and the memory record of a new
- * tracker. layout: of these records; a change of any of their fields changes it. checksum: of both. */
+ * tracker. layout: of these records; a change of any of their fields changes it. checksum: of
+ * both. */
 typedef struct {
     uint64_t magic, layout, checksum;
 } exported_head;
