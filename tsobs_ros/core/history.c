@@ -1,7 +1,7 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  */
-#include "history.h"
+#include "tsobs.h"
 
 #include <string.h>
 

@@ -105,10 +105,10 @@ void rule_weights(
             double slope;
             const double grade
                 = grade_and_slope(shapes[place], z[j], parameters + 4 * place, &slope);
-            for (long before = 0; slopes != NULL && before < j; before++) {
-                slopes[i * q + before] *= grade;
-            }
             if (slopes != NULL) {
+                for (long before = i * q; before < place; before++) {
+                    slopes[before] *= grade;
+                }
                 slopes[place] = slope * weights[i];
             }
             weights[i] *= grade;

@@ -47,16 +47,16 @@ def exported_open(words: Numbers, /) -> int:
     """Return the numbers of the room that a tracker of an exported design needs."""
 
 def tracker_room(model: Numbers, max_steps: int, /) -> int:
-    """Return the numbers of the room of a tracker with so many measurements; see history.h."""
+    """Return the numbers of the room of a tracker with so many measurements; see tsobs.h."""
 
 def history_offer(*arguments: Any) -> None:
-    """Use measurements, or refuse them; see `offer` in history.h."""
+    """Use measurements, or refuse them; see `offer` in tsobs.h."""
 
 def history_estimate(*arguments: Any) -> bool:
     """Write the estimate at a stamp [ns]; return whether there is one."""
 
 def history_advance(*arguments: Any) -> None:
-    """Offer measurements and estimate at ticks; see `advance` in history.h."""
+    """Offer measurements and estimate at ticks; see `advance` in tsobs.h."""
 
 def estimator_correct(model: Any, states: Any, y: Any, corrections: Any, /) -> None:
     """Use one measurement (p), in place, and write its effect."""

@@ -109,7 +109,7 @@ class Tracker:
 
     Attributes:
         estimator: The step functions.
-        memory: Counts, limits and places in the ring, a record that core/history.h describes,
+        memory: Counts, limits and places in the ring, a record that core/tsobs.h describes,
             shape (1,).
         ring: States after the last measurements.
 
