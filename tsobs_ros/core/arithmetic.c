@@ -121,6 +121,13 @@ void copy_matrix(
 
 #define PI 3.14159265358979323846
 
+/* Return the largest whole number up to x, without a call. */
+static long round_down(double x)
+{
+    const long whole = (long)x;
+    return whole > x ? whole - 1 : whole;
+}
+
 /* Return the sine up to pi/4. */
 static double first_sine(double angle)
 {
@@ -150,13 +157,12 @@ void sine_and_cosine(double angle, double *sin, double *cos)
         angle = fmod(angle, 2.0 * PI);
     }
     if (fabs(angle) > 0.25 * PI) {
-        const double whole = floor(angle * (2.0 / PI) + 0.5);
+        quarters = round_down(angle * (2.0 / PI) + 0.5);
         /* pi/2 in three parts, the first two of 33 bits, so that small multiples of them are
          * exact. */
-        angle -= whole * 1.57079632673412561417e00;
-        angle -= whole * 6.07710050630396597660e-11;
-        angle -= whole * 2.02226624879595063154e-21;
-        quarters = (long)whole;
+        angle -= (double)quarters * 1.57079632673412561417e00;
+        angle -= (double)quarters * 6.07710050630396597660e-11;
+        angle -= (double)quarters * 2.02226624879595063154e-21;
     }
     const double at_sine = first_sine(angle), at_cosine = first_cosine(angle);
     /* A quarter of a turn takes (sin, cos) to (cos, -sin). */
@@ -178,7 +184,7 @@ double exponential(double x)
     if (!(x >= -745.2)) {
         return isnan(x) ? x : 0.0;
     }
-    const double whole = floor(x * 1.44269504088896338700e00 + 0.5);
+    const double whole = (double)round_down(x * 1.44269504088896338700e00 + 0.5);
     const double high = x - whole * 6.93147180369123816490e-01;
     const double low = whole * 1.90821492927058770002e-10;
     const double r = high - low, t = r * r;

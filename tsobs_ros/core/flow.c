@@ -26,7 +26,7 @@ int flow_is_sound(double *memory, size_t length)
     const flow f = flow_view(&s, memory);
     return (*f.kind == KIND_ARM ? s.plant >= 4 && s.inputs >= 1
                                 : *f.kind == KIND_SYSTEM && s.rules >= 1 && s.premises >= 1)
-           && *f.period >= SHORTEST && *f.terms >= 0 && *f.terms <= SERIES_TERMS;
+           && *f.terms >= 0 && *f.terms <= SERIES_TERMS;
 }
 
 static const flow_sizes *sizes_of(const flow *f)

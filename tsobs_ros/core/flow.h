@@ -66,7 +66,6 @@ enum { FLOW_SIZES = sizeof(flow_sizes) / sizeof(int64_t) };
 #define FLOW_FIELDS(FIELD, s)                                                        \
     FIELD(COUNT, kind, 1, 1)         /* KIND_... */                                  \
     FIELD(COUNTS, sizes, FLOW_SIZES, 1) /* flow_sizes */                             \
-    FIELD(NUMBER, period, 1, 1)      /* nominal step [s] */                          \
     FIELD(COUNT, terms, 1, 1)        /* of the series of the linear flow, */         \
     FIELD(NUMBER, reach, 1, 1)       /* up to which it serves [s] */                 \
     FIELD(MATRIX, series, SERIES_TERMS, s->n * (2 * s->n + s->inputs))               \

@@ -290,7 +290,6 @@ class Flow(ABC):
         for name, values in {
             "sizes": sizes,
             "kind": self.kind,
-            "period": self.period,
             "terms": self._terms,
             "reach": self._reach,
             "series": self._series,
