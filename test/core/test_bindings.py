@@ -27,6 +27,8 @@ from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 DESIGN = load_design(config_path(FIXED_DESIGN))
 ADAPTIVE = load_design(config_path(SHIPPED_DESIGN))
 ESTIMATOR = make_estimator(ADAPTIVE, ObserverSettings())
+FLOW = DESIGN.request.flow.record()
+STEP = record_type("flow_step", FLOW["sizes"][0])
 COUNT = 3
 SIZES = np.array([2, 1, 0, 1, 1, 1])
 
@@ -77,8 +79,7 @@ def calls() -> dict[str, dict[str, Any]]:
         "history_estimate": {**memories, "stamp": 10**9, "row": zeros(width)},
         "history_advance": {**memories, **given, **results, **ticks},
         "flow_over": {
-            "series": zeros(4, 10), "terms": 4, "reach": 1.0, "duration": 1.0, "flow": zeros(10),
-            "scratch": zeros(14), "n": 2, "m": 1,
+            "flow": numbers(FLOW), "duration": 1.0, "step": numbers(np.zeros(1, STEP)),
         },
         "weights_of_each": {
             "shapes": zeros(2, kind=int), "parameters": zeros(2, 4), "z": zeros(3),
@@ -122,7 +123,7 @@ def test_an_array_that_is_too_short_is_refused_and_nothing_is_changed(
         ("estimator_correct", {"y": zeros(0)}, "argument 3: expected at least 1 numbers, got 0"),
         ("history_advance", {"known": np.array([1, 2, 4])}, "known: expected numbers of samples"),
         ("flow_over", {"duration": np.inf}, "duration: expected a finite"),
-        ("flow_over", {"n": 4097}, "expected sizes within their limits"),
+        ("flow_over", {"flow": zeros(99)}, "expected a flow's record"),
         ("weights_of_each", {"q": 0}, "expected sizes within their limits"),
         ("simulate", {"sizes": -SIZES}, "expected sizes within their limits"),
         ("simulate", {"sizes": SIZES * 10_000}, "expected sizes within their limits"),
@@ -137,7 +138,7 @@ def test_numbers_out_of_range_are_refused(
 
 
 def test_arguments_of_another_kind_are_refused() -> None:
-    with pytest.raises(TypeError, match="flow_over: expected 8 arguments, got 1"):
+    with pytest.raises(TypeError, match="flow_over: expected 3 arguments, got 1"):
         native.flow_over(zeros(3))
     with pytest.raises(ValueError, match="elementary: argument 2: expected aligned 8-byte numbers"):
         native.elementary("sine", np.zeros(3, np.float32))
@@ -159,6 +160,13 @@ def test_a_model_of_other_sizes_is_refused(place: int) -> None:
         model["sizes"][0, place] = value
         with pytest.raises(ValueError, match="tracker_room: expected a model's record"):
             native.tracker_room(numbers(model), 8)
+
+
+def test_a_flow_whose_series_serves_no_step_is_refused() -> None:
+    flow = FLOW.copy()
+    flow["reach"] = -1.0  # a step would be halved for ever
+    with pytest.raises(ValueError, match="flow_over: expected a flow's record"):
+        native.flow_over(numbers(flow), 1.0, zeros(1))
 
 
 def test_outcomes_have_the_codes_of_the_reasons() -> None:

@@ -121,13 +121,6 @@ void copy_matrix(
 
 #define PI 3.14159265358979323846
 
-/* Return the largest whole number up to x, without a call. */
-static long round_down(double x)
-{
-    const long whole = (long)x;
-    return whole > x ? whole - 1 : whole;
-}
-
 /* Return the sine up to pi/4. */
 static double first_sine(double angle)
 {
@@ -157,7 +150,7 @@ void sine_and_cosine(double angle, double *sin, double *cos)
         angle = fmod(angle, 2.0 * PI);
     }
     if (fabs(angle) > 0.25 * PI) {
-        quarters = round_down(angle * (2.0 / PI) + 0.5);
+        quarters = (long)floor(angle * (2.0 / PI) + 0.5);
         /* pi/2 in three parts, the first two of 33 bits, so that small multiples of them are
          * exact. */
         angle -= (double)quarters * 1.57079632673412561417e00;
@@ -184,7 +177,7 @@ double exponential(double x)
     if (!(x >= -745.2)) {
         return isnan(x) ? x : 0.0;
     }
-    const double whole = (double)round_down(x * 1.44269504088896338700e00 + 0.5);
+    const double whole = floor(x * 1.44269504088896338700e00 + 0.5);
     const double high = x - whole * 6.93147180369123816490e-01;
     const double low = whole * 1.90821492927058770002e-10;
     const double r = high - low, t = r * r;

@@ -26,7 +26,7 @@ int flow_is_sound(double *memory, size_t length)
     const flow f = flow_view(&s, memory);
     return (*f.kind == KIND_ARM ? s.plant >= 4 && s.inputs >= 1
                                 : *f.kind == KIND_SYSTEM && s.rules >= 1 && s.premises >= 1)
-           && *f.terms >= 0 && *f.terms <= SERIES_TERMS;
+           && *f.terms >= 0 && *f.terms <= SERIES_TERMS && *f.reach > 0.0;
 }
 
 static const flow_sizes *sizes_of(const flow *f)
@@ -36,39 +36,31 @@ static const flow_sizes *sizes_of(const flow *f)
 
 /* --- the linear flow --- */
 
-void flow_over(
-    const double *series, long terms, double reach, double duration, double *restrict written,
-    double *scratch, long n, long m)
+linear_step other_step(const flow *f, double duration, const flow_step *work)
 {
-    const long squares = n * n, gammas = n * m, count = 2 * squares + gammas;
-    double *phi = written, *gamma = phi + squares, *noise = gamma + gammas, step = duration;
+    const linear_step step = {duration, work->phi, work->gamma, work->noise};
+    const long n = sizes_of(f)->n, m = sizes_of(f)->inputs, count = n * (2 * n + m);
+    double *phi = work->phi, *gamma = work->gamma, *noise = work->noise, *scratch = work->squares;
+    double *all = phi; /* the three are one behind the other */
+    double time = *f->kind == KIND_ARM ? duration : 0.5 * duration;
     long doublings = 0;
-    while (step > reach) {
+    for (; time > *f->reach; time *= 0.5) {
         doublings += 1;
-        step *= 0.5;
     }
-    memset(written, 0, (size_t)count * sizeof *written);
-    for (long row = terms - 1; row >= 0; row--) { /* Horner's rule */
-        const double *restrict coefficients = series + row * count;
+    memset(all, 0, (size_t)count * sizeof *all);
+    for (long row = *f->terms - 1; row >= 0; row--) { /* Horner's rule */
+        const double *restrict coefficients = f->series + row * count;
         for (long place = 0; place < count; place++) {
-            written[place] = written[place] * step + coefficients[place];
+            all[place] = all[place] * time + coefficients[place];
         }
     }
     for (; doublings > 0; doublings--) {
         multiply(phi, gamma, scratch, n, n, m);
-        add_scaled(gamma, 1.0, scratch, gammas);
+        add_scaled(gamma, 1.0, scratch, n * m);
         congruence(phi, noise, noise, scratch, n);
         multiply(phi, phi, scratch, n, n, n);
-        memcpy(phi, scratch, (size_t)squares * sizeof *phi);
+        memcpy(phi, scratch, (size_t)(n * n) * sizeof *phi);
     }
-}
-
-linear_step other_step(const flow *f, double duration, const flow_step *work)
-{
-    const linear_step step = {duration, work->phi, work->gamma, work->noise};
-    flow_over(
-        f->series, (long)*f->terms, *f->reach, *f->kind == KIND_ARM ? duration : 0.5 * duration,
-        work->phi, work->squares, sizes_of(f)->n, sizes_of(f)->inputs);
     return step;
 }
 

@@ -33,17 +33,8 @@ void rule_weights(
     const int64_t *shapes, const double *parameters, const double *z, double *weights,
     double *slopes, long r, long q);
 
-/* --- the exact flow of x' = A x + B u + noise, over a step of any length --- */
-
 #define SERIES_TERMS 60 /* most rows of a series of Taylor coefficients */
 #define SHORTEST 1e-6   /* least period [s], so that those of any duration can be counted */
-
-/* Write Phi (n, n), Gamma (n, m) and Q (n, n), one behind the other, over a duration of at least
- * 0 [s]. `series` has the Taylor coefficients of all three in `terms` rows, and serves steps up to
- * `reach` [s]; a longer one is halved and doubled. `scratch` has n (3 n + m) numbers. */
-void flow_over(
-    const double *series, long terms, double reach, double duration, double *written,
-    double *scratch, long n, long m);
 
 /* --- models --- */
 
@@ -60,16 +51,17 @@ typedef struct {
 } flow_sizes;
 enum { FLOW_SIZES = sizeof(flow_sizes) / sizeof(int64_t) };
 
-/* Numbers of a model. deviations: [A B] of each rule of a T-S system less the mean; directions:
- * their change by each parameter; schedule: scheduled signals to premise variables. The linear
- * flow of a T-S system is that of half a step. */
+/* Numbers of a model. Its linear flow, of a T-S system over half a step, is exact: x+ = Phi x +
+ * Gamma u + noise of covariance Q. series: Taylor coefficients of all three, one behind the other.
+ * deviations: [A B] of each rule of a T-S system less the mean; directions: their change by each
+ * parameter; schedule: scheduled signals to premise variables. */
 #define FLOW_FIELDS(FIELD, s)                                                        \
     FIELD(COUNT, kind, 1, 1)         /* KIND_... */                                  \
     FIELD(COUNTS, sizes, FLOW_SIZES, 1) /* flow_sizes */                             \
-    FIELD(COUNT, terms, 1, 1)        /* of the series of the linear flow, */         \
-    FIELD(NUMBER, reach, 1, 1)       /* up to which it serves [s] */                 \
+    FIELD(COUNT, terms, 1, 1)        /* rows of the series, */                       \
+    FIELD(NUMBER, reach, 1, 1)       /* which serves flows up to this long [s] */    \
     FIELD(MATRIX, series, SERIES_TERMS, s->n * (2 * s->n + s->inputs))               \
-    FIELD(MATRIX, phi, s->n, s->n)   /* nominal linear flow */                       \
+    FIELD(MATRIX, phi, s->n, s->n)   /* linear flow of a nominal step */             \
     FIELD(MATRIX, gamma, s->n, s->inputs)                                            \
     FIELD(MATRIX, noise, s->n, s->n)                                                 \
     FIELD(NUMBER, gravity_gain, 1, 1) /* of an arm */                                \

@@ -229,16 +229,18 @@ BIND(weights_of_each, "dddDii")
     Py_RETURN_NONE;
 }
 
-BIND(flow_over, "diffDDii")
+BIND(flow_over, "dfD")
 {
-    const int64_t sizes[3] = {t[1].integer, t[6].integer, t[7].integer};
-    const int64_t terms = sizes[0], n = sizes[1], m = sizes[2], numbers = n * (2 * n + m);
-    if (!are_sizes(of, sizes, 3, 0) || !is_duration(of, &t[3]) || !HAVE(0, terms * numbers) ||
-        !HAVE(4, numbers, n * (3 * n + m))) {
+    if (!flow_is_sound(t[0].at, (size_t)t[0].length)) {
+        return refuse(of, "expected a flow's record");
+    }
+    const flow_sizes s = flow_sizes_of(t[0].at);
+    if (!is_duration(of, &t[1]) || !HAVE(2, (int64_t)flow_step_size(&s))) {
         return NULL;
     }
-    flow_over(
-        t[0].at, (long)terms, t[2].number, t[3].number, t[4].at, t[5].at, (long)n, (long)m);
+    const flow given = flow_view(&s, t[0].at);
+    const flow_step step = flow_step_view(&s, t[2].at);
+    other_step(&given, t[1].number, &step);
     Py_RETURN_NONE;
 }
 

@@ -31,8 +31,8 @@ def weights_of_each(
 ) -> None:
     """Write the weights (samples, r) of r rules at z (samples, q)."""
 
-def flow_over(*arguments: Any) -> None:
-    """Write Φ, Γ and Q over a duration [s]; see `flow_over` in flow.h."""
+def flow_over(flow: Numbers, duration: float, step: Numbers, /) -> None:
+    """Write the linear flow of a step of a duration [s]."""
 
 def simulate(*arguments: Any) -> None:
     """Move plants over samples by their sizes and record; see simulate.h."""

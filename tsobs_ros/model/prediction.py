@@ -258,12 +258,10 @@ class Flow(ABC):
 
     def transition(self, duration: float) -> Transition:
         """Return the linear flow of a step of a duration [s]."""
-        n, m = self.state_count, self.input_count - self.scheduled_count
-        series, scratch = (self._series, self._terms, self._reach), np.empty(n * (3 * n + m))
-        found = np.empty(n * (2 * n + m))
-        native.flow_over(*series, self.linear_share * duration, found, scratch, n, m)
-        parts = np.split(found, (n * n, n * (n + m)))
-        return Transition(duration, *(part.reshape(n, -1) for part in parts))
+        flow = self._record()
+        step = np.zeros(1, record_type("flow_step", flow["sizes"][0]))
+        native.flow_over(flow.view(np.float64), duration, step.view(np.float64))
+        return Transition(duration, *(step[name][0] for name in Transition._fields[1:]))
 
     @abstractmethod
     def error_map(self, first: Array, second: Array) -> tuple[Array, Array]:
@@ -283,19 +281,23 @@ class Flow(ABC):
 
     def record(self, uncertainty: Uncertainty | None = None) -> Record:
         """Return the model for the compiled core, whose step takes in θ if given, shape (1,)."""
+        record = self._record(uncertainty)
+        for name in Transition._fields[1:]:
+            record[name] = getattr(self.nominal, name)
+        return record
+
+    def _record(self, uncertainty: Uncertainty | None = None) -> Record:
+        """Return the record without the linear flow of a nominal step."""
         n, m = self.state_count, self.input_count
         k, inputs = 0 if uncertainty is None else uncertainty.count, m - self.scheduled_count
         sizes = FlowSizes(n, m, inputs, k, self.plant_count, *self.rule_counts)
-        record, (_, phi, gamma, noise) = np.zeros(1, record_type("flow", sizes)), self.nominal
+        record = np.zeros(1, record_type("flow", sizes))
         for name, values in {
             "sizes": sizes,
             "kind": self.kind,
             "terms": self._terms,
             "reach": self._reach,
             "series": self._series,
-            "phi": phi,
-            "gamma": gamma,
-            "noise": noise,
             **self.numbers(uncertainty),
         }.items():
             fill_matrix(record[name] if np.ndim(values) == 0 else record[name][0], values)
