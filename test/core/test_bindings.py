@@ -28,6 +28,8 @@ DESIGN = load_design(config_path(FIXED_DESIGN))
 ADAPTIVE = load_design(config_path(SHIPPED_DESIGN))
 ESTIMATOR = make_estimator(ADAPTIVE, ObserverSettings())
 FLOW = DESIGN.request.flow.record()
+ENDLESS = FLOW.copy()
+ENDLESS["reach"] = -1.0  # a step would be halved for ever
 STEP = record_type("flow_step", FLOW["sizes"][0])
 COUNT = 3
 SIZES = np.array([2, 1, 0, 1, 1, 1])
@@ -124,6 +126,7 @@ def test_an_array_that_is_too_short_is_refused_and_nothing_is_changed(
         ("history_advance", {"known": np.array([1, 2, 4])}, "known: expected numbers of samples"),
         ("flow_over", {"duration": np.inf}, "duration: expected a finite"),
         ("flow_over", {"flow": zeros(99)}, "expected a flow's record"),
+        ("flow_over", {"flow": numbers(ENDLESS)}, "expected a flow's record"),
         ("weights_of_each", {"q": 0}, "expected sizes within their limits"),
         ("simulate", {"sizes": -SIZES}, "expected sizes within their limits"),
         ("simulate", {"sizes": SIZES * 10_000}, "expected sizes within their limits"),
@@ -160,13 +163,6 @@ def test_a_model_of_other_sizes_is_refused(place: int) -> None:
         model["sizes"][0, place] = value
         with pytest.raises(ValueError, match="tracker_room: expected a model's record"):
             native.tracker_room(numbers(model), 8)
-
-
-def test_a_flow_whose_series_serves_no_step_is_refused() -> None:
-    flow = FLOW.copy()
-    flow["reach"] = -1.0  # a step would be halved for ever
-    with pytest.raises(ValueError, match="flow_over: expected a flow's record"):
-        native.flow_over(numbers(flow), 1.0, zeros(1))
 
 
 def test_outcomes_have_the_codes_of_the_reasons() -> None:

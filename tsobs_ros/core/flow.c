@@ -9,6 +9,8 @@
  */
 #include "flow.h"
 
+#include <string.h>
+
 #include "arithmetic.h"
 
 int flow_is_sound(double *memory, size_t length)

@@ -6,8 +6,6 @@
 #ifndef TSOBS_FLOW_H
 #define TSOBS_FLOW_H
 
-#include <string.h>
-
 #include "layout.h"
 
 /* --- memberships: a rule base is a code of the shape for each rule and premise, (r, q), and four
