@@ -63,8 +63,8 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "a8cb12b42ce19e57",
-    "pendulum": "22a950c37cb7e3d8",
+    "supervised arm": "ef9ccf03c3629966",
+    "pendulum": "063ba54c0fdaf6c1",
     "proportional": "3bed2344d081223c",
     "proportional-integral": "6e7e29fca59d261d",
     "paper": "c76a1c01f51f83e5",

@@ -183,13 +183,15 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
 
     def likelihood(one: Any, y: float, noise_scale: float) -> float:
         """Return the logarithm of that of a sample by a hypothesis, or of an outlier's."""
-        seen = np.append(c, [0.0, one["kind"] in PARTS, 0.0])
+        seen = np.append(c, [0.0, one["kind"] in PARTS, 0.0, 0.0])
         omega, level = one["upsilon"] @ seen, designed * noise_scale**2
         loud = BANK["NOISE_FACTOR"] if one["kind"] == Hypothesis.LOUD else 1.0
         S = seen @ one["covariance"] @ seen + loud * variance * noise_scale**2
         S = (level if one["certified"] else S) + omega @ one["gamma"] @ omega
         least = -BANK["OUTLIER_PRICE"] - 0.5 * math.log(level)
-        return max(-0.5 * (y - seen @ one["x"]) ** 2 / S - 0.5 * math.log(S), least)
+        slow = max(1.0, one["slow_power"] / (BANK["QUIET"] * one["nis"]))
+        price = BANK["TONE_PRICE"] * slow if one["kind"] == Hypothesis.TONE else 0.0
+        return max(-0.5 * (y - seen @ one["x"]) ** 2 / S - 0.5 * math.log(S) - price, least)
 
     state, compared = observer.initial(), set()
     for (y,), u in zip(run.measurements[0], run.torques[0], strict=True):

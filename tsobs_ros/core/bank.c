@@ -20,9 +20,6 @@
 /* Kinds of an innovation for the noise's scale, 0 for none. */
 enum { REGULAR = 1, OUTLIER = 2 };
 
-/* Hypotheses that a tone begins from, one after the other. */
-enum { PARENTS = 4 };
-
 /* --- views --- */
 
 int sizes_are_sound(const int64_t *numbers)
@@ -35,7 +32,7 @@ int sizes_are_sound(const int64_t *numbers)
         }
     }
     return s.n >= 1 && s.plant >= 1 && s.plant <= s.n
-           && (s.width == s.n || s.width >= s.n + 1 + (s.p > 2 ? s.p : 2))
+           && (s.width == s.n || s.width >= s.n + 1 + (s.p > 3 ? s.p : 3))
            && (s.hypotheses == 1 || (s.hypotheses == STANDING + FORKS && s.width > s.n));
 }
 
@@ -49,9 +46,7 @@ static int state_is_sound(const model *m, const state *at)
     for (long i = 0; i < m->s.hypotheses; i++) {
         const hypothesis h = hypothesis_of(m, at, i);
         if (*h.kind < 0 || *h.kind >= STANDING || *h.output < 0 || *h.output >= m->s.p
-            || *h.fork < NO_FORK || *h.fork > MOVED || *h.next_parent < 0
-            || *h.next_parent >= PARENTS
-            || (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
+            || *h.fork < NO_FORK || *h.fork > MOVED ||  (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
             return 0;
         }
     }
@@ -228,19 +223,24 @@ static void drop(const model *m, state *at, long place)
     memset(at->hypotheses + place * size, 0, size * sizeof(double));
 }
 
+/* Forget all but the estimate itself: covariances are those of the start. */
+static void open_all(const model *m, const hypothesis *h)
+{
+    const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
+    const state initial = state_view(&m->s, m->initial);
+    const hypothesis first = hypothesis_of(m, &initial, 0);
+    copy_matrix(first.covariance, width, h->covariance, width, n, n);
+    copy_matrix(first.gamma, k, h->gamma, k, k, k);
+    copy_matrix(first.upsilon, width, h->upsilon, width, k, n);
+}
+
 /* Begin a standing hypothesis from another one. */
 static void renew(const model *m, state *at, long kind, long from)
 {
     const long n = (long)m->s.n, p = (long)m->s.p, width = (long)m->s.width;
     hypothesis h = hypothesis_of(m, at, kind);
-    const double frequency = *h.frequency, size = *h.size;
-    const int64_t output = *h.output, next_parent = *h.next_parent;
     h = begin_from(m, at, from, kind, NO_FORK, -m->constants[FLOOR]);
     *h.kind = kind;
-    *h.frequency = frequency;
-    *h.size = size;
-    *h.output = output;
-    *h.next_parent = (next_parent + 1) % PARENTS;
     /* What the best one took for a part of the sensors is the disturbance's again. */
     clear_auxiliary(m, &h, first_of_its_own(m, at, kind), width);
     if (kind == FORCE && h.covariance[n * width + n] <= 0.0) {
@@ -250,9 +250,6 @@ static void renew(const model *m, state *at, long kind, long from)
         const double std = m->constants[COLOUR_SIZE];
         h.covariance[(n + 1 + j) * width + n + 1 + j] = m->R[j * p + j] * std * std;
     }
-    for (long j = n + 1; j < n + 3 && kind == TONE; j++) {
-        h.covariance[j * width + j] = size * size;
-    }
 }
 
 /* Consider all hypotheses that differ from the design for a while, and begin those that sleep. */
@@ -261,7 +258,7 @@ static void wake(const model *m, state *at)
     const double *c = m->constants;
     const double differences[STANDING] = {
         1.0, *m->force, c[IMPERFECTION] - 1.0, c[NOISE_FACTOR] - 1.0, c[COLOUR_SIZE],
-        c[DRIFT_SIZE], *hypothesis_of(m, at, TONE).frequency,
+        c[DRIFT_SIZE],
     };
     for (long kind = 0; kind < STANDING; kind++) {
         if (*hypothesis_of(m, at, kind).live == 0 && differences[kind] > 0.0) {
@@ -389,32 +386,6 @@ static void distrust_stuck(
     }
 }
 
-/* The frequencies at which tones are looked for, and which of them a tone of a sensor may have. */
-typedef struct {
-    double rate[TONES]; /* [rad/s] */
-    int candidate[TONES];
-} tone_table;
-
-/* Turn what a signal has of each frequency over a sample, and add the newest. */
-static void listen_to(
-    const tone_table *table, double *tones, double r, double elapsed, double share)
-{
-    for (long j = 0; j < TONES; j++) {
-        double *z = tones + 2 * j, sin, cos;
-        const double first = z[0];
-        sine_and_cosine(table->rate[j] * elapsed, &sin, &cos);
-        z[0] = (1.0 - share) * (cos * first - sin * z[1]) + r;
-        z[1] = (1.0 - share) * (cos * z[1] + sin * first);
-    }
-}
-
-/* Return the root of the power at a frequency's place. */
-static double loudness(const double *tones, long place)
-{
-    const double *z = tones + 2 * place;
-    return sqrt(z[0] * z[0] + z[1] * z[1]);
-}
-
 /* Return whether two frequencies are closer than halfway between neighbouring ones. */
 static int is_near(const model *m, double one, double other)
 {
@@ -422,88 +393,98 @@ static int is_near(const model *m, double one, double other)
     return one * one < ratio * other * other && other * other < ratio * one * one;
 }
 
-/* Listen to the torque of an arm, and return which frequencies a tone of a sensor may have: neither
- * those of the torque nor the arm's own, at which a wrong model of the arm looks the same. */
-static tone_table find_candidates(const model *m, state *at)
+/* Return whether an arm swings by itself at a frequency: there a wrong model of it looks like a tone. */
+static int is_its_own(const model *m, double frequency)
 {
-    const int is_arm = *m->design_flow.kind == KIND_ARM && m->s.m > 0 && m->s.plant > 1;
-    const double elapsed = maximum(*at->since, *m->period);
-    const double share = share_of(minimum(elapsed, *m->longest), m->constants[AWAKE]);
-    double *moments = at->torque_moments;
-    tone_table table = {{m->constants[FIRST_TONE]}, {0}};
-    for (long j = 1; j < TONES; j++) {
-        table.rate[j] = table.rate[j - 1] * m->constants[TONE_RATIO];
-    }
-    if (is_arm) {
-        const double u = at->held[0];
-        listen_to(&table, at->torque_tones, u, elapsed, share);
-        moments[0] += share * (u - moments[0]);
-        moments[1] += share * (u * u - moments[1]);
-    }
-    const double most = m->constants[TONE_DRIVEN] * (moments[1] - moments[0] * moments[0]);
+    return is_near(m, frequency, m->modes[0]) || is_near(m, frequency, m->modes[1]);
+}
+
+/* Turn what an output's innovations have of each frequency over a sample, and add the newest. Write how
+ * loud each is, the root of its power, 0 where no tone is looked for. */
+static void listen_to(
+    const model *m, const sensor *of, double r, double elapsed, double share, double *loud)
+{
+    double rate = m->constants[FIRST_TONE];
     for (long j = 0; j < TONES; j++) {
-        const double power = share * loudness(at->torque_tones, j);
-        const int is_driven = 2.0 * power * power > most;
-        const int is_own
-            = is_near(m, table.rate[j], m->modes[0]) || is_near(m, table.rate[j], m->modes[1]);
-        table.candidate[j] = !is_arm || !(is_driven || is_own);
+        double *z = of->tones + 2 * j, sin, cos;
+        const double first = z[0];
+        sine_and_cosine(rate * elapsed, &sin, &cos);
+        z[0] = (1.0 - share) * (cos * first - sin * z[1]) + r;
+        z[1] = (1.0 - share) * (cos * z[1] + sin * first);
+        loud[j] = is_its_own(m, rate) ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
+        rate *= m->constants[TONE_RATIO];
     }
-    return table;
+}
+
+/* Begin a tone of an output, as a copy of the best hypothesis or with what that has learnt forgotten:
+ * what others have learnt while they did not know of the tone is wrong. */
+static void begin_tone(
+    const model *m, state *at, long place, int64_t output, double frequency, double size)
+{
+    const long n = (long)m->s.n, width = (long)m->s.width;
+    hypothesis h = begin_from(m, at, (long)*at->best, place, NO_FORK, -m->constants[FLOOR]);
+    const double off = 0.5 * (m->constants[TONE_RATIO] - 1.0) * frequency; /* to halfway */
+    const double variances[3] = {size * size, size * size, off * off};
+    *h.kind = TONE;
+    *h.output = output;
+    *h.size = size;
+    clear_auxiliary(m, &h, first_of_its_own(m, at, TONE), width);
+    for (long j = 0; j < 3; j++) {
+        h.covariance[(n + 1 + j) * (width + 1)] = variances[j];
+    }
+    h.x[n + 3] = frequency;
+    if (place == TONE_AFRESH) {
+        open_all(m, &h);
+        for (long a = 0; a < m->s.k; a++) {
+            h.theta[a] = h.pending[a] = h.anchor[a] = 0.0;
+        }
+        *h.significant = 0;
+    }
 }
 
 /* Listen for a tone in the design's innovations, and propose the loudest: where it stands between
  * its frequency and the louder neighbour, by how loud both are. */
 static void listen(const model *m, state *at, const correction *effect)
 {
-    const hypothesis tone = hypothesis_of(m, at, TONE);
     const double step = m->constants[TONE_RATIO];
     double most = m->constants[TONE_SIGN], size = 0.0, frequency = 0.0;
     int64_t output = 0;
-    const tone_table table = find_candidates(m, at);
     for (long i = 0; i < m->s.p; i++) {
         const sensor of = sensor_of(m, at, i);
-        const double elapsed = maximum(*of.since, *m->period);
+        const double elapsed = maximum(*of.since, *m->period), std = sqrt(effect->variances[i]);
         const double share = share_of(minimum(elapsed, *m->longest), m->constants[AWAKE]);
-        const double r = effect->innovations[i] / sqrt(effect->variances[i]);
-        double loud[TONES + 2] = {0.0}; /* of the candidates, and 0 beyond both ends */
+        const double r = minimum(maximum(effect->innovations[i] / std, -3.0), 3.0);
+        double loud[TONES + 2] = {0.0}; /* and 0 beyond both ends */
+        double rate = m->constants[FIRST_TONE];
         if (!(effect->weight[i] > 0.0)) {
             continue;
         }
-        listen_to(&table, of.tones, minimum(maximum(r, -3.0), 3.0), elapsed, share);
-        for (long j = 0; j < TONES; j++) {
-            loud[j + 1] = table.candidate[j] ? loudness(of.tones, j) : 0.0;
-        }
-        for (long j = 0; j < TONES; j++) {
-            const double below = loud[j], here = loud[j + 1], above = loud[j + 2];
-            const double power = here * here * (2.0 - share) * share;
+        listen_to(m, &of, r, elapsed, share, loud + 1);
+        for (long j = 1; j <= TONES; j++) {
+            const double here = loud[j], power = here * here * (2.0 - share) * share;
             if (power > most) {
-                const double other = maximum(below, above);
-                const double ratio = above > below ? step : 1.0 / step;
+                const double other = maximum(loud[j - 1], loud[j + 1]);
+                const double ratio = loud[j + 1] > loud[j - 1] ? step : 1.0 / step;
                 most = power;
-                frequency = table.rate[j] * (here + ratio * other) / (here + other);
+                frequency = rate * (here + ratio * other) / (here + other);
                 output = i;
-                /* The filter follows a slow tone in part. */
-                size = 6.0 * share * here * sqrt(effect->variances[i]);
+                size = 6.0 * share * here * std; /* the filter follows a slow tone in part */
             }
+            rate *= step;
         }
     }
-    for (long j = 0; j < TONES && *tone.live != 0; j++) {
-        if (!table.candidate[j] && is_near(m, *tone.frequency, table.rate[j])) {
-            *tone.score = -INFINITY; /* it has come to where a wrong model looks the same */
+    for (long place = TONE; place <= TONE_AFRESH; place++) {
+        const hypothesis h = hypothesis_of(m, at, place);
+        const double now = h.x[m->s.n + 3];
+        /* A slow one takes three periods to show. */
+        const int is_over = *h.age > maximum(m->constants[AWAKE], 20.0 / now);
+        if (*h.live != 0 && is_its_own(m, now)) {
+            *h.score = -INFINITY;
         }
-    }
-    /* A slow one takes three periods to show. */
-    const double trial = maximum(m->constants[AWAKE], 20.0 / *tone.frequency);
-    if (frequency > 0.0 && *at->best != TONE
-        && (*tone.live == 0
-            || (*tone.score < -0.5 * m->constants[FLOOR] && *tone.age > trial))) {
-        /* What others have learnt of a tone is wrong, in ways of their own: one after the other. */
-        const long others[PARENTS] = {(long)*at->best, COLOURED_NOISE, LOUD, AS_DESIGNED};
-        const long parent = others[*tone.next_parent];
-        *tone.frequency = frequency;
-        *tone.size = size;
-        *tone.output = output;
-        renew(m, at, TONE, *hypothesis_of(m, at, parent).live != 0 ? parent : (long)*at->best);
+        if (frequency > 0.0 && *hypothesis_of(m, at, (long)*at->best).kind != TONE
+            && (*h.live == 0 || (*h.score < -0.5 * m->constants[FLOOR] && is_over))) {
+            begin_tone(m, at, place, output, frequency, size);
+        }
     }
 }
 
@@ -648,8 +629,6 @@ static void rest(const model *m, state *at)
         for (long i = 0; i < m->s.p; i++) {
             memset(sensor_of(m, at, i).tones, 0, 2 * TONES * sizeof(double));
         }
-        memset(at->torque_tones, 0, 2 * TONES * sizeof(double));
-        at->torque_moments[0] = at->torque_moments[1] = 0.0;
     }
 }
 
@@ -711,7 +690,6 @@ static void fork_best(const model *m, state *at, long best, correction *effect)
 /* Start the covariance of a lone hypothesis again if it leaves out most samples. */
 static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, correction *effect)
 {
-    const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
     const double elapsed = minimum(maximum(*at->since, *m->period), *m->longest);
     double there = 0.0, used = 0.0;
     for (long i = 0; i < m->s.p; i++) {
@@ -720,11 +698,7 @@ static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, c
     }
     *h->inlier += there * share_of(elapsed, m->constants[PATIENCE]) * (used - *h->inlier);
     if (*h->inlier < m->constants[REJECTING] && *h->age >= m->constants[PATIENCE]) {
-        const state initial = state_view(&m->s, m->initial);
-        const hypothesis first = hypothesis_of(m, &initial, 0);
-        copy_matrix(first.covariance, width, h->covariance, width, n, n);
-        copy_matrix(first.gamma, k, h->gamma, k, k, k);
-        copy_matrix(first.upsilon, width, h->upsilon, width, k, n);
+        open_all(m, h);
         *h->inlier = 1.0;
         *h->age = 0.0;
     }
@@ -774,9 +748,13 @@ static void correct_bank(const model *m, state *at, correction *effect)
     *h.score += correct_hypothesis(m, at, &h, effect);
     compare(m, at);
     select_forks(m, at);
-    for (long kind = 0; find_live(m, at, &kind, &h) && kind < STANDING; kind++) {
-        if (kind != *at->best && (!isfinite(*h.score) || !isfinite(h.x[0]))) {
-            renew(m, at, kind, (long)*at->best);
+    for (long i = 0; find_live(m, at, &i, &h) && i < STANDING; i++) {
+        if (i != *at->best && (!isfinite(*h.score) || !isfinite(h.x[0]))) {
+            if (*h.kind == TONE) {
+                drop(m, at, i);
+            } else {
+                renew(m, at, i, (long)*at->best);
+            }
         }
     }
     rest(m, at);

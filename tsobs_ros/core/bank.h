@@ -44,6 +44,12 @@ static inline int counts(const model *m, const hypothesis *h)
     return *h->live != 0 && *h->score >= -0.8 * m->constants[FLOOR];
 }
 
+/* Return the power of slow innovations relative to what white noise leaves of it. */
+static inline double slowness_of(const model *m, const hypothesis *h)
+{
+    return *h->slow_power / (m->constants[QUIET] * *h->nis);
+}
+
 /* --- bank.c: torques --- */
 
 /* Return the mean of the torque at the motor over a time that begins `ahead` from now; there are past

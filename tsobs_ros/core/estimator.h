@@ -38,7 +38,8 @@ enum {
     LOUD,           /* white noise that is larger than designed */
     COLOURED_NOISE, /* noise that is correlated in time */
     DRIFT,          /* sensors that move away */
-    TONE,           /* a sensor that oscillates */
+    TONE,           /* a sensor that oscillates, */
+    TONE_AFRESH,    /* the same, of which nothing is known of the arm before; its kind is TONE */
     STANDING,
     FORKS = 6
 };
@@ -79,11 +80,11 @@ enum {
     C(COLOUR_SIZE, 1.5, "1 sigma of coloured noise, by the sensor's white noise")              \
     C(DRIFT_SIZE, 2.0, "1 sigma of a drift, by the sensor's noise")                           \
     C(DRIFT_TIME, 10.0, "its correlation time [s]")                                            \
-    C(TONE_TIME, 20.0, "time for which a tone keeps its phase [s]")                            \
+    C(TONE_TIME, 200.0, "time in which a tone's size and frequency change [s]")                \
     C(TONE_SIGN, 50.0, "power of an innovation's tone, by white noise's, that proposes one")   \
     C(FIRST_TONE, 0.8, "lowest frequency at which tones are looked for [rad/s]")               \
-    C(TONE_RATIO, 1.25, "ratio of neighbouring ones")                                          \
-    C(TONE_DRIVEN, 0.4, "share of the torque's power at a frequency that excludes tones there") \
+    C(TONE_RATIO, 1.12, "ratio of neighbouring ones")                                          \
+    C(TONE_PRICE, 0.002, "by how much a tone has to explain a sample better than others [nat]") \
     C(LEAST_SCALE, 0.5, "least measured noise, by the design's; 1 is used then")               \
     C(REJECTING, 0.54, "share of used samples below which a lone filter opens its covariance")  \
     C(PATIENCE, 0.5, "time over which that share is averaged [s]")                             \
@@ -99,7 +100,7 @@ enum {
 #define BANK_CONSTANT_NAME(name, value, what) name,
 enum { BANK_CONSTANTS(BANK_CONSTANT_NAME) CONSTANTS };
 
-enum { TONES = 13 }; /* frequencies at which innovations are listened to */
+enum { TONES = 26 }; /* frequencies at which innovations are listened to */
 
 /* Sizes of an estimator, the first numbers of its model record. */
 typedef struct {
@@ -167,10 +168,8 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(COUNT, significant, 1, 1)  /* whether it ever was significant */                \
     F(VECTOR, anchor, s->k, 1)   /* theta when the present pass began, */             \
     F(NUMBER, pass_age, 1, 1)    /* and time since then [s] */                        \
-    F(NUMBER, frequency, 1, 1)   /* of a tone [rad/s], with its */                    \
-    F(NUMBER, size, 1, 1)        /* 1 sigma, and the */                               \
-    F(COUNT, output, 1, 1)       /* output that has it, */                            \
-    F(COUNT, next_parent, 1, 1)  /* and what it begins from next time */
+    F(NUMBER, size, 1, 1)        /* 1 sigma of a tone, and */                         \
+    F(COUNT, output, 1, 1)       /* the output that has it */
 LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
 
 /* All that an estimator remembers. A torque that is late at an arm's motor is held only then. */
@@ -191,8 +190,6 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(NUMBER, noise_scale, 1, 1)   /* largest of theirs */                                     \
     F(NUMBER, since, 1, 1)         /* time since the last sample [s] */                        \
     F(NUMBER, age, 1, 1)           /* time since the start [s] */                              \
-    F(MATRIX, torque_tones, TONES, 2) /* the torque's cosine and sine of each frequency, */    \
-    F(VECTOR, torque_moments, 2, 1) /* and its mean and mean square */                         \
     F(VECTOR, centre, s->plant, 1) /* mean of the plant's states over some seconds */          \
     F(VECTOR, spread, s->plant, 1) /* and their variance */                                    \
     F(COUNT, moving, 1, 1)         /* whether these move enough to learn from */               \

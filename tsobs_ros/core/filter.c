@@ -29,7 +29,7 @@ long states_in_use(const model *m, const hypothesis *h)
     case DRIFT:
         return n + 1 + (long)m->s.p;
     case TONE:
-        return n + 3;
+        return n + 4;
     case FORCE:
         return n + 1;
     default:
@@ -139,6 +139,9 @@ static outlook look(const model *m, const state *at, const hypothesis *h, long i
     }
     const double ratio = of.innovation * of.innovation / of.variance;
     of.likelihood = -0.5 * ratio - 0.5 * logarithm(of.variance);
+    if (*h->kind == TONE) { /* a wrong model of the arm may look like one, but leaves slow innovations */
+        of.likelihood -= m->constants[TONE_PRICE] * maximum(slowness_of(m, h), 1.0);
+    }
     if (*m->supervised == 0) {
         of.used = !(ratio > *m->gate * *m->gate);
         return of;
@@ -274,28 +277,10 @@ static void correct_covariance(
     }
 }
 
-/* Turn a tone's frequency with its phase, which a correction by `before` has turned. */
-static void turn_frequency(const model *m, hypothesis *h, const double *before, double elapsed)
-{
-    const long first = (long)m->s.n + 1, width = (long)m->s.width;
-    const double *now = h->x + first;
-    const double square = before[0] * before[0] + before[1] * before[1];
-    const double variance = h->covariance[first * width + first]
-                            + h->covariance[(first + 1) * width + first + 1];
-    if (square > 9.0 * variance && square > 0.0) {
-        const double turn = (before[1] * now[0] - before[0] * now[1]) / square;
-        const double time = 0.1 * m->constants[TONE_TIME];
-        *h->frequency *= 1.0 + minimum(maximum(turn / (time * *h->frequency), -0.01), 0.01)
-                                   * minimum(elapsed / *m->period, 1.0);
-    }
-}
-
 double correct_by(
     const model *m, const state *at, hypothesis *h, long output, int adapt, correction *effect)
 {
     const long k = (long)m->s.k, p = (long)m->s.p, used = states_in_use(m, h);
-    const double *tone = h->x + m->s.n + 1;
-    const double before[2] = {*h->kind == TONE ? tone[0] : 0.0, *h->kind == TONE ? tone[1] : 0.0};
     const double inflation = k > 0 && adapt ? inflation_of(m, h) : 1.0;
     const double *omega = effect->omega + output * k, scale = noise_of(m, at, output);
     double *gain = effect->gain + output;
@@ -324,9 +309,6 @@ double correct_by(
         if (adapt) {
             adapt_by(m, h, omega, &of, inflation, effect->cross);
         }
-    }
-    if (*h->kind == TONE) {
-        turn_frequency(m, h, before, maximum(*sensor_of(m, at, output).since, *m->period));
     }
     return of.likelihood;
 }
@@ -397,12 +379,15 @@ static void write_own_motion(
     }
     if (*h->kind == TONE) {
         const double decay = exponential(-duration / m->constants[TONE_TIME]);
+        const double wander = h->x[m->s.n + 3] * 0.5 * (m->constants[TONE_RATIO] - 1.0);
         double sin, cos;
-        sine_and_cosine(*h->frequency * duration, &sin, &cos);
+        sine_and_cosine(h->x[m->s.n + 3] * duration, &sin, &cos);
         D[stride + 1] = D[2 * stride + 2] = decay * cos;
         D[stride + 2] = decay * sin;
         D[2 * stride + 1] = -(decay * sin);
+        D[3 * stride + 3] = 1.0;
         added[stride + 1] = added[2 * stride + 2] = *h->size * *h->size * (1.0 - decay * decay);
+        added[3 * stride + 3] = wander * wander * duration / m->constants[TONE_TIME];
     } else if (*h->kind == COLOURED_NOISE || *h->kind == DRIFT) {
         const int is_drift = *h->kind == DRIFT;
         const double size = m->constants[is_drift ? DRIFT_SIZE : COLOUR_SIZE];
@@ -448,6 +433,10 @@ static void step_hypothesis(
         write_own_motion(m, h, over->duration, forgotten, used, map + corner, noise + corner);
         for (long i = 0; i < count; i++) {
             moved[i] = dot(map + corner + i * used, h->x + n, count);
+        }
+        if (*h->kind == TONE) { /* by how much a faster tone would have turned further */
+            map[corner + used + 3] = over->duration * moved[2];
+            map[corner + 2 * used + 3] = -(over->duration * moved[1]);
         }
         memcpy(h->x + n, moved, (size_t)count * sizeof *moved);
         F = map;

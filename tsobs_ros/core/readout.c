@@ -17,12 +17,6 @@ static double root(double variance)
     return variance >= 0.0 ? sqrt(variance) : (double)NAN;
 }
 
-/* Return the power of slow innovations relative to what white noise leaves of it. */
-static double slowness_of(const model *m, const hypothesis *h)
-{
-    return *h->slow_power / (m->constants[QUIET] * *h->nis);
-}
-
 /* Return by how much the errors of a hypothesis are larger than it says: by white noise where the
  * bound is the certificate's, and by slow innovations, which a wrong model makes. */
 static double spread_of(const model *m, const state *at, const hypothesis *h, int slow)

@@ -151,7 +151,7 @@ class FaultMonitor:
             else:
                 kind = FaultKind.NONE
             if kind is FaultKind.OSCILLATION:
-                size, frequency = math.hypot(*parts[:2]), float(best["frequency"])
+                size, frequency = math.hypot(*parts[:2]), float(parts[2])
             elif kind is FaultKind.NOISE:
                 size = float(sensor["noise_scale"] * self._stds[place])
             level = _LEVELS.get(kind, self.limits.level_of(size))
