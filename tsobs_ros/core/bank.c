@@ -39,14 +39,13 @@ int sizes_are_sound(const int64_t *numbers)
 /* Return whether what is counted from in a state lies within it. */
 static int state_is_sound(const model *m, const state *at)
 {
-    if (*at->best < 0 || *at->best >= m->s.hypotheses
-        || *hypothesis_of(m, at, (long)*at->best).live == 0) {
+    if (*at->best < 0 || *at->best >= m->s.hypotheses || *best_of(m, at).live == 0) {
         return 0;
     }
     for (long i = 0; i < m->s.hypotheses; i++) {
         const hypothesis h = hypothesis_of(m, at, i);
         if (*h.kind < 0 || *h.kind >= STANDING || *h.output < 0 || *h.output >= m->s.p
-            || *h.fork < NO_FORK || *h.fork > MOVED ||  (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
+            || *h.fork < NO_FORK || *h.fork > MOVED || (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
             return 0;
         }
     }
@@ -128,7 +127,7 @@ double mean_torque(const model *m, const state *at, double ahead, double duratio
 
 void hold_inputs(const model *m, state *at, const double *u)
 {
-    const long past = (long)m->s.past;
+    const long past = m->s.past;
     memcpy(at->held, u, (size_t)m->s.m * sizeof *u);
     if (m->s.m > 0) {
         at->held[0] = at_motor(m, u[0]);
@@ -169,64 +168,66 @@ void take_torque(const model *m, state *at, const double *u)
     *at->torque_age = 0.0;
 }
 
-/* Begin a time in which the torque is unknown, or forget what it was when it is known again. */
-static void open_torque(const model *m, const state *at, hypothesis *h, int unknown)
+/* Begin a time in which the torque is unknown. */
+static void open_torque(const model *m, const state *at, const hypothesis *h)
 {
-    const long n = (long)m->s.n, width = (long)m->s.width;
-    double *variance = h->covariance + n * width + n;
-    const double known = *h->kind == FORCE ? *m->force * *m->force : 0.0;
-    if (unknown) {
-        double spread = *m->torque_rate * *m->period;
-        if (*at->torque_unknown != 0) {
-            spread = maximum(minimum(*m->torque_rate * *at->torque_age, *m->torque_spread), spread);
-        }
-        leave_certified(m, at, h, BASIS_GAP);
-        *variance += spread * spread;
-    } else if (known == 0.0) {
-        clear_auxiliary(m, h, n, n + 1);
+    double spread = *m->torque_rate * *m->period;
+    if (*at->torque_unknown != 0) {
+        spread = maximum(minimum(*m->torque_rate * *at->torque_age, *m->torque_spread), spread);
     }
+    leave_certified(m, at, h, BASIS_GAP);
+    h->covariance[m->s.n * (m->s.width + 1)] += spread * spread;
 }
 
 /* --- copies --- */
 
-static void copy_hypothesis(const model *m, state *at, long from, long to)
+/* Consider a hypothesis no longer. */
+static void drop(const model *m, const hypothesis *h)
 {
-    const size_t size = hypothesis_size(&m->s);
-    memmove(at->hypotheses + to * size, at->hypotheses + from * size, size * sizeof(double));
+    memset(h->live, 0, hypothesis_size(&m->s) * sizeof(double));
 }
 
-/* Begin a hypothesis as a copy of another one, of which it supposes something else. */
-static hypothesis begin_from(
-    const model *m, state *at, long from, long place, int64_t fork, double score)
+/* Begin a hypothesis as a copy of the best one, of which it supposes something else. */
+static hypothesis begin_from_best(
+    const model *m, const state *at, long place, int64_t fork, double score)
 {
     const hypothesis h = hypothesis_of(m, at, place);
-    copy_hypothesis(m, at, from, place);
+    memmove(h.live, best_of(m, at).live, hypothesis_size(&m->s) * sizeof(double));
     leave_certified(m, at, &h, BASIS_STARTING);
     *h.fork = fork;
     *h.score = score;
     *h.age = 0.0;
-    *h.inlier = 1.0;
     return h;
 }
 
-/* Return the first auxiliary state that another kind of hypothesis does not take over: a torque that
- * is unknown in a gap is so whatever the arm and its sensors are taken for. */
-static long first_of_its_own(const model *m, const state *at, int64_t kind)
+/* Forget the auxiliary states from a place on, up to another. */
+static void clear_auxiliary(const model *m, const hypothesis *h, long first, long end)
 {
-    return (long)m->s.n + (kind == FORCE || *at->in_gap != 0 ? 1 : 0);
+    const long width = m->s.width;
+    for (long i = first; i < end; i++) {
+        h->x[i] = 0.0;
+        for (long j = 0; j < width; j++) {
+            h->covariance[i * width + j] = 0.0;
+            h->covariance[j * width + i] = 0.0;
+        }
+        for (long j = 0; j < m->s.k; j++) {
+            h->upsilon[j * width + i] = 0.0;
+        }
+    }
 }
 
-/* Consider a hypothesis no longer. */
-static void drop(const model *m, state *at, long place)
+/* Take arm and sensors for something else: what was a part of the sensors is the disturbance's again,
+ * but a torque that is unknown in a gap is so whatever they are taken for. */
+static void take_for(const model *m, const state *at, const hypothesis *h, int64_t kind)
 {
-    const size_t size = hypothesis_size(&m->s);
-    memset(at->hypotheses + place * size, 0, size * sizeof(double));
+    *h->kind = kind;
+    clear_auxiliary(m, h, m->s.n + (kind == FORCE || *at->in_gap != 0), m->s.width);
 }
 
 /* Forget all but the estimate itself: covariances are those of the start. */
 static void open_all(const model *m, const hypothesis *h)
 {
-    const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
+    const long n = m->s.n, k = m->s.k, width = m->s.width;
     const state initial = state_view(&m->s, m->initial);
     const hypothesis first = hypothesis_of(m, &initial, 0);
     copy_matrix(first.covariance, width, h->covariance, width, n, n);
@@ -234,15 +235,12 @@ static void open_all(const model *m, const hypothesis *h)
     copy_matrix(first.upsilon, width, h->upsilon, width, k, n);
 }
 
-/* Begin a standing hypothesis from another one. */
-static void renew(const model *m, state *at, long kind, long from)
+/* Begin a standing hypothesis. */
+static void renew(const model *m, const state *at, long kind)
 {
-    const long n = (long)m->s.n, p = (long)m->s.p, width = (long)m->s.width;
-    hypothesis h = hypothesis_of(m, at, kind);
-    h = begin_from(m, at, from, kind, NO_FORK, -m->constants[FLOOR]);
-    *h.kind = kind;
-    /* What the best one took for a part of the sensors is the disturbance's again. */
-    clear_auxiliary(m, &h, first_of_its_own(m, at, kind), width);
+    const long n = m->s.n, p = m->s.p, width = m->s.width;
+    const hypothesis h = begin_from_best(m, at, kind, NO_FORK, -m->constants[FLOOR]);
+    take_for(m, at, &h, kind);
     if (kind == FORCE && h.covariance[n * width + n] <= 0.0) {
         h.covariance[n * width + n] = *m->force * *m->force;
     }
@@ -262,7 +260,7 @@ static void wake(const model *m, state *at)
     };
     for (long kind = 0; kind < STANDING; kind++) {
         if (*hypothesis_of(m, at, kind).live == 0 && differences[kind] > 0.0) {
-            renew(m, at, kind, (long)*at->best);
+            renew(m, at, kind);
         }
     }
     *at->awake = m->constants[AWAKE];
@@ -340,22 +338,22 @@ static void examine(const model *m, state *at, correction *effect)
     double scale = -INFINITY;
     for (long i = 0; i < m->s.p; i++) {
         sensor of = sensor_of(m, at, i);
-        const double innovation = effect->innovations[i];
-        if (effect->weight[i] > 0.0) {
-            count_repeats(
-                &of, at->y[i], innovation, effect->variances[i], m->R[i * m->s.p + i]);
-            if (*m->supervised == 0) {
-                continue;
-            }
-            *of.pull = *of.repeats > 0 ? *of.pull + innovation : 0.0;
-            if (is_stuck(m, &of)) {
-                effect->weight[i] = 0.0;
-                effect->used[i] = 0;
-            } else if (isfinite(innovation)) {
-                scale_noise(m, &of, innovation, m->innovation_covariance[i * m->s.p + i]);
-            }
-            scale = maximum(scale, *of.noise_scale);
+        outlook *expected = outlook_of(effect, i);
+        const double innovation = expected->innovation;
+        if (!effect->heard[i]) {
+            continue;
         }
+        count_repeats(&of, at->y[i], innovation, expected->variance, m->R[i * m->s.p + i]);
+        if (*m->supervised == 0) {
+            continue;
+        }
+        *of.pull = *of.repeats > 0 ? *of.pull + innovation : 0.0;
+        if (is_stuck(m, &of)) {
+            effect->heard[i] = expected->used = 0;
+        } else if (isfinite(innovation)) {
+            scale_noise(m, &of, innovation, m->innovation_covariance[i * m->s.p + i]);
+        }
+        scale = maximum(scale, *of.noise_scale);
     }
     if (scale > 0.0) {
         *at->noise_scale = scale;
@@ -366,7 +364,7 @@ static void examine(const model *m, state *at, correction *effect)
 static void distrust_stuck(
     const model *m, const state *at, const hypothesis *h, correction *effect)
 {
-    const long width = (long)m->s.width, p = (long)m->s.p;
+    const long width = m->s.width, p = m->s.p;
     for (long i = 0; i < p; i++) {
         const sensor of = sensor_of(m, at, i);
         const double variance = m->innovation_covariance[i * p + i];
@@ -375,7 +373,7 @@ static void distrust_stuck(
         }
         leave_certified(m, at, h, BASIS_GAP);
         for (long a = 0; a < m->s.n; a++) {
-            effect->crossed[a] = dot(m->C + i * width, m->X + a * width, (long)m->s.n) / variance;
+            effect->crossed[a] = dot(m->C + i * width, m->X + a * width, m->s.n) / variance;
         }
         for (long a = 0; a < m->s.n; a++) {
             for (long b = 0; b < m->s.n; b++) {
@@ -419,16 +417,15 @@ static void listen_to(
 /* Begin a tone of an output, as a copy of the best hypothesis or with what that has learnt forgotten:
  * what others have learnt while they did not know of the tone is wrong. */
 static void begin_tone(
-    const model *m, state *at, long place, int64_t output, double frequency, double size)
+    const model *m, const state *at, long place, int64_t output, double frequency, double size)
 {
-    const long n = (long)m->s.n, width = (long)m->s.width;
-    hypothesis h = begin_from(m, at, (long)*at->best, place, NO_FORK, -m->constants[FLOOR]);
+    const long n = m->s.n, width = m->s.width;
+    const hypothesis h = begin_from_best(m, at, place, NO_FORK, -m->constants[FLOOR]);
     const double off = 0.5 * (m->constants[TONE_RATIO] - 1.0) * frequency; /* to halfway */
     const double variances[3] = {size * size, size * size, off * off};
-    *h.kind = TONE;
     *h.output = output;
     *h.size = size;
-    clear_auxiliary(m, &h, first_of_its_own(m, at, TONE), width);
+    take_for(m, at, &h, TONE);
     for (long j = 0; j < 3; j++) {
         h.covariance[(n + 1 + j) * (width + 1)] = variances[j];
     }
@@ -451,15 +448,15 @@ static void listen(const model *m, state *at, const correction *effect)
     int64_t output = 0;
     for (long i = 0; i < m->s.p; i++) {
         const sensor of = sensor_of(m, at, i);
-        const double elapsed = maximum(*of.since, *m->period), std = sqrt(effect->variances[i]);
-        const double share = share_of(minimum(elapsed, *m->longest), m->constants[AWAKE]);
-        const double r = minimum(maximum(effect->innovations[i] / std, -3.0), 3.0);
+        const double share = share_of(counted_time(m, *of.since), m->constants[AWAKE]);
+        const double std = sqrt(outlook_of(effect, i)->variance);
+        const double r = clip(outlook_of(effect, i)->innovation / std, -3.0, 3.0);
         double loud[TONES + 2] = {0.0}; /* and 0 beyond both ends */
         double rate = m->constants[FIRST_TONE];
-        if (!(effect->weight[i] > 0.0)) {
+        if (!effect->heard[i]) {
             continue;
         }
-        listen_to(m, &of, r, elapsed, share, loud + 1);
+        listen_to(m, &of, r, maximum(*of.since, *m->period), share, loud + 1);
         for (long j = 1; j <= TONES; j++) {
             const double here = loud[j], power = here * here * (2.0 - share) * share;
             if (power > most) {
@@ -481,7 +478,7 @@ static void listen(const model *m, state *at, const correction *effect)
         if (*h.live != 0 && is_its_own(m, now)) {
             *h.score = -INFINITY;
         }
-        if (frequency > 0.0 && *hypothesis_of(m, at, (long)*at->best).kind != TONE
+        if (frequency > 0.0 && *best_of(m, at).kind != TONE
             && (*h.live == 0 || (*h.score < -0.5 * m->constants[FLOOR] && is_over))) {
             begin_tone(m, at, place, output, frequency, size);
         }
@@ -512,13 +509,12 @@ static void open_fork(
     const model *m, const state *at, hypothesis *h, int64_t fork, long output,
     double innovation)
 {
-    const long n = (long)m->s.n, width = (long)m->s.width;
+    const long n = m->s.n, width = m->s.width;
     const double *map = m->disturbance_map + output * width;
     double *P = h->covariance;
     if (fork == JUMPED && m->disturbed[output] == 0) { /* a faulty sensor */
         if (*h->kind != DRIFT) {
-            clear_auxiliary(m, h, first_of_its_own(m, at, DRIFT), width);
-            *h->kind = DRIFT;
+            take_for(m, at, h, DRIFT);
         }
         P[(n + 1 + output) * width + n + 1 + output] += innovation * innovation;
         return;
@@ -542,33 +538,30 @@ static void open_fork(
     }
 }
 
-/* Suppose that something happened at this sample, which the parent did not expect from an output and
+/* Suppose that something happened at this sample, which the best hypothesis did not expect from an output and
  * is not corrected by yet; the outputs that it takes for regular are of `weigh`. */
 static void suppose(
-    const model *m, state *at, long parent, int64_t fork, long output, correction *effect)
+    const model *m, const state *at, int64_t fork, long output, correction *effect)
 {
     const double price = m->constants[fork == MOVED ? LOST_PRICE : FORK_PRICE];
-    const hypothesis from = hypothesis_of(m, at, parent);
+    const hypothesis from = best_of(m, at);
     const double score = *from.score - price, innovation = effect->innovation[output];
     const long place = place_for(m, at, score);
     const double disturbance
-        = dot(m->disturbance_map + output * m->s.width, from.x, (long)m->s.n) + innovation;
+        = dot(m->disturbance_map + output * m->s.width, from.x, m->s.n) + innovation;
     if (place < 0 || (fork == JUMPED && !(fabs(disturbance) <= m->disturbance_limit[output]))) {
         return;
     }
-    hypothesis h = begin_from(m, at, parent, place, fork, score);
+    hypothesis h = begin_from_best(m, at, place, fork, score);
     *h.cause = fork == JUMPED ? BASIS_JUMP : BASIS_STARTING;
     open_fork(m, at, &h, fork, output, innovation);
     for (long i = 0; i < m->s.p; i++) {
-        if (i == output || effect->used[i]) {
-            *h.score += correct_by(m, at, &h, i, 0, effect);
-        } else {
-            *h.score += effect->likelihoods[i];
-        }
+        const outlook *of = outlook_of(effect, i);
+        *h.score += i == output || of->used ? correct_by(m, at, &h, i, 0, effect) : of->likelihood;
     }
     *h.corrected = 1;
     if (!isfinite(*h.score)) {
-        drop(m, at, place);
+        drop(m, &h);
     }
 }
 
@@ -578,7 +571,7 @@ static void select_forks(const model *m, state *at)
     hypothesis h;
     for (long i = STANDING; find_live(m, at, &i, &h); i++) {
         if (i == *at->best) {
-            const long kind = (long)*h.kind;
+            const long kind = *h.kind;
             const hypothesis parent = hypothesis_of(m, at, kind);
             if (*parent.live == 0 || *h.age > m->constants[TRIAL]
                 || *parent.score < -0.5 * m->constants[FLOOR]) {
@@ -586,12 +579,12 @@ static void select_forks(const model *m, state *at)
                 *at->hits += *h.fork == HIT;
                 *at->losses += *h.fork == MOVED;
                 *h.fork = NO_FORK;
-                copy_hypothesis(m, at, i, kind);
-                drop(m, at, i);
+                memcpy(parent.live, h.live, hypothesis_size(&m->s) * sizeof(double));
+                drop(m, &h);
                 *at->best = kind;
             }
         } else if (!(*h.score >= -m->constants[FLOOR])) {
-            drop(m, at, i);
+            drop(m, &h);
         }
     }
 }
@@ -624,7 +617,7 @@ static void rest(const model *m, state *at)
     long fork = STANDING;
     if (*at->best == AS_DESIGNED && *at->awake <= 0.0 && !find_live(m, at, &fork, &h)) {
         for (long i = 1; find_live(m, at, &i, &h); i++) {
-            drop(m, at, i);
+            drop(m, &h);
         }
         for (long i = 0; i < m->s.p; i++) {
             memset(sensor_of(m, at, i).tones, 0, 2 * TONES * sizeof(double));
@@ -652,37 +645,38 @@ static int moves(const model *m, state *at, const hypothesis *h)
 /* Write what the sample is to the best hypothesis, which is not corrected by it yet. */
 static void report(const model *m, const hypothesis *best, correction *effect)
 {
-    const long p = (long)m->s.p;
+    const long p = m->s.p;
     for (long i = 0; i < p * p; i++) {
         effect->innovation_covariance[i]
             = *best->certified != 0 ? m->innovation_covariance[i] : 0.0;
     }
     for (long i = 0; i < p; i++) {
-        effect->innovation[i] = effect->innovations[i];
-        effect->innovation_covariance[i * p + i] = effect->variances[i];
+        effect->innovation[i] = outlook_of(effect, i)->innovation;
+        effect->innovation_covariance[i * p + i] = outlook_of(effect, i)->variance;
     }
 }
 
 /* Fork the best hypothesis where it takes a sample for an outlier; a sensor may have jumped where a
  * sample is only unlikely. */
-static void fork_best(const model *m, state *at, long best, correction *effect)
+static void fork_best(const model *m, const state *at, correction *effect)
 {
     for (long i = 0; i < m->s.p; i++) {
         const double square = effect->innovation[i] * effect->innovation[i];
         const double sudden = m->constants[SUDDEN] * m->constants[SUDDEN];
-        if (!(effect->weight[i] > 0.0)) {
+        const int is_outlier = !outlook_of(effect, i)->used;
+        if (!effect->heard[i]) {
             continue;
         }
-        if (!effect->used[i]) {
-            if (*m->design_flow.kind == KIND_ARM) {
-                suppose(m, at, best, HIT, i, effect);
-            }
-            suppose(m, at, best, MOVED, i, effect);
+        if (is_outlier && *m->design_flow.kind == KIND_ARM) {
+            suppose(m, at, HIT, i, effect);
         }
-        if (!effect->used[i]
+        if (is_outlier) {
+            suppose(m, at, MOVED, i, effect);
+        }
+        if (is_outlier
             || (m->disturbed[i] != 0
                 && square > sudden * effect->innovation_covariance[i * m->s.p + i])) {
-            suppose(m, at, best, JUMPED, i, effect);
+            suppose(m, at, JUMPED, i, effect);
         }
     }
 }
@@ -690,13 +684,12 @@ static void fork_best(const model *m, state *at, long best, correction *effect)
 /* Start the covariance of a lone hypothesis again if it leaves out most samples. */
 static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, correction *effect)
 {
-    const double elapsed = minimum(maximum(*at->since, *m->period), *m->longest);
-    double there = 0.0, used = 0.0;
+    const double share = share_of(counted_time(m, *at->since), m->constants[PATIENCE]);
+    int used = 0;
     for (long i = 0; i < m->s.p; i++) {
-        there = maximum(there, effect->weight[i]);
-        used = maximum(used, (double)effect->used[i]);
+        used = used || outlook_of(effect, i)->used;
     }
-    *h->inlier += there * share_of(elapsed, m->constants[PATIENCE]) * (used - *h->inlier);
+    *h->inlier += share * (used - *h->inlier);
     if (*h->inlier < m->constants[REJECTING] && *h->age >= m->constants[PATIENCE]) {
         open_all(m, h);
         *h->inlier = 1.0;
@@ -707,7 +700,7 @@ static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, c
 /* Correct all hypotheses, and fork the best one where it does not expect a sample. */
 static void correct_bank(const model *m, state *at, correction *effect)
 {
-    const long best = (long)*at->best;
+    const long best = *at->best;
     hypothesis h = hypothesis_of(m, at, best);
     int outliers = 0;
     weigh(m, at, &h, effect);
@@ -720,7 +713,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
         return;
     }
     for (long i = 0; i < m->s.p; i++) {
-        outliers = outliers || (effect->weight[i] > 0.0 && !effect->used[i]);
+        outliers = outliers || (effect->heard[i] && !outlook_of(effect, i)->used);
     }
     if (*at->age > 0.0 && (outliers || *h.slow_power > m->constants[SIGN_SLOW])) {
         wake(m, at);
@@ -741,7 +734,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
         }
     }
     weigh(m, at, &h, effect); /* others have written over it, and the noise may have grown */
-    fork_best(m, at, best, effect);
+    fork_best(m, at, effect);
     if (best == AS_DESIGNED && *at->awake > 0.0) {
         listen(m, at, effect);
     }
@@ -751,9 +744,9 @@ static void correct_bank(const model *m, state *at, correction *effect)
     for (long i = 0; find_live(m, at, &i, &h) && i < STANDING; i++) {
         if (i != *at->best && (!isfinite(*h.score) || !isfinite(h.x[0]))) {
             if (*h.kind == TONE) {
-                drop(m, at, i);
+                drop(m, &h);
             } else {
-                renew(m, at, i, (long)*at->best);
+                renew(m, at, i);
             }
         }
     }
@@ -762,11 +755,13 @@ static void correct_bank(const model *m, state *at, correction *effect)
 
 void correct(const model *m, state *at, const double *y, correction *effect)
 {
-    const long p = (long)m->s.p;
+    const long p = m->s.p;
     hypothesis h;
     if (*at->in_gap != 0 && *at->torque_unknown == 0) {
         for (long i = 0; find_live(m, at, &i, &h); i++) {
-            open_torque(m, at, &h, 0);
+            if (*h.kind != FORCE) {
+                clear_auxiliary(m, &h, m->s.n, m->s.n + 1);
+            }
         }
         *at->in_gap = 0;
     }
@@ -774,27 +769,23 @@ void correct(const model *m, state *at, const double *y, correction *effect)
         const int there = isfinite(y[i]) != 0;
         at->y[i] = there ? y[i] : NAN;
         at->sample[i] = there ? y[i] : at->sample[i];
-        effect->weight[i] = there ? 1.0 : 0.0;
+        effect->heard[i] = there;
     }
     correct_bank(m, at, effect);
     *at->since = 0.0;
     for (long i = 0; i < p; i++) {
         const sensor of = sensor_of(m, at, i);
-        const int there = at->y[i] == at->y[i];
-        if (there) {
-            *of.since = 0.0;
-        }
-        if (!effect->used[i]) {
-            effect->weight[i] = 0.0;
-            *(there ? of.gated : of.missing) += 1;
-        }
+        const int there = at->y[i] == at->y[i], used = outlook_of(effect, i)->used != 0;
+        *of.since = there ? 0.0 : *of.since;
+        *of.gated += there && !used;
+        *of.missing += !there;
     }
 }
 
 /* Return whether a covariance is below the certificate's bound, by the pivots of their difference. */
 static int is_covered(const model *m, const hypothesis *h, double *difference)
 {
-    const long n = (long)m->s.n, width = (long)m->s.width;
+    const long n = m->s.n, width = m->s.width;
     for (long i = 0; i < n; i++) {
         for (long j = 0; j < n; j++) {
             difference[i * n + j] = m->X[i * width + j] - h->covariance[i * width + j];
@@ -810,7 +801,7 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
     const double shortest = between_samples ? 0.0 : *m->shortest;
     const int known = *at->torque_unknown == 0;
     const int regular = shortest <= duration && duration <= *m->longest && known;
-    const hypothesis best = hypothesis_of(m, at, (long)*at->best);
+    const hypothesis best = best_of(m, at);
     const int is_late = between_samples && !regular && known && *best.certified != 0
                         && *best.corrected != 0 && duration <= 2.0 * *m->period
                         && *m->late_factor >= 1.0;
@@ -832,7 +823,7 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
             leave_certified(m, at, &h, BASIS_GAP);
         }
         if (in_gap && *at->in_gap == 0) {
-            open_torque(m, at, &h, 1);
+            open_torque(m, at, &h);
         }
         predict_hypothesis(m, at, &h, duration, simple, forgotten, scratch);
         if (!simple && !between_samples && !in_gap && *m->gain_mode == GAIN_CERTIFIED

@@ -20,6 +20,18 @@ static inline double maximum(double a, double b)
     return b > a ? b : a;
 }
 
+static inline double clip(double value, double least, double most)
+{
+    return minimum(maximum(value, least), most);
+}
+
+/* Return the time since a sample for which it counts in averages: after a gap they go on where they
+ * were. */
+static inline double counted_time(const model *m, double since)
+{
+    return clip(since, *m->period, *m->longest);
+}
+
 /* Return the share that a duration has in an average over a time constant. */
 static inline double share_of(double duration, double time)
 {
@@ -29,13 +41,19 @@ static inline double share_of(double duration, double time)
 /* Size of an output's white noise relative to the design's, at least 1. */
 static inline double noise_of(const model *m, const state *at, long output)
 {
-    return *m->supervised != 0 ? maximum(*sensor_of(m, at, output).noise_scale, 1.0) : 1.0;
+    return maximum(*sensor_of(m, at, output).noise_scale, 1.0);
 }
 
 /* The largest of these sizes. */
-static inline double scale_of(const model *m, const state *at)
+static inline double scale_of(const state *at)
 {
-    return *m->supervised != 0 ? maximum(*at->noise_scale, 1.0) : 1.0;
+    return maximum(*at->noise_scale, 1.0);
+}
+
+/* Return the likeliest hypothesis. */
+static inline hypothesis best_of(const model *m, const state *at)
+{
+    return hypothesis_of(m, at, *at->best);
 }
 
 /* Return whether a hypothesis counts in what is read. */
@@ -67,8 +85,7 @@ long part_of(const model *m, const hypothesis *h, long output);
 /* Take the certificate's bound for the covariance, from where Riccati gains go on. */
 void leave_certified(const model *m, const state *at, const hypothesis *h, int64_t cause);
 
-/* Write the innovation, its variance and the logarithm of its likelihood for each output, in sigmas
- * clipped where the sample is an outlier, and which are used. */
+/* Write how a hypothesis expects each output. */
 void weigh(const model *m, const state *at, const hypothesis *h, correction *effect);
 
 /* Correct by the outputs that `weigh` found in use, and learn; return the logarithm of the
@@ -84,8 +101,5 @@ double correct_by(
 void predict_hypothesis(
     const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
     work *scratch);
-
-/* Forget the auxiliary states from a place on, up to another. */
-void clear_auxiliary(const model *m, hypothesis *h, long first, long end);
 
 #endif

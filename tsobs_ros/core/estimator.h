@@ -203,21 +203,27 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(MATRIX, hypotheses, s->hypotheses, hypothesis_size(s)) /* zeros where there is none */
 LAYOUT_DECLARE(state, STATE_FIELDS, estimator_sizes)
 
-/* A sample's effect on the likeliest hypothesis, and behind `weight` scratch of the same step. The
- * gain has a row of p numbers for each state. */
-#define CORRECTION_FIELDS(F, s)             \
-    F(VECTOR, innovation, s->p, 1)          \
-    F(MATRIX, innovation_covariance, s->p, s->p) \
-    F(MATRIX, gain, s->width, s->p)         \
-    F(VECTOR, weight, s->p, 1)              \
-    F(VECTOR, innovations, s->p, 1)         \
-    F(VECTOR, variances, s->p, 1)           \
-    F(VECTOR, likelihoods, s->p, 1)         \
-    F(COUNTS, used, s->p, 1)                \
-    F(VECTOR, crossed, s->width, 1)         \
-    F(MATRIX, omega, s->p, s->k)            \
-    F(VECTOR, cross, s->k, 1)               \
-    F(VECTOR, scaled, s->k, 1)              \
+/* An output's sample as a hypothesis expects it: the innovation, the variance of what the filter
+ * knows of it and, by the parameters, of all, the logarithm of the likelihood, and whether it is used,
+ * as it is there, no outlier's, and no stuck sensor's. */
+typedef struct {
+    double innovation, known, variance, likelihood;
+    int64_t used;
+} outlook;
+enum { OUTLOOK_SIZE = sizeof(outlook) / sizeof(double) };
+
+/* A sample as the likeliest hypothesis expects it; and as scratch of the step that one after the other
+ * does, at the end the likeliest. */
+#define CORRECTION_FIELDS(F, s)                                                           \
+    F(VECTOR, innovation, s->p, 1)                                                        \
+    F(MATRIX, innovation_covariance, s->p, s->p)                                          \
+    F(COUNTS, heard, s->p, 1) /* whether a sample is there, and no stuck sensor's */      \
+    F(MATRIX, outlooks, s->p, OUTLOOK_SIZE)                                               \
+    F(VECTOR, crossed, s->width, 1) /* covariance of an innovation with the states */     \
+    F(VECTOR, gain, s->width, 1) /* of an output */                                       \
+    F(MATRIX, omega, s->p, s->k) /* dy/dtheta */                                          \
+    F(VECTOR, cross, s->k, 1)                                                             \
+    F(VECTOR, scaled, s->k, 1)                                                            \
     F(MATRIX, root, s->k, s->k)
 LAYOUT_DECLARE(correction, CORRECTION_FIELDS, estimator_sizes)
 
@@ -324,6 +330,12 @@ const char *model_view(double *memory, size_t length, model *view);
 
 /* Copy the numbers of a state onto another state's; those of no hypothesis are not touched. */
 void copy_state(const model *m, const double *from, double *to);
+
+/* Return how the hypothesis at hand expects an output. */
+static inline outlook *outlook_of(const correction *effect, long output)
+{
+    return (outlook *)(void *)effect->outlooks + output;
+}
 
 /* Return what is remembered of an output, and a hypothesis. */
 static inline sensor sensor_of(const model *m, const state *at, long output)

@@ -20,14 +20,14 @@
 
 long states_in_use(const model *m, const hypothesis *h)
 {
-    const long n = (long)m->s.n;
+    const long n = m->s.n;
     if (m->s.width == m->s.n) {
         return n;
     }
     switch (*h->kind) {
     case COLOURED_NOISE:
     case DRIFT:
-        return n + 1 + (long)m->s.p;
+        return n + 1 + m->s.p;
     case TONE:
         return n + 4;
     case FORCE:
@@ -39,33 +39,18 @@ long states_in_use(const model *m, const hypothesis *h)
 
 long part_of(const model *m, const hypothesis *h, long output)
 {
-    const long first = (long)m->s.n + 1;
+    const long first = m->s.n + 1;
     if (*h->kind == COLOURED_NOISE || *h->kind == DRIFT) {
         return first + output;
     }
     return *h->kind == TONE && *h->output == output ? first : -1;
 }
 
-void clear_auxiliary(const model *m, hypothesis *h, long first, long end)
-{
-    const long width = (long)m->s.width;
-    for (long i = first; i < end; i++) {
-        h->x[i] = 0.0;
-        for (long j = 0; j < width; j++) {
-            h->covariance[i * width + j] = 0.0;
-            h->covariance[j * width + i] = 0.0;
-        }
-        for (long j = 0; j < m->s.k; j++) {
-            h->upsilon[j * width + i] = 0.0;
-        }
-    }
-}
-
 void leave_certified(const model *m, const state *at, const hypothesis *h, int64_t cause)
 {
-    const long n = (long)m->s.n, width = (long)m->s.width;
+    const long n = m->s.n, width = m->s.width;
     const double *bound = *h->corrected != 0 ? m->posterior : m->X;
-    const double square = scale_of(m, at) * scale_of(m, at);
+    const double square = scale_of(at) * scale_of(at);
     if (*h->certified != 0) {
         for (long i = 0; i < n; i++) {
             for (long j = 0; j < n; j++) {
@@ -79,20 +64,12 @@ void leave_certified(const model *m, const state *at, const hypothesis *h, int64
 
 /* --- correction --- */
 
-/* An output's sample as a hypothesis expects it: the innovation, the variance of what the filter
- * knows of it and, by the parameters, of all, the logarithm of the likelihood, and whether it is no
- * outlier's. */
-typedef struct {
-    double innovation, known, variance, likelihood;
-    int used;
-} outlook;
-
 /* Return what the filter expects of an output; unless the gain is the certified one, write the
- * covariance of the innovation with the states. */
+ * covariance of the innovation with the states, `crossed`. */
 static outlook expect(
     const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
-    const long n = (long)m->s.n, p = (long)m->s.p, width = (long)m->s.width;
+    const long n = m->s.n, p = m->s.p, width = m->s.width;
     const long used = states_in_use(m, h), place = part_of(m, h, i);
     const double *C = m->C + i * width, scale = noise_of(m, at, i);
     const double factor = *h->kind == LOUD ? m->constants[NOISE_FACTOR] : 1.0;
@@ -124,7 +101,7 @@ static outlook expect(
  * is, and whatever the filter expects. */
 static outlook look(const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
-    const long n = (long)m->s.n, k = (long)m->s.k, p = (long)m->s.p, width = (long)m->s.width;
+    const long n = m->s.n, k = m->s.k, p = m->s.p, width = m->s.width;
     const long place = part_of(m, h, i);
     const double scale = noise_of(m, at, i);
     double *omega = effect->omega + i * k;
@@ -134,7 +111,7 @@ static outlook look(const model *m, const state *at, const hypothesis *h, long i
         omega[a] = dot(m->C + i * width, row, n) + (place < 0 ? 0.0 : row[place]);
     }
     of.variance = of.known + (k > 0 ? maximum(quadratic(h->gamma, k, omega, k), 0.0) : 0.0);
-    if (!(effect->weight[i] > 0.0)) {
+    if (!effect->heard[i]) {
         return of;
     }
     const double ratio = of.innovation * of.innovation / of.variance;
@@ -155,11 +132,7 @@ static outlook look(const model *m, const state *at, const hypothesis *h, long i
 void weigh(const model *m, const state *at, const hypothesis *h, correction *effect)
 {
     for (long i = 0; i < m->s.p; i++) {
-        const outlook of = look(m, at, h, i, effect);
-        effect->innovations[i] = of.innovation;
-        effect->variances[i] = of.variance;
-        effect->likelihoods[i] = of.likelihood;
-        effect->used[i] = of.used;
+        *outlook_of(effect, i) = look(m, at, h, i, effect);
     }
 }
 
@@ -167,12 +140,10 @@ void weigh(const model *m, const state *at, const hypothesis *h, correction *eff
 static void follow(
     const model *m, const state *at, hypothesis *h, long output, const outlook *of)
 {
-    /* After a gap the averages go on where they were. */
-    const double since = *sensor_of(m, at, output).since;
-    const double elapsed = minimum(maximum(since, *m->period), *m->longest);
+    const double elapsed = counted_time(m, *sensor_of(m, at, output).since);
     const double share = share_of(elapsed, 1.0) / (double)m->s.p;
     const double slow_share = share_of(elapsed, m->constants[SLOW_TIME]);
-    const double r = minimum(maximum(of->innovation / sqrt(of->variance), -*m->gate), *m->gate);
+    const double r = clip(of->innovation / sqrt(of->variance), -*m->gate, *m->gate);
     double *slow = h->slow + output;
     *h->nis += share * (r * r - *h->nis);
     *h->colour += share * (r * h->previous[output] - *h->colour);
@@ -189,7 +160,7 @@ static void follow(
  * white noise, repeat each other. */
 static double inflation_of(const model *m, const hypothesis *h)
 {
-    const long n = (long)m->s.n, width = (long)m->s.width;
+    const long n = m->s.n, width = m->s.width;
     const double alike
         = maximum(*h->colour / maximum(*h->nis, 1.0) - 3.0 * sqrt(0.5 * *m->period), 0.0);
     double inflation = 1.0;
@@ -200,10 +171,7 @@ static double inflation_of(const model *m, const hypothesis *h)
         }
         inflation = maximum(total / (double)n, 1.0);
     }
-    if (*m->supervised != 0) {
-        inflation *= maximum(*h->nis, 1.0) * ((1.0 + alike) / (1.0 - alike));
-    }
-    return inflation;
+    return inflation * (maximum(*h->nis, 1.0) * ((1.0 + alike) / (1.0 - alike)));
 }
 
 /* Correct the parameters' covariance and the pending change of them by one output. */
@@ -211,7 +179,7 @@ static void adapt_by(
     const model *m, hypothesis *h, const double *omega, const outlook *of, double inflation,
     double *cross)
 {
-    const long k = (long)m->s.k;
+    const long k = m->s.k;
     double variance = of->known * inflation, left = of->innovation - dot(omega, h->pending, k);
     for (long a = 0; a < k; a++) {
         cross[a] = dot(h->gamma + a * k, omega, k);
@@ -223,14 +191,14 @@ static void adapt_by(
             h->gamma[a * k + b] -= cross[a] * cross[b] / variance;
             h->gamma[b * k + a] = h->gamma[a * k + b];
         }
-        h->pending[a] = minimum(maximum(moved, -m->limits[a]), m->limits[a]) - h->theta[a];
+        h->pending[a] = clip(moved, -m->limits[a], m->limits[a]) - h->theta[a];
     }
 }
 
 /* Use the pending change of the parameters from when it is significant on. */
 static void use_pending(const model *m, hypothesis *h, correction *effect)
 {
-    const long k = (long)m->s.k, width = (long)m->s.width, used = states_in_use(m, h);
+    const long k = m->s.k, width = m->s.width, used = states_in_use(m, h);
     if (*h->significant == 0) {
         solve(h->gamma, h->pending, effect->root, effect->scaled, k);
         *h->significant = dot(h->pending, effect->scaled, k) > *m->significance;
@@ -246,32 +214,36 @@ static void use_pending(const model *m, hypothesis *h, correction *effect)
     }
 }
 
-/* Correct the regressors by an output's gain, a column, and add to the measure of excitation. */
+/* Correct the regressors by an output's gain, and add to the measure of excitation. */
 static void correct_regressors(
-    const model *m, hypothesis *h, const double *omega, const double *gain, double known, long used)
+    const model *m, hypothesis *h, const double *omega, const double *gain, double known)
 {
-    const long k = (long)m->s.k, p = (long)m->s.p, width = (long)m->s.width;
+    const long k = m->s.k, used = states_in_use(m, h);
     for (long a = 0; a < k; a++) {
-        for (long j = 0; j < used; j++) {
-            h->upsilon[a * width + j] -= omega[a] * gain[j * p];
-        }
+        add_scaled(h->upsilon + a * m->s.width, -omega[a], gain, used);
         for (long b = 0; b < k; b++) {
             h->gram[a * k + b] += omega[a] * omega[b] / known;
         }
     }
 }
 
-/* Correct with a Riccati gain: x <- x + P c e / s,  P <- P - P c c' P / s. */
-static void correct_covariance(
-    const model *m, hypothesis *h, const double *crossed, const outlook *of, long used)
+/* Correct the estimate by an output with gain K and, unless that is the certified one, the covariance,
+ * x <- x + K e,  P <- P - K c'  with K = c / s. */
+static void correct_estimate(
+    const model *m, hypothesis *h, long output, const outlook *of, correction *effect)
 {
-    const long width = (long)m->s.width;
+    const long width = m->s.width, used = states_in_use(m, h);
     for (long j = 0; j < used; j++) {
-        const double gain = crossed[j] / of->known;
+        const double gain = *h->certified != 0 ? m->K[j * m->s.p + output]
+                                               : effect->crossed[j] / of->known;
         double *row = h->covariance + j * width;
+        effect->gain[j] = gain;
         h->x[j] += gain * of->innovation;
+        if (*h->certified != 0) {
+            continue;
+        }
         for (long i = 0; i <= j; i++) {
-            row[i] -= gain * crossed[i];
+            row[i] -= gain * effect->crossed[i];
             h->covariance[i * width + j] = row[i];
         }
     }
@@ -280,35 +252,18 @@ static void correct_covariance(
 double correct_by(
     const model *m, const state *at, hypothesis *h, long output, int adapt, correction *effect)
 {
-    const long k = (long)m->s.k, p = (long)m->s.p, used = states_in_use(m, h);
-    const double inflation = k > 0 && adapt ? inflation_of(m, h) : 1.0;
-    const double *omega = effect->omega + output * k, scale = noise_of(m, at, output);
-    double *gain = effect->gain + output;
-    outlook of = {
-        effect->innovations[output],
-        scale * scale * m->innovation_covariance[output * p + output],
-        effect->variances[output], effect->likelihoods[output], 1,
-    };
-    if (*h->certified != 0) { /* of all outputs at once */
-        for (long j = 0; j < used; j++) {
-            gain[j * p] = m->K[j * p + output];
-            h->x[j] += gain[j * p] * of.innovation;
-        }
-    } else {
-        of = look(m, at, h, output, effect);
-        for (long j = 0; j < used; j++) {
-            gain[j * p] = effect->crossed[j] / of.known;
-        }
-        correct_covariance(m, h, effect->crossed, &of, used);
-    }
+    const double inflation = adapt ? inflation_of(m, h) : 1.0;
+    const double *omega = effect->omega + output * m->s.k;
+    /* The certified gain is of all outputs at once; others change what is expected of the next. */
+    const outlook of
+        = *h->certified != 0 ? *outlook_of(effect, output) : look(m, at, h, output, effect);
+    correct_estimate(m, h, output, &of, effect);
     if (*m->supervised != 0) {
         follow(m, at, h, output, &of);
     }
-    if (k > 0) {
-        correct_regressors(m, h, omega, gain, of.known, used);
-        if (adapt) {
-            adapt_by(m, h, omega, &of, inflation, effect->cross);
-        }
+    correct_regressors(m, h, omega, effect->gain, of.known);
+    if (adapt) {
+        adapt_by(m, h, omega, &of, inflation, effect->cross);
     }
     return of.likelihood;
 }
@@ -317,7 +272,7 @@ double correct_by(
  * regressors were. */
 static void begin_pass(const model *m, hypothesis *h)
 {
-    const long k = (long)m->s.k;
+    const long k = m->s.k;
     if (*h->pass_age <= *m->pass_time) {
         return;
     }
@@ -333,28 +288,27 @@ static void begin_pass(const model *m, hypothesis *h)
 
 double correct_hypothesis(const model *m, const state *at, hypothesis *h, correction *effect)
 {
-    const long p = (long)m->s.p;
-    const int adapt = *at->moving != 0 && *h->learning >= *m->adaptation_start;
+    const int adapt = m->s.k > 0 && *at->moving != 0 && *h->learning >= *m->adaptation_start;
     double said = 0.0;
-    long used = 0;
-    memset(effect->gain, 0, (size_t)(m->s.width * p) * sizeof *effect->gain);
-    for (long i = 0; i < p; i++) {
-        used += effect->used[i];
-        said += effect->likelihoods[i];
+    int64_t used = 0;
+    for (long i = 0; i < m->s.p; i++) {
+        used += outlook_of(effect, i)->used;
+        said += outlook_of(effect, i)->likelihood;
     }
     if (*m->gain_mode == GAIN_OPEN || used == 0) {
         return said;
     }
-    if (used < p) { /* the certified gain is for all outputs together */
+    if (used < m->s.p) { /* the certified gain is for all outputs together */
         leave_certified(m, at, h, BASIS_GAP);
     }
-    for (long i = 0; i < p; i++) {
-        if (effect->used[i]) {
-            said += correct_by(m, at, h, i, adapt, effect) - effect->likelihoods[i];
+    for (long i = 0; i < m->s.p; i++) {
+        const outlook *of = outlook_of(effect, i);
+        if (of->used) {
+            said += correct_by(m, at, h, i, adapt, effect) - of->likelihood;
         }
     }
     *h->corrected = 1;
-    if (m->s.k > 0 && adapt) {
+    if (adapt) {
         use_pending(m, h, effect);
         begin_pass(m, h);
     }
@@ -410,7 +364,7 @@ static void step_hypothesis(
     const model *m, hypothesis *h, const linear_step *over, double *u, int simple,
     double forgotten, const flow_step *step, work *scratch)
 {
-    const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
+    const long n = m->s.n, k = m->s.k, width = m->s.width;
     const long used = simple ? n : states_in_use(m, h), count = used - n;
     const double *F = step->J, *added = step->Q;
     double *moved = scratch->moved;
@@ -505,7 +459,7 @@ static void move(
 /* Let the excitation fade and Gamma grow, but no variance beyond the initial one. */
 static void forget_slowly(const model *m, hypothesis *h, double duration)
 {
-    const long k = (long)m->s.k;
+    const long k = m->s.k;
     const double fade = 1.0 - share_of(duration, *m->memory);
     *h->learning += duration;
     *h->pass_age += *h->learning >= *m->adaptation_start ? duration : 0.0;
@@ -523,7 +477,7 @@ void predict_hypothesis(
     const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
     work *scratch)
 {
-    const long n = (long)m->s.n, plant = (long)m->s.plant, width = (long)m->s.width;
+    const long n = m->s.n, plant = m->s.plant, width = m->s.width;
     const flow *f = &m->design_flow;
     move(m, at, h, duration, simple, forgotten, scratch);
     if ((*h->kind == IMPERFECT || *h->kind == TONE) && !simple) {
@@ -580,7 +534,7 @@ void write_innovations(
     int64_t corrected_until, double *innovations, double *variances, double *states,
     correction *effect, work *scratch)
 {
-    const long n = (long)m->s.n, p = (long)m->s.p, width = (long)m->s.width;
+    const long n = m->s.n, p = m->s.p, width = m->s.width;
     hypothesis h = hypothesis_of(m, at, 0);
     int begins = 1;
     for (int64_t k = 0; k < log->count; k++) {
@@ -597,7 +551,7 @@ void write_innovations(
             innovations[k * p + i] = is_there ? of.innovation : NAN;
             variances[k * p + i] = is_there && !is_free ? of.known : NAN;
             if (is_there && !is_free && square <= options->gate * options->gate * of.known) {
-                correct_covariance(m, &h, effect->crossed, &of, n);
+                correct_estimate(m, &h, i, &of, effect);
             }
         }
         begins = half < 0.0;

@@ -180,7 +180,7 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
         code = isnan(u[i]) ? UNKNOWN_INPUT : code;
     }
     for (int64_t i = 0; i < t->m.s.p; i++) {
-        used = used || t->effect.weight[i] > 0.0;
+        used = used || outlook_of(&t->effect, i)->used;
     }
     code = used ? code : GATED;
     *at.stamp = stamp;
@@ -214,7 +214,7 @@ static void write_outcome(const tracker *t, const double *y, const outcomes *wri
     const int64_t p = t->m.s.p;
     for (int64_t j = 0; j < p; j++) {
         const double variance = t->effect.innovation_covariance[j * p + j];
-        const int64_t used = t->effect.weight[j] > 0.0 ? USED : GATED;
+        const int64_t used = outlook_of(&t->effect, j)->used ? USED : GATED;
         written->output_codes[i * p + j] = isfinite(y[j]) ? used : NON_FINITE;
         written->innovations[i * p + j] = t->effect.innovation[j];
         written->expected_std[i * p + j] = variance >= 0.0 ? sqrt(variance) : NAN;

@@ -25,7 +25,7 @@ static double spread_of(const model *m, const state *at, const hypothesis *h, in
     if (*m->supervised == 0) {
         return late;
     }
-    const double spread = *h->certified != 0 ? scale_of(m, at) * late : 1.0;
+    const double spread = *h->certified != 0 ? scale_of(at) * late : 1.0;
     return spread * sqrt(maximum(*h->nis, 1.0)) * (slow ? maximum(slowness_of(m, h), 1.0) : 1.0);
 }
 
@@ -83,7 +83,7 @@ static int64_t basis_of(const model *m, const hypothesis *best, double *claimed)
 /* Return whether the motion has been rich enough for the parameters to count. */
 static int is_excited(const model *m, const hypothesis *h, double *gram)
 {
-    const long k = (long)m->s.k;
+    const long k = m->s.k;
     copy_matrix(h->gram, k, gram, k, k, k);
     for (long i = 0; i < k; i++) {
         gram[i * k + i] -= *m->excitation;
@@ -100,7 +100,7 @@ static double value_of(
     const model *m, const state *at, const hypothesis *h, int what, long place, double *variance,
     work *scratch)
 {
-    const long width = (long)m->s.width, used = states_in_use(m, h), part = part_of(m, h, place);
+    const long width = m->s.width, used = states_in_use(m, h), part = part_of(m, h, place);
     const double *row = what == TORQUE ? m->torque_map : m->disturbance_map;
     double *functional = scratch->functional;
     if (what == STATE) {
@@ -120,7 +120,7 @@ static double value_of(
     }
     double value = dot(functional, h->x, used);
     if (what == DISTURBANCE && *m->gain_mode == GAIN_OPEN) {
-        value += dot(m->disturbance_direct + place * m->s.p, at->sample, (long)m->s.p);
+        value += dot(m->disturbance_direct + place * m->s.p, at->sample, m->s.p);
     }
     return value;
 }
@@ -130,7 +130,7 @@ static double value_of(
 static mixture read_one(
     const model *m, const state *at, int what, long place, double least, work *scratch)
 {
-    const long k = (long)m->s.k;
+    const long k = m->s.k;
     mixture all = {0.0, 0.0, 0.0};
     for (long j = 0; j < m->s.hypotheses; j++) {
         double variance, shift = 0.0, curved = 0.0;
@@ -165,8 +165,8 @@ static double put(const mixture *from, double unit, double *value, double *bound
 
 int read_out(const model *m, const state *at, const estimate *said, work *scratch)
 {
-    const long k = (long)m->s.k;
-    const hypothesis best = hypothesis_of(m, at, (long)*at->best);
+    const long k = m->s.k;
+    const hypothesis best = best_of(m, at);
     double total = 0.0;
     mixture all;
     weigh_all(m, at, scratch->weights);
@@ -182,7 +182,7 @@ int read_out(const model *m, const state *at, const estimate *said, work *scratc
             const double *x = hypothesis_of(m, at, j).x;
             if (scratch->weights[j] > 0.0) {
                 said->disturbance_rate[i]
-                    += scratch->weights[j] * dot(m->rate_map + i * m->s.width, x, (long)m->s.n);
+                    += scratch->weights[j] * dot(m->rate_map + i * m->s.width, x, m->s.n);
             }
         }
         total += said->disturbance_rate[i];
@@ -206,7 +206,7 @@ int read_out(const model *m, const state *at, const estimate *said, work *scratc
         total += put(&learnt, 1.0, said->parameters + a, said->parameter_bound + a);
     }
     *said->basis = (double)basis_of(m, &best, said->claimed);
-    *said->noise_scale = scale_of(m, at);
+    *said->noise_scale = scale_of(at);
     *said->coloured_power = *best.colour;
     *said->learning = k == 0                                       ? LEARNING_NONE
                       : *best.learning >= *m->adaptation_start ? LEARNING_ACTIVE
