@@ -226,7 +226,7 @@ def _awake(estimator: Estimator, y: Array, u: Array) -> Record:
         parts = range(n, width)
         hypotheses["covariance"][place][parts, parts] = 1e-4
         if kind == Hypothesis.TONE:
-            hypotheses["frequency"][place], hypotheses["size"][place] = 5.0, 0.01
+            hypotheses["x"][place, n + 3], hypotheses["size"][place] = 5.0, 0.01
     hypotheses["live"], hypotheses["score"] = 1, 0.0
     record["awake"] = 5.0
     return state

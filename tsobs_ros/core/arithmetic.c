@@ -7,7 +7,7 @@ double quadratic(const double *s, long s_width, const double *a, long n)
 {
     double total = 0.0;
     for (long i = 0; i < n; i++) {
-        for (long j = 0; j < n; j++) {
+        for (long j = 0; a[i] != 0.0 && j < n; j++) { /* most of a map is 0 */
             total += a[i] * s[i * s_width + j] * a[j];
         }
     }

@@ -685,11 +685,12 @@ static void fork_best(const model *m, const state *at, correction *effect)
 static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, correction *effect)
 {
     const double share = share_of(counted_time(m, *at->since), m->constants[PATIENCE]);
-    int used = 0;
+    int heard = 0, used = 0;
     for (long i = 0; i < m->s.p; i++) {
+        heard = heard || effect->heard[i];
         used = used || outlook_of(effect, i)->used;
     }
-    *h->inlier += share * (used - *h->inlier);
+    *h->inlier += heard * share * (used - *h->inlier);
     if (*h->inlier < m->constants[REJECTING] && *h->age >= m->constants[PATIENCE]) {
         open_all(m, h);
         *h->inlier = 1.0;

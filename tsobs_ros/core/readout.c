@@ -22,9 +22,6 @@ static double root(double variance)
 static double spread_of(const model *m, const state *at, const hypothesis *h, int slow)
 {
     const double late = *at->late != 0 ? *m->late_factor : 1.0;
-    if (*m->supervised == 0) {
-        return late;
-    }
     const double spread = *h->certified != 0 ? scale_of(at) * late : 1.0;
     return spread * sqrt(maximum(*h->nis, 1.0)) * (slow ? maximum(slowness_of(m, h), 1.0) : 1.0);
 }
@@ -67,8 +64,8 @@ static void weigh_all(const model *m, const state *at, double *weights)
 static int64_t basis_of(const model *m, const hypothesis *best, double *claimed)
 {
     const int calm = *best->nis <= m->constants[VOID] && slowness_of(m, best) <= 4.0 * m->constants[VOID];
-    *claimed = *m->supervised == 0 || calm;
-    if (*m->supervised != 0 && !calm) {
+    *claimed = calm;
+    if (!calm) {
         return BASIS_CONTRADICTED;
     }
     if (*best->kind != AS_DESIGNED) {
@@ -91,33 +88,33 @@ static int is_excited(const model *m, const hypothesis *h, double *gram)
     return is_nonnegative(gram, k);
 }
 
-/* What is read: plant states, disturbances of outputs, and torques, one after the other. */
-enum { STATE, DISTURBANCE, TORQUE };
+/* What is read: plant states, parameters, disturbances of outputs, and torques. */
+enum { STATE, PARAMETER, DISTURBANCE, TORQUE };
 
-/* Return what a hypothesis says of a quantity, a linear function of the states in use; write the
- * variance of that by its covariance, and the function's derivatives by the parameters. */
+/* Return what a hypothesis says of a quantity, a parameter or a linear function of the states in use;
+ * write the variance of that by its covariance, and the derivatives by the parameters. */
 static double value_of(
     const model *m, const state *at, const hypothesis *h, int what, long place, double *variance,
     work *scratch)
 {
     const long width = m->s.width, used = states_in_use(m, h), part = part_of(m, h, place);
-    const double *row = what == TORQUE ? m->torque_map : m->disturbance_map;
+    const double *map = what == TORQUE ? m->torque_map : m->disturbance_map;
     double *functional = scratch->functional;
-    if (what == STATE) {
-        *variance = h->covariance[place * (width + 1)];
+    if (what == STATE || what == PARAMETER) {
         for (long a = 0; a < m->s.k; a++) {
-            scratch->share[a] = h->upsilon[a * width + place];
+            scratch->share[a] = what == STATE ? h->upsilon[a * width + place] : a == place;
         }
-        return h->x[place];
+        *variance = what == STATE ? h->covariance[place * (width + 1)] : 0.0;
+        return what == STATE ? h->x[place] : h->theta[place];
     }
-    memcpy(functional, row + place * width, (size_t)width * sizeof *functional);
+    memcpy(functional, map + place * width, (size_t)width * sizeof *functional);
     if (what == DISTURBANCE && part >= 0 && *h->kind != COLOURED_NOISE) {
         functional[part] = 1.0;
     }
-    *variance = *h->certified != 0 ? 0.0 : quadratic(h->covariance, width, functional, used);
     for (long a = 0; a < m->s.k; a++) {
         scratch->share[a] = dot(functional, h->upsilon + a * width, used);
     }
+    *variance = *h->certified != 0 ? 0.0 : quadratic(h->covariance, width, functional, used);
     double value = dot(functional, h->x, used);
     if (what == DISTURBANCE && *m->gain_mode == GAIN_OPEN) {
         value += dot(m->disturbance_direct + place * m->s.p, at->sample, m->s.p);
@@ -125,10 +122,12 @@ static double value_of(
     return value;
 }
 
-/* Mix a quantity; `least`: its 1-sigma by the certificate. Slow innovations do not widen the bound of
- * an unknown torque: it is what explains them. */
-static mixture read_one(
-    const model *m, const state *at, int what, long place, double least, work *scratch)
+/* Mix a quantity, and write it and its bound in a unit; `least`: its 1-sigma by the certificate. Return
+ * their sum. Slow innovations do not widen the bound of an unknown torque: it is what explains them.
+ * What was learnt of parameters over a distance is wrong by a share of it: regressors move with x^. */
+static double read_one(
+    const model *m, const state *at, int what, long place, double least, double unit, double *value,
+    double *bound, work *scratch)
 {
     const long k = m->s.k;
     mixture all = {0.0, 0.0, 0.0};
@@ -138,45 +137,38 @@ static mixture read_one(
             continue;
         }
         const hypothesis h = hypothesis_of(m, at, j);
-        const double value = value_of(m, at, &h, what, place, &variance, scratch);
+        const double said = value_of(m, at, &h, what, place, &variance, scratch);
+        const int is_constant = *h.certified != 0 || *m->gain_mode == GAIN_OPEN;
         const double own
-            = *m->gain_mode == GAIN_OPEN
-                  ? least
-                  : (*h.certified != 0 ? least : root(variance)) * spread_of(m, at, &h, what != TORQUE);
+            = (is_constant ? least : root(variance)) * spread_of(m, at, &h, what != TORQUE);
         for (long a = 0; a < k; a++) {
             const double moved = h.theta[a] + h.pending[a] - h.anchor[a];
             shift += scratch->share[a] * h.pending[a];
             curved += scratch->share[a] * (m->constants[CURVED] * moved);
         }
         const double added = k > 0 ? maximum(quadratic(h.gamma, k, scratch->share, k), 0.0) : 0.0;
-        mix(&all, scratch->weights[j], value,
+        mix(&all, scratch->weights[j], said,
             root(own * own + (added + shift * shift + curved * curved)));
     }
-    return all;
-}
-
-/* Write an estimated quantity and its bound in a unit; return their sum. */
-static double put(const mixture *from, double unit, double *value, double *bound)
-{
-    *value = unit * from->mean;
-    *bound = fabs(unit) * bound_of_mixture(from);
+    *value = unit * all.mean;
+    *bound = fabs(unit) * bound_of_mixture(&all);
     return *value + *bound;
 }
 
 int read_out(const model *m, const state *at, const estimate *said, work *scratch)
 {
-    const long k = m->s.k;
     const hypothesis best = best_of(m, at);
     double total = 0.0;
-    mixture all;
     weigh_all(m, at, scratch->weights);
     for (long i = 0; i < m->s.plant; i++) {
-        all = read_one(m, at, STATE, i, m->state_std[i], scratch);
-        total += put(&all, m->scale[i], said->state + i, said->state_bound + i);
+        total += read_one(
+            m, at, STATE, i, m->state_std[i], m->scale[i], said->state + i, said->state_bound + i,
+            scratch);
     }
     for (long i = 0; i < m->s.p; i++) {
-        all = read_one(m, at, DISTURBANCE, i, m->disturbance_std[i], scratch);
-        total += put(&all, 1.0, said->disturbance + i, said->disturbance_bound + i);
+        total += read_one(
+            m, at, DISTURBANCE, i, m->disturbance_std[i], 1.0, said->disturbance + i,
+            said->disturbance_bound + i, scratch);
         said->disturbance_rate[i] = 0.0;
         for (long j = 0; j < m->s.hypotheses; j++) {
             const double *x = hypothesis_of(m, at, j).x;
@@ -188,32 +180,24 @@ int read_out(const model *m, const state *at, const estimate *said, work *scratc
         total += said->disturbance_rate[i];
     }
     for (long i = 0; i < m->s.t; i++) {
-        all = read_one(m, at, TORQUE, i, m->torque_std[i], scratch);
-        total += put(&all, 1.0, said->torque_disturbance + i, said->torque_disturbance_bound + i);
+        total += read_one(
+            m, at, TORQUE, i, m->torque_std[i], 1.0, said->torque_disturbance + i,
+            said->torque_disturbance_bound + i, scratch);
     }
-    for (long a = 0; a < k; a++) {
-        /* What was learnt over a distance is wrong by a share of it: regressors move with x^. */
-        mixture learnt = {0.0, 0.0, 0.0};
-        for (long j = 0; j < m->s.hypotheses; j++) {
-            const hypothesis h = hypothesis_of(m, at, j);
-            const double pending = h.pending[a];
-            const double moved = m->constants[CURVED] * (h.theta[a] + pending - h.anchor[a]);
-            if (scratch->weights[j] > 0.0) {
-                mix(&learnt, scratch->weights[j], h.theta[a],
-                    root(h.gamma[a * k + a] + pending * pending + moved * moved));
-            }
-        }
-        total += put(&learnt, 1.0, said->parameters + a, said->parameter_bound + a);
+    for (long a = 0; a < m->s.k; a++) {
+        total += read_one(
+            m, at, PARAMETER, a, 0.0, 1.0, said->parameters + a, said->parameter_bound + a, scratch);
     }
     *said->basis = (double)basis_of(m, &best, said->claimed);
     *said->noise_scale = scale_of(at);
     *said->coloured_power = *best.colour;
-    *said->learning = k == 0                                       ? LEARNING_NONE
+    total += *best.colour;
+    *said->learning = m->s.k == 0                              ? LEARNING_NONE
                       : *best.learning >= *m->adaptation_start ? LEARNING_ACTIVE
                                                                    : LEARNING_STARTING;
     *said->hypothesis = (double)*best.kind;
     *said->parameters_valid
-        = k > 0 && *best.kind == AS_DESIGNED && is_excited(m, &best, scratch->small);
+        = m->s.k > 0 && *best.kind == AS_DESIGNED && is_excited(m, &best, scratch->small);
     *said->in_domain = 1.0;
     *said->age = 0.0;
     return isfinite(total) != 0;
