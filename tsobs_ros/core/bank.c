@@ -75,6 +75,7 @@ const char *model_view(double *memory, size_t length, model *view)
     view->design_flow = flow_view(&sizes, view->flow);
     const state initial = state_view(s, view->initial);
     if (!(*view->period >= SHORTEST) || (*view->supervised != 0 && s->hypotheses == 1)
+        || (*view->torque_rate > 0.0 && s->width == s->n)
         || !state_is_sound(view, &initial)) {
         return "expected a model's record of numbers that belong together";
     }
@@ -246,7 +247,7 @@ static void renew(const model *m, const state *at, long kind)
     }
     for (long j = 0; j < p && kind == COLOURED_NOISE; j++) {
         const double std = m->constants[COLOUR_SIZE];
-        h.covariance[(n + 1 + j) * width + n + 1 + j] = m->R[j * p + j] * std * std;
+        h.covariance[(n + 1 + j) * (width + 1)] = m->R[j * p + j] * std * std;
     }
 }
 
@@ -315,11 +316,9 @@ static void count_repeats(
         return;
     }
     if (isfinite(difference) && isfinite(change)) {
-        const int is_first = *of->step == 0.0;
-        *of->step = is_first ? difference : minimum(difference, rate * *of->step);
-        *of->rough = is_first                ? change
-                     : change > *of->rough ? *of->rough * rate
-                                           : *of->rough / rate;
+        const double next = change > *of->rough ? *of->rough * rate : *of->rough / rate;
+        *of->rough = *of->step == 0.0 ? change : next;
+        *of->step = *of->step == 0.0 ? difference : minimum(difference, rate * *of->step);
     }
     *of->value = y;
     *of->nearest = distance;
@@ -360,25 +359,25 @@ static void examine(const model *m, state *at, correction *effect)
     }
 }
 
-/* Add to the covariance what the samples of a sensor have done since it is stuck. */
-static void distrust_stuck(
-    const model *m, const state *at, const hypothesis *h, correction *effect)
+/* Add to the covariances what the samples of a sensor have done since it is stuck. */
+static void distrust_stuck(const model *m, const state *at, correction *effect)
 {
-    const long width = m->s.width, p = m->s.p;
+    const long n = m->s.n, p = m->s.p, width = m->s.width;
+    hypothesis h;
     for (long i = 0; i < p; i++) {
         const sensor of = sensor_of(m, at, i);
         const double variance = m->innovation_covariance[i * p + i];
+        double *moved = effect->crossed;
         if (!is_stuck(m, &of) || *of.repeats != *m->stuck_samples || at->y[i] != at->y[i]) {
             continue;
         }
-        leave_certified(m, at, h, BASIS_GAP);
-        for (long a = 0; a < m->s.n; a++) {
-            effect->crossed[a] = dot(m->C + i * width, m->X + a * width, m->s.n) / variance;
+        for (long a = 0; a < n; a++) {
+            moved[a] = *of.pull * (dot(m->C + i * width, m->X + a * width, n) / variance);
         }
-        for (long a = 0; a < m->s.n; a++) {
-            for (long b = 0; b < m->s.n; b++) {
-                h->covariance[a * width + b]
-                    += *of.pull * effect->crossed[a] * (*of.pull * effect->crossed[b]);
+        for (long j = 0; find_live(m, at, &j, &h); j++) {
+            leave_certified(m, at, &h, BASIS_GAP);
+            for (long a = 0; a < n; a++) {
+                add_scaled(h.covariance + a * width, moved[a], moved, n);
             }
         }
     }
@@ -506,8 +505,7 @@ static long place_for(const model *m, const state *at, double score)
 
 /* Open what a fork supposes to have changed at an outlier of an output. */
 static void open_fork(
-    const model *m, const state *at, hypothesis *h, int64_t fork, long output,
-    double innovation)
+    const model *m, const state *at, hypothesis *h, int64_t fork, long output, double innovation)
 {
     const long n = m->s.n, width = m->s.width;
     const double *map = m->disturbance_map + output * width;
@@ -516,7 +514,7 @@ static void open_fork(
         if (*h->kind != DRIFT) {
             take_for(m, at, h, DRIFT);
         }
-        P[(n + 1 + output) * width + n + 1 + output] += innovation * innovation;
+        P[(n + 1 + output) * (width + 1)] += innovation * innovation;
         return;
     }
     for (long i = 0; i < n; i++) {
@@ -538,10 +536,9 @@ static void open_fork(
     }
 }
 
-/* Suppose that something happened at this sample, which the best hypothesis did not expect from an output and
- * is not corrected by yet; the outputs that it takes for regular are of `weigh`. */
-static void suppose(
-    const model *m, const state *at, int64_t fork, long output, correction *effect)
+/* Suppose that something happened at this sample, which the best hypothesis did not expect from an
+ * output and is not corrected by yet; the outputs that it takes for regular are of `weigh`. */
+static void suppose(const model *m, const state *at, int64_t fork, long output, correction *effect)
 {
     const double price = m->constants[fork == MOVED ? LOST_PRICE : FORK_PRICE];
     const hypothesis from = best_of(m, at);
@@ -625,21 +622,19 @@ static void rest(const model *m, state *at)
     }
 }
 
-/* Return whether the plant has moved by more than its bounds in the last seconds. At rest,
+/* Follow whether the plant has moved by more than its bounds in the last seconds. At rest,
  * regressors follow the noise of the estimate: what they show is false. */
-static int moves(const model *m, state *at, const hypothesis *h)
+static void follow_motion(const model *m, state *at, const hypothesis *h)
 {
     const double share = *h->learning >= *m->adaptation_start ? share_of(*m->period, 2.0) : 1.0;
-    int moving = 0;
+    *at->moving = 0;
     for (long i = 0; i < m->s.plant; i++) {
         const double off = h->x[i] - at->centre[i];
-        const double least
-            = m->constants[MOVING] * maximum(*at->noise_scale, 1.0) * m->state_std[i];
+        const double least = m->constants[MOVING] * scale_of(at) * m->state_std[i];
         at->centre[i] += share * off;
         at->spread[i] = (1.0 - share) * (at->spread[i] + share * off * off);
-        moving = moving || at->spread[i] > least * least;
+        *at->moving |= at->spread[i] > least * least;
     }
-    return moving;
 }
 
 /* Write what the sample is to the best hypothesis, which is not corrected by it yet. */
@@ -698,6 +693,20 @@ static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, c
     }
 }
 
+/* Correct a hypothesis of the bank. */
+static void use_sample(const model *m, state *at, long place, correction *effect)
+{
+    hypothesis h = hypothesis_of(m, at, place);
+    weigh(m, at, &h, effect);
+    if (place == *at->best) {
+        fork_best(m, at, effect);
+    }
+    if (place == AS_DESIGNED && *at->awake > 0.0) {
+        listen(m, at, effect);
+    }
+    *h.score += correct_hypothesis(m, at, &h, effect);
+}
+
 /* Correct all hypotheses, and fork the best one where it does not expect a sample. */
 static void correct_bank(const model *m, state *at, correction *effect)
 {
@@ -707,7 +716,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
     weigh(m, at, &h, effect);
     examine(m, at, effect);
     report(m, &h, effect);
-    *at->moving = moves(m, at, &h);
+    follow_motion(m, at, &h);
     if (*m->supervised == 0) {
         correct_hypothesis(m, at, &h, effect);
         reset_if_rejecting(m, at, &h, effect);
@@ -720,26 +729,14 @@ static void correct_bank(const model *m, state *at, correction *effect)
         wake(m, at);
     }
     *at->outliers += outliers;
+    distrust_stuck(m, at, effect);
+    /* What begins as a copy of the best one, which is last, is none that was corrected already. */
     for (long i = m->s.hypotheses - 1; i >= 0; i--) {
-        hypothesis other = hypothesis_of(m, at, i);
-        if (*other.live == 0) {
-            continue;
-        }
-        distrust_stuck(m, at, &other, effect);
-        if (i != best) {
-            weigh(m, at, &other, effect);
-            if (i == AS_DESIGNED && *at->awake > 0.0) {
-                listen(m, at, effect);
-            }
-            *other.score += correct_hypothesis(m, at, &other, effect);
+        if (i != best && *hypothesis_of(m, at, i).live != 0) {
+            use_sample(m, at, i, effect);
         }
     }
-    weigh(m, at, &h, effect); /* others have written over it, and the noise may have grown */
-    fork_best(m, at, effect);
-    if (best == AS_DESIGNED && *at->awake > 0.0) {
-        listen(m, at, effect);
-    }
-    *h.score += correct_hypothesis(m, at, &h, effect);
+    use_sample(m, at, best, effect);
     compare(m, at);
     select_forks(m, at);
     for (long i = 0; find_live(m, at, &i, &h) && i < STANDING; i++) {
@@ -834,19 +831,20 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
         }
     }
     *at->in_gap = in_gap;
-    if (!between_samples) {
-        for (long i = 0; i < m->s.past; i++) {
-            at->past[2 * i + 1] += duration;
-        }
-        if (m->s.past > 0 && !isinf(at->past[1])) {
-            at->held[0] = mean_torque(m, at, 0.0, *m->period);
-        }
-        *at->torque_age += duration;
-        *at->since += duration;
-        *at->age += duration;
-        *at->awake = maximum(0.0, *at->awake - duration);
-        for (long i = 0; i < m->s.p; i++) {
-            *sensor_of(m, at, i).since += duration;
-        }
+    if (between_samples) {
+        return;
+    }
+    for (long i = 0; i < m->s.past; i++) {
+        at->past[2 * i + 1] += duration;
+    }
+    if (m->s.past > 0 && !isinf(at->past[1])) {
+        at->held[0] = mean_torque(m, at, 0.0, *m->period);
+    }
+    *at->torque_age += duration;
+    *at->since += duration;
+    *at->age += duration;
+    *at->awake = maximum(0.0, *at->awake - duration);
+    for (long i = 0; i < m->s.p; i++) {
+        *sensor_of(m, at, i).since += duration;
     }
 }

@@ -73,17 +73,9 @@ static outlook expect(
     const long used = states_in_use(m, h), place = part_of(m, h, i);
     const double *C = m->C + i * width, scale = noise_of(m, at, i);
     const double factor = *h->kind == LOUD ? m->constants[NOISE_FACTOR] : 1.0;
-    double expected = dot(C, h->x, n);
+    const double designed = dot(C, h->x, n) + dot(m->D + i * p, at->sample, p);
     outlook of = {0.0, 0.0, 0.0, 0.0, 0};
-    if (*m->gain_mode == GAIN_OPEN) {
-        of.known = m->R[i * p + i];
-        of.innovation = at->y[i] - (expected + dot(m->D + i * p, at->sample, p));
-        return of;
-    }
-    if (place >= 0) {
-        expected += h->x[place];
-    }
-    of.innovation = at->y[i] - expected;
+    of.innovation = at->y[i] - (designed + (place < 0 ? 0.0 : h->x[place]));
     if (*h->certified != 0) {
         of.known = scale * scale * m->innovation_covariance[i * p + i];
         return of;
@@ -198,16 +190,14 @@ static void adapt_by(
 /* Use the pending change of the parameters from when it is significant on. */
 static void use_pending(const model *m, hypothesis *h, correction *effect)
 {
-    const long k = m->s.k, width = m->s.width, used = states_in_use(m, h);
+    const long k = m->s.k, used = states_in_use(m, h);
     if (*h->significant == 0) {
         solve(h->gamma, h->pending, effect->root, effect->scaled, k);
         *h->significant = dot(h->pending, effect->scaled, k) > *m->significance;
     }
     if (*h->significant != 0) {
         for (long a = 0; a < k; a++) {
-            for (long j = 0; j < used; j++) {
-                h->x[j] += h->upsilon[a * width + j] * h->pending[a];
-            }
+            add_scaled(h->x, h->pending[a], h->upsilon + a * m->s.width, used);
             h->theta[a] += h->pending[a];
             h->pending[a] = 0.0;
         }
@@ -521,10 +511,8 @@ static void rub(double change, long place, long n, long width, double *x, double
     root = sqrt(x[place] * x[place] + HALF_PI * variance);
     slope = 1.0 / (1.0 + change * HALF_PI * variance / (root * root * root));
     x[place] -= copysign(fmin(change * fabs(x[place]) / root, fabs(x[place])), x[place]);
-    for (long i = 0; i < n; i++) {
+    for (long i = 0; i < n; i++) { /* twice on the diagonal */
         P[place * width + i] *= slope;
-    }
-    for (long i = 0; i < n; i++) {
         P[i * width + place] *= slope;
     }
 }

@@ -115,11 +115,9 @@ static double value_of(
         scratch->share[a] = dot(functional, h->upsilon + a * width, used);
     }
     *variance = *h->certified != 0 ? 0.0 : quadratic(h->covariance, width, functional, used);
-    double value = dot(functional, h->x, used);
-    if (what == DISTURBANCE && *m->gain_mode == GAIN_OPEN) {
-        value += dot(m->disturbance_direct + place * m->s.p, at->sample, m->s.p);
-    }
-    return value;
+    const double value = dot(functional, h->x, used);
+    return what == TORQUE ? value
+                          : value + dot(m->disturbance_direct + place * m->s.p, at->sample, m->s.p);
 }
 
 /* Mix a quantity, and write it and its bound in a unit; `least`: its 1-sigma by the certificate. Return
