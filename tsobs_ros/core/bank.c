@@ -264,7 +264,7 @@ static void wake(const model *m, state *at)
             renew(m, at, kind);
         }
     }
-    *at->awake = m->constants[AWAKE];
+    *at->awake = c[AWAKE];
 }
 
 /* --- the sensors --- */
@@ -331,10 +331,11 @@ static int is_stuck(const model *m, const sensor *of)
 }
 
 /* Look at the samples as the best hypothesis expects them: count repetitions, and under supervision
- * leave out those of stuck sensors, and follow the noise. */
-static void examine(const model *m, state *at, correction *effect)
+ * leave out those of stuck sensors, and follow the noise. Return whether there are outliers then. */
+static int examine(const model *m, state *at, correction *effect)
 {
     double scale = -INFINITY;
+    int outliers = 0;
     for (long i = 0; i < m->s.p; i++) {
         sensor of = sensor_of(m, at, i);
         outlook *expected = outlook_of(effect, i);
@@ -353,10 +354,12 @@ static void examine(const model *m, state *at, correction *effect)
             scale_noise(m, &of, innovation, m->innovation_covariance[i * m->s.p + i]);
         }
         scale = maximum(scale, *of.noise_scale);
+        outliers = outliers || (effect->heard[i] && !expected->used);
     }
     if (scale > 0.0) {
         *at->noise_scale = scale;
     }
+    return outliers;
 }
 
 /* Add to the covariances what the samples of a sensor have done since it is stuck. */
@@ -712,18 +715,14 @@ static void correct_bank(const model *m, state *at, correction *effect)
 {
     const long best = *at->best;
     hypothesis h = hypothesis_of(m, at, best);
-    int outliers = 0;
     weigh(m, at, &h, effect);
-    examine(m, at, effect);
+    const int outliers = examine(m, at, effect);
     report(m, &h, effect);
     follow_motion(m, at, &h);
     if (*m->supervised == 0) {
         correct_hypothesis(m, at, &h, effect);
         reset_if_rejecting(m, at, &h, effect);
         return;
-    }
-    for (long i = 0; i < m->s.p; i++) {
-        outliers = outliers || (effect->heard[i] && !outlook_of(effect, i)->used);
     }
     if (*at->age > 0.0 && (outliers || *h.slow_power > m->constants[SIGN_SLOW])) {
         wake(m, at);

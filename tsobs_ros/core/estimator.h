@@ -8,9 +8,8 @@
  * All hypotheses are stepped by the same code and differ in numbers only. The weights follow Bayes'
  * rule; what is published is the mixture. docs/estimator.md explains it.
  *
- * Fields of n states have rows of `width` numbers: the design's states, and behind them
- * the auxiliary ones, first the unknown torque, then parts of the sensors' disturbance. Flags are 0
- * or 1.
+ * Fields of n states have rows of `width` numbers: the design's states, and behind them the auxiliary
+ * ones, first the unknown torque, then parts of the sensors' disturbance. Flags are 0 or 1.
  */
 #ifndef TSOBS_ESTIMATOR_H
 #define TSOBS_ESTIMATOR_H

@@ -417,35 +417,6 @@ static int64_t cut_into_steps(double duration, double period, double *rest)
     return whole;
 }
 
-/* Move over a time in nominal steps and a last one, each with the torque that reaches the motor in
- * it. An observer that is not corrected has the newest samples as signals, too. */
-static void move(
-    const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
-    work *scratch)
-{
-    const flow *f = &m->design_flow;
-    const flow_sizes sizes = flow_sizes_of(m->flow);
-    const int is_late = m->s.past > 0 && isfinite(at->past[1]);
-    double *u = scratch->inputs, rest;
-    const int64_t whole = cut_into_steps(duration, *m->period, &rest);
-    linear_step over = {*m->period, f->phi, f->gamma, f->noise};
-    const flow_step step = flow_step_view(&sizes, scratch->flow);
-    for (int64_t taken = 0; taken < whole + (rest > 0.0); taken++) {
-        if (taken == whole) {
-            over = other_step(f, rest, &step);
-        }
-        memcpy(u, at->held, (size_t)m->s.m * sizeof *u);
-        if (is_late) {
-            u[0] = mean_torque(m, at, (double)taken * *m->period, over.duration);
-        }
-        if (*m->gain_mode == GAIN_OPEN) {
-            memcpy(u + m->s.m, at->sample, (size_t)m->s.p * sizeof *u);
-            memcpy(u + m->s.m + m->s.p, at->sample, (size_t)m->s.p * sizeof *u);
-        }
-        step_hypothesis(m, h, &over, u, simple, forgotten, &step, scratch);
-    }
-}
-
 /* Let the excitation fade and Gamma grow, but no variance beyond the initial one. */
 static void forget_slowly(const model *m, hypothesis *h, double duration)
 {
@@ -467,19 +438,36 @@ void predict_hypothesis(
     const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
     work *scratch)
 {
-    const long n = m->s.n, plant = m->s.plant, width = m->s.width;
     const flow *f = &m->design_flow;
-    move(m, at, h, duration, simple, forgotten, scratch);
+    const flow_sizes sizes = flow_sizes_of(m->flow);
+    const flow_step step = flow_step_view(&sizes, scratch->flow);
+    const int is_late = m->s.past > 0 && isfinite(at->past[1]);
+    double *u = scratch->inputs, rest;
+    const int64_t whole = cut_into_steps(duration, *m->period, &rest);
+    linear_step over = {*m->period, f->phi, f->gamma, f->noise};
+    for (int64_t taken = 0; taken < whole + (rest > 0.0); taken++) {
+        if (taken == whole) {
+            over = other_step(f, rest, &step);
+        }
+        memcpy(u, at->held, (size_t)m->s.m * sizeof *u);
+        if (is_late) { /* the torque that reaches the motor in this step */
+            u[0] = mean_torque(m, at, (double)taken * *m->period, over.duration);
+        }
+        if (*m->gain_mode == GAIN_OPEN) { /* the newest samples are signals, too */
+            memcpy(u + m->s.m, at->sample, (size_t)m->s.p * sizeof *u);
+            memcpy(u + m->s.m + m->s.p, at->sample, (size_t)m->s.p * sizeof *u);
+        }
+        step_hypothesis(m, h, &over, u, simple, forgotten, &step, scratch);
+    }
     if ((*h->kind == IMPERFECT || *h->kind == TONE) && !simple) {
         /* What is left of a tone moves the arm's estimate, but its model is not that wrong. */
         const double imperfection = m->constants[IMPERFECTION];
         const double more = ((*h->kind == TONE ? sqrt(sqrt(imperfection)) : imperfection) - 1.0)
                             * (duration / *m->period);
         const double half = *f->kind == KIND_SYSTEM ? 2.0 : 1.0;
-        for (long i = 0; i < plant; i++) {
-            for (long j = 0; j < plant; j++) {
-                h->covariance[i * width + j] += half * more * f->noise[i * n + j];
-            }
+        for (long i = 0; i < m->s.plant; i++) {
+            add_scaled(
+                h->covariance + i * m->s.width, half * more, f->noise + i * m->s.n, m->s.plant);
         }
     }
     *h->corrected = 0;
