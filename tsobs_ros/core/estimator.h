@@ -218,7 +218,8 @@ enum { OUTLOOK_SIZE = sizeof(outlook) / sizeof(double) };
     F(MATRIX, innovation_covariance, s->p, s->p)                                          \
     F(COUNTS, heard, s->p, 1) /* whether a sample is there, and no stuck sensor's */      \
     F(MATRIX, outlooks, s->p, OUTLOOK_SIZE)                                               \
-    F(VECTOR, crossed, s->width, 1) /* covariance of an innovation with the states */     \
+    F(VECTOR, row, s->width, 1) /* states to an output, */                                \
+    F(VECTOR, crossed, s->width, 1) /* whose innovation has this covariance with them */  \
     F(VECTOR, gain, s->width, 1) /* of an output */                                       \
     F(MATRIX, omega, s->p, s->k) /* dy/dtheta */                                          \
     F(VECTOR, cross, s->k, 1)                                                             \

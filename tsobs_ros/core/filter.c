@@ -51,56 +51,57 @@ void leave_certified(const model *m, const state *at, const hypothesis *h, int64
     const long n = m->s.n, width = m->s.width;
     const double *bound = *h->corrected != 0 ? m->posterior : m->X;
     const double square = scale_of(at) * scale_of(at);
-    if (*h->certified != 0) {
-        for (long i = 0; i < n; i++) {
-            for (long j = 0; j < n; j++) {
-                h->covariance[i * width + j] = square * bound[i * width + j];
-            }
-        }
-        *h->certified = 0;
-        *h->cause = cause;
+    if (*h->certified == 0) {
+        return;
     }
+    for (long i = 0; i < n; i++) {
+        for (long j = 0; j < n; j++) {
+            h->covariance[i * width + j] = square * bound[i * width + j];
+        }
+    }
+    *h->certified = 0;
+    *h->cause = cause;
 }
 
 /* --- correction --- */
 
-/* Return what the filter expects of an output; unless the gain is the certified one, write the
- * covariance of the innovation with the states, `crossed`. */
+/* Return what the filter expects of an output; write the output's row of states in use and, unless the
+ * gain is the certified one, the covariance of the innovation with them, `crossed`. */
 static outlook expect(
     const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
-    const long n = m->s.n, p = m->s.p, width = m->s.width;
+    const long p = m->s.p, width = m->s.width;
     const long used = states_in_use(m, h), place = part_of(m, h, i);
-    const double *C = m->C + i * width, scale = noise_of(m, at, i);
+    const double scale = noise_of(m, at, i);
     const double factor = *h->kind == LOUD ? m->constants[NOISE_FACTOR] : 1.0;
-    const double designed = dot(C, h->x, n) + dot(m->D + i * p, at->sample, p);
+    double *row = effect->row;
     outlook of = {0.0, 0.0, 0.0, 0.0, 0};
-    of.innovation = at->y[i] - (designed + (place < 0 ? 0.0 : h->x[place]));
+    memcpy(row, m->C + i * width, (size_t)width * sizeof *row);
+    if (place >= 0) {
+        row[place] = 1.0;
+    }
+    of.innovation = at->y[i] - (dot(row, h->x, used) + dot(m->D + i * p, at->sample, p));
     if (*h->certified != 0) {
         of.known = scale * scale * m->innovation_covariance[i * p + i];
         return of;
     }
     for (long j = 0; j < used; j++) {
-        const double *row = h->covariance + j * width;
-        effect->crossed[j] = dot(C, row, n) + (place < 0 ? 0.0 : row[place]);
+        effect->crossed[j] = dot(row, h->covariance + j * width, used);
     }
-    of.known = dot(C, effect->crossed, n) + (place < 0 ? 0.0 : effect->crossed[place])
-               + m->R[i * p + i] * (scale * scale * factor);
+    of.known = dot(row, effect->crossed, used) + m->R[i * p + i] * (scale * scale * factor);
     return of;
 }
 
-/* Look at a sample; write Omega = C Upsilon. The likelihood of an outlier is the same wherever the sample
- * is, and whatever the filter expects. */
+/* Look at a sample; write Omega = C Upsilon. The likelihood of an outlier is the same wherever the
+ * sample is, and whatever the filter expects. */
 static outlook look(const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
-    const long n = m->s.n, k = m->s.k, p = m->s.p, width = m->s.width;
-    const long place = part_of(m, h, i);
+    const long k = m->s.k, p = m->s.p, used = states_in_use(m, h);
     const double scale = noise_of(m, at, i);
     double *omega = effect->omega + i * k;
     outlook of = expect(m, at, h, i, effect);
     for (long a = 0; a < k; a++) {
-        const double *row = h->upsilon + a * width;
-        omega[a] = dot(m->C + i * width, row, n) + (place < 0 ? 0.0 : row[place]);
+        omega[a] = dot(effect->row, h->upsilon + a * m->s.width, used);
     }
     of.variance = of.known + (k > 0 ? maximum(quadratic(h->gamma, k, omega, k), 0.0) : 0.0);
     if (!effect->heard[i]) {

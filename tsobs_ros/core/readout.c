@@ -12,11 +12,6 @@
 
 #include <string.h>
 
-static double root(double variance)
-{
-    return variance >= 0.0 ? sqrt(variance) : (double)NAN;
-}
-
 /* Return by how much the errors of a hypothesis are larger than it says: by white noise where the
  * bound is the certificate's, and by slow innovations, which a wrong model makes. */
 static double spread_of(const model *m, const state *at, const hypothesis *h, int slow)
@@ -24,26 +19,6 @@ static double spread_of(const model *m, const state *at, const hypothesis *h, in
     const double late = *at->late != 0 ? *m->late_factor : 1.0;
     const double spread = *h->certified != 0 ? scale_of(at) * late : 1.0;
     return spread * sqrt(maximum(*h->nis, 1.0)) * (slow ? maximum(slowness_of(m, h), 1.0) : 1.0);
-}
-
-/* What the hypotheses together say of a number. */
-typedef struct {
-    double mean, square, own; /* of values, of their squares, and of the bounds' squares */
-} mixture;
-
-/* Add what a hypothesis says, weighed. */
-static void mix(mixture *to, double weight, double value, double bound)
-{
-    to->mean += weight * value;
-    to->square += weight * value * value;
-    to->own += weight * bound * bound;
-}
-
-/* Return the mixture's 1-sigma: the mean of the variances, and the variance of the means. */
-static double bound_of_mixture(const mixture *of)
-{
-    const double apart = of->square - of->mean * of->mean;
-    return root(of->own + (apart > 0.0 ? apart : 0.0));
 }
 
 /* Write the weights of the hypotheses, 0 of those that do not count. */
@@ -63,9 +38,9 @@ static void weigh_all(const model *m, const state *at, double *weights)
 /* Return what a state's bounds rest on, and whether they are claimed to hold. */
 static int64_t basis_of(const model *m, const hypothesis *best, double *claimed)
 {
-    const int calm = *best->nis <= m->constants[VOID] && slowness_of(m, best) <= 4.0 * m->constants[VOID];
-    *claimed = calm;
-    if (!calm) {
+    const double most = m->constants[VOID];
+    *claimed = *best->nis <= most && slowness_of(m, best) <= 4.0 * most;
+    if (*claimed == 0.0) {
         return BASIS_CONTRADICTED;
     }
     if (*best->kind != AS_DESIGNED) {
@@ -97,9 +72,7 @@ static double value_of(
     const model *m, const state *at, const hypothesis *h, int what, long place, double *variance,
     work *scratch)
 {
-    const long width = m->s.width, used = states_in_use(m, h), part = part_of(m, h, place);
-    const double *map = what == TORQUE ? m->torque_map : m->disturbance_map;
-    double *functional = scratch->functional;
+    const long width = m->s.width;
     if (what == STATE || what == PARAMETER) {
         for (long a = 0; a < m->s.k; a++) {
             scratch->share[a] = what == STATE ? h->upsilon[a * width + place] : a == place;
@@ -107,6 +80,9 @@ static double value_of(
         *variance = what == STATE ? h->covariance[place * (width + 1)] : 0.0;
         return what == STATE ? h->x[place] : h->theta[place];
     }
+    const long used = states_in_use(m, h), part = part_of(m, h, place);
+    const double *map = what == TORQUE ? m->torque_map : m->disturbance_map;
+    double *functional = scratch->functional;
     memcpy(functional, map + place * width, (size_t)width * sizeof *functional);
     if (what == DISTURBANCE && part >= 0 && *h->kind != COLOURED_NOISE) {
         functional[part] = 1.0;
@@ -120,36 +96,41 @@ static double value_of(
                           : value + dot(m->disturbance_direct + place * m->s.p, at->sample, m->s.p);
 }
 
-/* Mix a quantity, and write it and its bound in a unit; `least`: its 1-sigma by the certificate. Return
- * their sum. Slow innovations do not widen the bound of an unknown torque: it is what explains them.
- * What was learnt of parameters over a distance is wrong by a share of it: regressors move with x^. */
+/* Write the mean of a quantity over the hypotheses and its bound in a unit, by the mean of the variances
+ * and the variance of the means; return their sum. least: its 1-sigma by the certificate. Slow
+ * innovations do not widen the bound of an unknown torque: it is what explains them. What was learnt of
+ * parameters over a distance is wrong by a share of it: regressors move with x^. */
 static double read_one(
     const model *m, const state *at, int what, long place, double least, double unit, double *value,
     double *bound, work *scratch)
 {
     const long k = m->s.k;
-    mixture all = {0.0, 0.0, 0.0};
+    double mean = 0.0, mean_square = 0.0, within = 0.0;
     for (long j = 0; j < m->s.hypotheses; j++) {
+        const double weight = scratch->weights[j];
         double variance, shift = 0.0, curved = 0.0;
-        if (!(scratch->weights[j] > 0.0)) {
+        if (!(weight > 0.0)) {
             continue;
         }
         const hypothesis h = hypothesis_of(m, at, j);
         const double said = value_of(m, at, &h, what, place, &variance, scratch);
         const int is_constant = *h.certified != 0 || *m->gain_mode == GAIN_OPEN;
         const double own
-            = (is_constant ? least : root(variance)) * spread_of(m, at, &h, what != TORQUE);
+            = (is_constant ? least : sqrt(variance)) * spread_of(m, at, &h, what != TORQUE);
         for (long a = 0; a < k; a++) {
             const double moved = h.theta[a] + h.pending[a] - h.anchor[a];
             shift += scratch->share[a] * h.pending[a];
             curved += scratch->share[a] * (m->constants[CURVED] * moved);
         }
         const double added = k > 0 ? maximum(quadratic(h.gamma, k, scratch->share, k), 0.0) : 0.0;
-        mix(&all, scratch->weights[j], said,
-            root(own * own + (added + shift * shift + curved * curved)));
+        const double std = sqrt(own * own + (added + shift * shift + curved * curved));
+        mean += weight * said;
+        mean_square += weight * said * said;
+        within += weight * std * std;
     }
-    *value = unit * all.mean;
-    *bound = fabs(unit) * bound_of_mixture(&all);
+    const double between = mean_square - mean * mean;
+    *value = unit * mean;
+    *bound = fabs(unit) * sqrt(within + (between > 0.0 ? between : 0.0));
     return *value + *bound;
 }
 
