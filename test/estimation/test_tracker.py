@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator, TorqueLimits
 from tsobs_ros.estimation.records import Estimate, Measurement, RejectReason
+from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.arm import TorquePath
@@ -226,6 +227,13 @@ def test_enormous_numbers_never_give_an_estimate_that_is_not_finite(
     assert enormous.restarts <= enormous.failures
     # An enormous torque alone leaves numbers that are absurd, but numbers.
     assert (enormous.failures > 0) == (field == "y" and size > 1e307)
+
+
+@pytest.mark.parametrize("field", ["x", "nis", "colour"])
+def test_numbers_that_are_not_finite_give_no_estimate(field: str) -> None:
+    (broken := tracker()).offer(sample(0), END)
+    likeliest(broken.state)[field] = np.nan
+    assert broken.estimate(BEGIN) is None
 
 
 def test_stamps_of_the_past_are_refused_by_their_reason() -> None:

@@ -6,7 +6,7 @@
  * Each sample is weighed by every hypothesis, and adds the logarithm of its likelihood to their
  * scores. A sample that the best one takes for an outlier may be that, or the first of something
  * new: then forks of the best one suppose that the sensor jumped, that the arm was hit, or that it
- * was put elsewhere. The samples that follow decide; a fork that stays the best takes its parent's place.
+ * was put elsewhere. The samples that follow decide: the best fork takes its parent's place.
  *
  * While nothing contradicts the design, it is alone, and the others sleep.
  */
@@ -45,7 +45,8 @@ static int state_is_sound(const model *m, const state *at)
     for (long i = 0; i < m->s.hypotheses; i++) {
         const hypothesis h = hypothesis_of(m, at, i);
         if (*h.kind < 0 || *h.kind >= STANDING || *h.output < 0 || *h.output >= m->s.p
-            || *h.fork < NO_FORK || *h.fork > MOVED || (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
+            || *h.fork < NO_FORK || *h.fork > MOVED
+            || (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
             return 0;
         }
     }
@@ -98,9 +99,9 @@ void copy_state(const model *m, const double *from, double *to)
 
 /* --- torques --- */
 
-/* A command is a step: a torque acts from `delay` after its sample until `delay` after the next one.
- * A prediction is by the mean of these steps over each of its own, whose effect on velocities is
- * that of the steps themselves. */
+/* A command is a step: a torque acts from `delay` after its sample until `delay` after the next
+ * one. A prediction is by the mean of these steps over each of its own, whose effect on velocities
+ * is that of the steps themselves. */
 
 /* Return the torque at the motor once a command has arrived there. */
 static double at_motor(const model *m, double command)
@@ -217,8 +218,8 @@ static void clear_auxiliary(const model *m, const hypothesis *h, long first, lon
     }
 }
 
-/* Take arm and sensors for something else: what was a part of the sensors is the disturbance's again,
- * but a torque that is unknown in a gap is so whatever they are taken for. */
+/* Take arm and sensors for something else: what was a part of the sensors is the disturbance's
+ * again, but a torque that is unknown in a gap is so whatever they are taken for. */
 static void take_for(const model *m, const state *at, const hypothesis *h, int64_t kind)
 {
     *h->kind = kind;
@@ -295,12 +296,12 @@ static void scale_noise(const model *m, sensor *of, double innovation, double va
 
 /* Count a repetition of a value if it speaks for a stuck sensor.
  *
- * If noise hides the sensor's steps, each does. Else a value repeats whenever the arm rests or moves by
- * less than a step, so that a repetition counts only once the prediction has left the value: once the
- * innovation exceeds the least that it has been by more than a step and the prediction's own sigma. The
- * step is learnt as the smallest difference of successive values, and the noise as the running median
- * of those of innovations, which the motion is not in; neither grows by more than a fiftieth at once,
- * so that a single odd value is forgotten. */
+ * If noise hides the sensor's steps, each does. Else a value repeats whenever the arm rests or
+ * moves by less than a step, so that a repetition counts only once the prediction has left the
+ * value: once the innovation exceeds the least that it has been by more than a step and the
+ * prediction's own sigma. The step is learnt as the smallest difference of successive values, and
+ * the noise as the running median of those of innovations, which the motion is not in; neither
+ * grows by more than a fiftieth at once, so that a single odd value is forgotten. */
 static void count_repeats(
     const sensor *of, double y, double innovation, double variance, double noise)
 {
@@ -331,7 +332,8 @@ static int is_stuck(const model *m, const sensor *of)
 }
 
 /* Look at the samples as the best hypothesis expects them: count repetitions, and under supervision
- * leave out those of stuck sensors, and follow the noise. Return whether there are outliers then. */
+ * leave out those of stuck sensors, and follow the noise. Return whether there are
+ * outliers. */
 static int examine(const model *m, state *at, correction *effect)
 {
     double scale = -INFINITY;
@@ -393,14 +395,14 @@ static int is_near(const model *m, double one, double other)
     return one * one < ratio * other * other && other * other < ratio * one * one;
 }
 
-/* Return whether an arm swings by itself at a frequency: there a wrong model of it looks like a tone. */
+/* Return whether an arm swings by itself at a frequency: there a wrong model looks like a tone. */
 static int is_its_own(const model *m, double frequency)
 {
     return is_near(m, frequency, m->modes[0]) || is_near(m, frequency, m->modes[1]);
 }
 
-/* Turn what an output's innovations have of each frequency over a sample, and add the newest. Write how
- * loud each is, the root of its power, 0 where no tone is looked for. */
+/* Turn what an output's innovations have of each frequency over a sample, and add the newest. Write
+ * how loud each is, the root of its power, 0 where no tone is looked for. */
 static void listen_to(
     const model *m, const sensor *of, double r, double elapsed, double share, double *loud)
 {
@@ -416,8 +418,8 @@ static void listen_to(
     }
 }
 
-/* Begin a tone of an output, as a copy of the best hypothesis or with what that has learnt forgotten:
- * what others have learnt while they did not know of the tone is wrong. */
+/* Begin a tone of an output, as a copy of the best hypothesis or with what that has learnt
+ * forgotten: what others have learnt while they did not know of the tone is wrong. */
 static void begin_tone(
     const model *m, const state *at, long place, int64_t output, double frequency, double size)
 {
@@ -779,7 +781,7 @@ void correct(const model *m, state *at, const double *y, correction *effect)
     }
 }
 
-/* Return whether a covariance is below the certificate's bound, by the pivots of their difference. */
+/* Return whether a covariance is below the certificate's bound. */
 static int is_covered(const model *m, const hypothesis *h, double *difference)
 {
     const long n = m->s.n, width = m->s.width;

@@ -1,7 +1,7 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * What the parts of the estimator share: filter.c (one hypothesis), bank.c (all of them), readout.c.
+ * What the parts of the estimator share: filter.c (one hypothesis), bank.c (all), readout.c.
  */
 #ifndef TSOBS_BANK_H
 #define TSOBS_BANK_H
@@ -70,13 +70,13 @@ static inline double slowness_of(const model *m, const hypothesis *h)
 
 /* --- bank.c: torques --- */
 
-/* Return the mean of the torque at the motor over a time that begins `ahead` from now; there are past
- * ones. */
+/* Return the mean of the torque at the motor over a time that begins `ahead` from now; there are
+ * past ones. */
 double mean_torque(const model *m, const state *at, double ahead, double duration);
 
 /* --- filter.c: one hypothesis --- */
 
-/* Return the states in use: the design's, and of the auxiliary ones those that can differ from 0. */
+/* Return the states in use: the design's, and the auxiliary ones that can differ from 0. */
 long states_in_use(const model *m, const hypothesis *h);
 
 /* Return the auxiliary state that is part of an output, or -1. */

@@ -8,8 +8,8 @@
  * All hypotheses are stepped by the same code and differ in numbers only. The weights follow Bayes'
  * rule; what is published is the mixture. docs/estimator.md explains it.
  *
- * Fields of n states have rows of `width` numbers: the design's states, and behind them the auxiliary
- * ones, first the unknown torque, then parts of the sensors' disturbance. Flags are 0 or 1.
+ * Fields of n states have rows of `width` numbers: the design's states, and behind them the
+ * auxiliary ones: the unknown torque, then parts of the sensors' disturbance. Flags are 0 or 1.
  */
 #ifndef TSOBS_ESTIMATOR_H
 #define TSOBS_ESTIMATOR_H
@@ -203,16 +203,16 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
 LAYOUT_DECLARE(state, STATE_FIELDS, estimator_sizes)
 
 /* An output's sample as a hypothesis expects it: the innovation, the variance of what the filter
- * knows of it and, by the parameters, of all, the logarithm of the likelihood, and whether it is used,
- * as it is there, no outlier's, and no stuck sensor's. */
+ * knows of it and, by the parameters, of all, the logarithm of the likelihood, and whether it is
+ * used, as it is there, no outlier's, and no stuck sensor's. */
 typedef struct {
     double innovation, known, variance, likelihood;
     int64_t used;
 } outlook;
 enum { OUTLOOK_SIZE = sizeof(outlook) / sizeof(double) };
 
-/* A sample as the likeliest hypothesis expects it; and as scratch of the step that one after the other
- * does, at the end the likeliest. */
+/* A sample as the likeliest hypothesis expects it; and as scratch of the step that one after the
+ * other does, at the end the likeliest. */
 #define CORRECTION_FIELDS(F, s)                                                           \
     F(VECTOR, innovation, s->p, 1)                                                        \
     F(MATRIX, innovation_covariance, s->p, s->p)                                          \
@@ -324,8 +324,8 @@ typedef struct {
     MODEL_FIELDS(LAYOUT_POINTER, unused)
 } model;
 
-/* Bind a view to a model record of so many numbers, which is only read. Return NULL, or what is wrong
- * with its sizes. */
+/* Bind a view to a model record of so many numbers, which is only read. Return NULL, or what is
+ * wrong with its sizes. */
 const char *model_view(double *memory, size_t length, model *view);
 
 /* Copy the numbers of a state onto another state's; those of no hypothesis are not touched. */
@@ -385,16 +385,17 @@ typedef struct {
     const double *durations, *y, *u;
 } sample_log;
 
-/* What a plain Kalman filter knows beside the model: Coulomb friction as the deceleration of link and
- * motor, in design coordinates [1/s^2], and the sigmas beyond which an output is left out. */
+/* What a plain Kalman filter knows beside the model: Coulomb friction as the deceleration of link
+ * and motor, in design coordinates [1/s^2], and the sigmas beyond which an output is left out. */
 typedef struct {
     double link_friction, motor_friction, gate;
 } filter_options;
 
-/* Filter a log in the memory of a state, without supervision: the likelihood of its innovations is that
- * of the model, which identification maximises. Write y - C x of each output given those before it, and
- * its variance, NaN of an output that is missing, (n, p) each; and the states before each sample, (n, n).
- * From `corrected_until` on the filter runs free, and innovations are those of a simulation. */
+/* Filter a log in the memory of a state, without supervision: the likelihood of its innovations is
+ * that of the model, which identification maximises. Write y - C x of each output given those
+ * before it, and its variance, NaN of an output that is missing, (n, p) each; and the states before
+ * each sample, (n, n). From `corrected_until` on the filter runs free, and innovations are those of
+ * a simulation. */
 void write_innovations(
     const model *m, state *at, const sample_log *log, const filter_options *options,
     int64_t corrected_until, double *innovations, double *variances, double *states,

@@ -4,15 +4,15 @@
  * One hypothesis: a filter along the estimate, whatever it supposes.
  *
  * The premise variable is the estimate itself; the flow's closed form of the T-S blend is exact on
- * the domain. The gain is that of Riccati (Kalman), or, as designed and once the certificate's bound
- * X covers the error covariance, the constant certified one, until a sample is missing or late.
+ * the domain. The gain is that of Riccati (Kalman), or, as designed and once the certificate's
+ * bound X covers the error covariance, the constant certified one until a sample is amiss.
  *
  * Parameters are learnt by a filtered-regressor (two-stage) adaptive observer after Q. Zhang
  * (2002): the regressor Upsilon = dx/dtheta is filtered through the observer's own error dynamics,
  * so that the innovation is explained as e = Omega (theta - theta^) + noise with Omega = C Upsilon.
  * A change of theta follows by recursive least squares, projected on its known bounds, and is used
- * from when it is significant. What was learnt far from the truth, along wrong regressors, is learnt
- * again.
+ * from when it is significant. What was learnt far from the truth, along wrong regressors, is
+ * learnt again.
  */
 #include "bank.h"
 
@@ -65,8 +65,8 @@ void leave_certified(const model *m, const state *at, const hypothesis *h, int64
 
 /* --- correction --- */
 
-/* Return what the filter expects of an output; write the output's row of states in use and, unless the
- * gain is the certified one, the covariance of the innovation with them, `crossed`. */
+/* Return what the filter expects of an output; write the output's row of states in use and, unless
+ * the gain is the certified one, the covariance of the innovation with them, `crossed`. */
 static outlook expect(
     const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
@@ -94,7 +94,8 @@ static outlook expect(
 
 /* Look at a sample; write Omega = C Upsilon. The likelihood of an outlier is the same wherever the
  * sample is, and whatever the filter expects. */
-static outlook look(const model *m, const state *at, const hypothesis *h, long i, correction *effect)
+static outlook look(
+    const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
     const long k = m->s.k, p = m->s.p, used = states_in_use(m, h);
     const double scale = noise_of(m, at, i);
@@ -109,7 +110,7 @@ static outlook look(const model *m, const state *at, const hypothesis *h, long i
     }
     const double ratio = of.innovation * of.innovation / of.variance;
     of.likelihood = -0.5 * ratio - 0.5 * logarithm(of.variance);
-    if (*h->kind == TONE) { /* a wrong model of the arm may look like one, but leaves slow innovations */
+    if (*h->kind == TONE) { /* a wrong model may look like one, but leaves slow innovations */
         of.likelihood -= m->constants[TONE_PRICE] * maximum(slowness_of(m, h), 1.0);
     }
     if (*m->supervised == 0) {
@@ -149,8 +150,8 @@ static void follow(
 
 /* Return by how much less than one of the design an innovation says about parameters: by the mean
  * of the covariance relative to the certified bound, as regressors are wrong where x^ is; by what
- * was measured of the innovations; and as neighbours that are alike, by more than the three sigmas of
- * white noise, repeat each other. */
+ * was measured of the innovations; and as neighbours that are alike, by more than the three sigmas
+ * of white noise, repeat each other. */
 static double inflation_of(const model *m, const hypothesis *h)
 {
     const long n = m->s.n, width = m->s.width;
@@ -218,8 +219,8 @@ static void correct_regressors(
     }
 }
 
-/* Correct the estimate by an output with gain K and, unless that is the certified one, the covariance,
- * x <- x + K e,  P <- P - K c'  with K = c / s. */
+/* Correct the estimate by an output with gain K and, unless that is the certified one, the
+ * covariance, x <- x + K e,  P <- P - K c'  with K = c / s. */
 static void correct_estimate(
     const model *m, hypothesis *h, long output, const outlook *of, correction *effect)
 {

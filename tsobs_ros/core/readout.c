@@ -1,8 +1,8 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * What an estimator says: the mixture of its hypotheses, its bounds in physical units, and what they
- * rest on.
+ * What an estimator says: the mixture of its hypotheses, its bounds in physical units, and what
+ * they rest on.
  *
  * The bounds include the uncertainty of the parameters, for x - x^ is the filter's own error plus
  * Upsilon (theta - theta^), of covariance Upsilon Gamma Upsilon', and the distance of hypotheses
@@ -66,8 +66,8 @@ static int is_excited(const model *m, const hypothesis *h, double *gram)
 /* What is read: plant states, parameters, disturbances of outputs, and torques. */
 enum { STATE, PARAMETER, DISTURBANCE, TORQUE };
 
-/* Return what a hypothesis says of a quantity, a parameter or a linear function of the states in use;
- * write the variance of that by its covariance, and the derivatives by the parameters. */
+/* Return what a hypothesis says of a quantity, a parameter or a linear function of the states in
+ * use; write the variance of that by its covariance, and the derivatives by the parameters. */
 static double value_of(
     const model *m, const state *at, const hypothesis *h, int what, long place, double *variance,
     work *scratch)
@@ -96,10 +96,10 @@ static double value_of(
                           : value + dot(m->disturbance_direct + place * m->s.p, at->sample, m->s.p);
 }
 
-/* Write the mean of a quantity over the hypotheses and its bound in a unit, by the mean of the variances
- * and the variance of the means; return their sum. least: its 1-sigma by the certificate. Slow
- * innovations do not widen the bound of an unknown torque: it is what explains them. What was learnt of
- * parameters over a distance is wrong by a share of it: regressors move with x^. */
+/* Write the mean of a quantity over the hypotheses and its bound in a unit, by the mean of the
+ * variances and the variance of the means; return their sum. least: its 1-sigma by the certificate.
+ * Slow innovations do not widen the bound of an unknown torque: it is what explains them. What was
+ * learnt of parameters over a distance is wrong by a share of it: regressors move with x^. */
 static double read_one(
     const model *m, const state *at, int what, long place, double least, double unit, double *value,
     double *bound, work *scratch)
@@ -163,14 +163,15 @@ int read_out(const model *m, const state *at, const estimate *said, work *scratc
             m, at, TORQUE, i, m->torque_std[i], 1.0, said->torque_disturbance + i,
             said->torque_disturbance_bound + i, scratch);
     }
-    for (long a = 0; a < m->s.k; a++) {
+    for (long i = 0; i < m->s.k; i++) {
         total += read_one(
-            m, at, PARAMETER, a, 0.0, 1.0, said->parameters + a, said->parameter_bound + a, scratch);
+            m, at, PARAMETER, i, 0.0, 1.0, said->parameters + i, said->parameter_bound + i,
+            scratch);
     }
     *said->basis = (double)basis_of(m, &best, said->claimed);
     *said->noise_scale = scale_of(at);
     *said->coloured_power = *best.colour;
-    total += *best.colour;
+    total += *said->noise_scale + *said->coloured_power;
     *said->learning = m->s.k == 0                              ? LEARNING_NONE
                       : *best.learning >= *m->adaptation_start ? LEARNING_ACTIVE
                                                                    : LEARNING_STARTING;
