@@ -189,9 +189,12 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
         S = seen @ one["covariance"] @ seen + loud * variance * noise_scale**2
         S = (level if one["certified"] else S) + omega @ one["gamma"] @ omega
         least = -BANK["OUTLIER_PRICE"] - 0.5 * math.log(level)
-        slow = max(1.0, one["slow_power"] / (BANK["QUIET"] * one["nis"]))
-        price = BANK["TONE_PRICE"] * slow if one["kind"] == Hypothesis.TONE else 0.0
-        return max(-0.5 * (y - seen @ one["x"]) ** 2 / S - 0.5 * math.log(S) - price, least)
+        slow = one["slow_power"] / one["nis"]
+        price = max(1.0, slow / BANK["SIGN_SLOW"])
+        if one["kind"] == Hypothesis.TONE:
+            price += 0.5 * (1.0 + max(1.0, slow / BANK["QUIET"]))
+        found = -0.5 * (y - seen @ one["x"]) ** 2 / S - 0.5 * math.log(S)
+        return max(found - BANK["SLOW_PRICE"] * price, least)
 
     state, compared = observer.initial(), set()
     for (y,), u in zip(run.measurements[0], run.torques[0], strict=True):

@@ -110,13 +110,18 @@ static outlook look(
     }
     const double ratio = of.innovation * of.innovation / of.variance;
     of.likelihood = -0.5 * ratio - 0.5 * logarithm(of.variance);
-    if (*h->kind == TONE) { /* a wrong model may look like one, but leaves slow innovations */
-        of.likelihood -= m->constants[TONE_PRICE] * maximum(slowness_of(m, h), 1.0);
-    }
     if (*m->supervised == 0) {
         of.used = !(ratio > *m->gate * *m->gate);
         return of;
     }
+    /* A hypothesis that leaves slow innovations is wrong, however small they are. A tone may leave none, as
+     * a wrong model of the arm may look like one. */
+    const double slowness = slowness_of(m, h);
+    double price = maximum(1.0, slowness * m->constants[QUIET] / m->constants[SIGN_SLOW]);
+    if (*h->kind == TONE) {
+        price += 0.5 * (1.0 + maximum(1.0, slowness));
+    }
+    of.likelihood -= m->constants[SLOW_PRICE] * price;
     const double level = 0.5 * logarithm(scale * scale * m->innovation_covariance[i * p + i]);
     of.used = of.likelihood >= -0.5 * *m->gate * *m->gate - level;
     of.likelihood = maximum(of.likelihood, -m->constants[OUTLIER_PRICE] - level);
