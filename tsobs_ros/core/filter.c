@@ -114,8 +114,8 @@ static outlook look(
         of.used = !(ratio > *m->gate * *m->gate);
         return of;
     }
-    /* A hypothesis that leaves slow innovations is wrong, however small they are. A tone may leave none, as
-     * a wrong model of the arm may look like one. */
+    /* A hypothesis that leaves slow innovations is wrong, however small they are. A tone may leave
+     * none, as a wrong model of the arm may look like one. */
     const double slowness = slowness_of(m, h);
     double price = maximum(1.0, slowness * m->constants[QUIET] / m->constants[SIGN_SLOW]);
     if (*h->kind == TONE) {
