@@ -252,15 +252,16 @@ static void renew(const model *m, const state *at, long kind)
     }
 }
 
-/* Consider all hypotheses that differ from the design for a while, and begin those that sleep. */
+/* Consider all hypotheses that differ from the design for a while, and begin those that sleep; but
+ * tones begin once they are heard. */
 static void wake(const model *m, state *at)
 {
     const double *c = m->constants;
-    const double differences[STANDING] = {
+    const double differences[TONE] = {
         1.0, *m->force, c[IMPERFECTION] - 1.0, c[NOISE_FACTOR] - 1.0, c[COLOUR_SIZE],
         c[DRIFT_SIZE],
     };
-    for (long kind = 0; kind < STANDING; kind++) {
+    for (long kind = 0; kind < TONE; kind++) {
         if (*hypothesis_of(m, at, kind).live == 0 && differences[kind] > 0.0) {
             renew(m, at, kind);
         }
@@ -332,8 +333,7 @@ static int is_stuck(const model *m, const sensor *of)
 }
 
 /* Look at the samples as the best hypothesis expects them: count repetitions, and under supervision
- * leave out those of stuck sensors, and follow the noise. Return whether there are
- * outliers. */
+ * leave out those of stuck sensors, and follow the noise. Return whether there are outliers. */
 static int examine(const model *m, state *at, correction *effect)
 {
     double scale = -INFINITY;
@@ -425,7 +425,7 @@ static void begin_tone(
 {
     const long n = m->s.n, width = m->s.width;
     const hypothesis h = begin_from_best(m, at, place, NO_FORK, -m->constants[FLOOR]);
-    const double off = 0.5 * (m->constants[TONE_RATIO] - 1.0) * frequency; /* to halfway */
+    const double off = halfway_from(m, frequency);
     const double variances[3] = {size * size, size * size, off * off};
     *h.output = output;
     *h.size = size;

@@ -68,6 +68,12 @@ static inline double slowness_of(const model *m, const hypothesis *h)
     return *h->slow_power / (m->constants[QUIET] * *h->nis);
 }
 
+/* Return half the way from a frequency to the next one that is listened to. */
+static inline double halfway_from(const model *m, double frequency)
+{
+    return 0.5 * (m->constants[TONE_RATIO] - 1.0) * frequency;
+}
+
 /* --- bank.c: torques --- */
 
 /* Return the mean of the torque at the motor over a time that begins `ahead` from now; there are

@@ -86,7 +86,7 @@ enum {
     C(LEAST_SCALE, 0.5, "least measured noise, by the design's; 1 is used then")               \
     C(REJECTING, 0.54, "share of used samples below which a lone filter opens its covariance")  \
     C(PATIENCE, 0.5, "time over which that share is averaged [s]")                             \
-    C(SLOW_PRICE, 0.005, "what a sample costs while slow innovations wake the bank [nat]")     \
+    C(SLOW_PRICE, 0.005, "what a sample costs, with slow innovations up to SIGN_SLOW [nat]") \
     C(SIGN_SLOW, 0.7, "power of slow innovations, by white noise's, that wakes the bank")      \
     C(AWAKE, 5.0, "time from the last sign to sleep, and memory of tones [s]")                  \
     C(SLOW_TIME, 0.4, "time constant of slow innovations [s]")                                 \

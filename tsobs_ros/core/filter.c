@@ -92,6 +92,18 @@ static outlook expect(
     return of;
 }
 
+/* Return what a sample costs a hypothesis: one that leaves slow innovations is wrong, however small
+ * they are. A tone may leave none, as a wrong model of the arm may look like one. */
+static double price_of(const model *m, const hypothesis *h)
+{
+    const double slowness = slowness_of(m, h);
+    double price = maximum(1.0, slowness * m->constants[QUIET] / m->constants[SIGN_SLOW]);
+    if (*h->kind == TONE) {
+        price += 0.5 * (1.0 + maximum(1.0, slowness));
+    }
+    return m->constants[SLOW_PRICE] * price;
+}
+
 /* Look at a sample; write Omega = C Upsilon. The likelihood of an outlier is the same wherever the
  * sample is, and whatever the filter expects. */
 static outlook look(
@@ -114,14 +126,7 @@ static outlook look(
         of.used = !(ratio > *m->gate * *m->gate);
         return of;
     }
-    /* A hypothesis that leaves slow innovations is wrong, however small they are. A tone may leave
-     * none, as a wrong model of the arm may look like one. */
-    const double slowness = slowness_of(m, h);
-    double price = maximum(1.0, slowness * m->constants[QUIET] / m->constants[SIGN_SLOW]);
-    if (*h->kind == TONE) {
-        price += 0.5 * (1.0 + maximum(1.0, slowness));
-    }
-    of.likelihood -= m->constants[SLOW_PRICE] * price;
+    of.likelihood -= price_of(m, h);
     const double level = 0.5 * logarithm(scale * scale * m->innovation_covariance[i * p + i]);
     of.used = of.likelihood >= -0.5 * *m->gate * *m->gate - level;
     of.likelihood = maximum(of.likelihood, -m->constants[OUTLIER_PRICE] - level);
@@ -330,9 +335,9 @@ static void write_own_motion(
     }
     if (*h->kind == TONE) {
         const double decay = exponential(-duration / m->constants[TONE_TIME]);
-        const double wander = h->x[m->s.n + 3] * 0.5 * (m->constants[TONE_RATIO] - 1.0);
+        const double frequency = h->x[m->s.n + 3], wander = halfway_from(m, frequency);
         double sin, cos;
-        sine_and_cosine(h->x[m->s.n + 3] * duration, &sin, &cos);
+        sine_and_cosine(frequency * duration, &sin, &cos);
         D[stride + 1] = D[2 * stride + 2] = decay * cos;
         D[stride + 2] = decay * sin;
         D[2 * stride + 1] = -(decay * sin);

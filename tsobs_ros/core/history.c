@@ -14,7 +14,7 @@ static const double NANOSECONDS = 1e9;
 /* Return where the numbers of a state are, given its place from the oldest on. */
 static double *numbers_at(const tracker *t, int64_t place)
 {
-    const int64_t slot = (*t->h.first + place) % (*t->h.max_steps + 2);
+    const int64_t slot = (*t->h.first + place) % slots_for(*t->h.max_steps);
     return t->room.ring + (size_t)slot * t->state_size;
 }
 
@@ -57,7 +57,7 @@ static int64_t count_up_to(const tracker *t, int64_t stamp)
 int history_is_sound(const history *h)
 {
     return *h->max_steps >= 1 && *h->max_steps <= MOST_STEPS && *h->first >= 0
-           && *h->first < *h->max_steps + 2 && *h->length >= 0
+           && *h->first < slots_for(*h->max_steps) && *h->length >= 0
            && *h->length <= *h->max_steps + 1 && *h->span >= 0 && *h->future >= 0
            && *h->restart_after >= 0;
 }
@@ -148,7 +148,7 @@ static void forget_oldest(tracker *t, int64_t stamp)
     history *h = &t->h;
     while (*h->length > *h->max_steps + 1
            || (*h->length > 1 && stamp_at(t, 1) < stamp - *h->span)) {
-        *h->first = (*h->first + 1) % (*h->max_steps + 2);
+        *h->first = (*h->first + 1) % slots_for(*h->max_steps);
         *h->length -= 1;
     }
 }

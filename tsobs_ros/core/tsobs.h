@@ -58,10 +58,16 @@ typedef struct {
     F(MATRIX, u, z->slots, z->s->m)
 LAYOUT_DECLARE(tracker_room, ROOM_FIELDS, room_sizes)
 
-/* Return the sizes of a room for so many measurements, the one before them and the one to come. */
+/* Return the states in a ring: of so many measurements, the one before them and the one to come. */
+static inline int64_t slots_for(int64_t max_steps)
+{
+    return max_steps + 2;
+}
+
+/* Return the sizes of a room for so many measurements. */
 static inline room_sizes room_for(const estimator_sizes *s, int64_t max_steps)
 {
-    const room_sizes sizes = {s, max_steps + 2};
+    const room_sizes sizes = {s, slots_for(max_steps)};
     return sizes;
 }
 
