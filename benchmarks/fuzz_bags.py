@@ -141,8 +141,8 @@ def _alike(compression: bytes = b"", crc: int = 1) -> bytes:
     return b"".join(parts)
 
 
-def _unfinished(*parts: bytes) -> Callable[[Path], object]:
-    return lambda folder: (folder / NAME).write_bytes(FRONT + DESCRIBED + b"".join(parts))
+def _unfinished(folder: Path, *parts: bytes) -> None:
+    (folder / NAME).write_bytes(FRONT + DESCRIBED + b"".join(parts))
 
 
 def _wrapped_alikes() -> bytes:
@@ -191,6 +191,16 @@ def _sparse_attachment(folder: Path) -> None:
         stream.write(written(DataEnd(1)))
         start = stream.tell()
         stream.write(DESCRIBED + _statistics(0, 0) + written(Footer(start, 0, 0)) + MAGIC)
+
+
+def _large_statistics(folder: Path) -> None:
+    size = _SIZE // 10 * 10
+    body = struct.pack("<QHIIIIQQI", *[0] * 8, size) + bytes(size)
+    _put(folder, [], record(Opcode.STATISTICS, body))
+
+
+def _lengths() -> Iterator[bytes]:
+    return (_RECORD.pack(Opcode.METADATA, min(left, 2**24)) for left in range(_SIZE, 0, -9))
 
 
 def _many_chunks(*, overlap: bool) -> Callable[[Path], None]:
@@ -248,16 +258,13 @@ def _channel(id_: int, offers: dict[str, str]) -> Channel:
     return Channel(id=id_, message_encoding="cdr", metadata=offers, schema_id=1, topic=f"/t{id_}")
 
 
-def _metadata(text: str) -> Callable[[Path], None]:
-    def make(folder: Path) -> None:
-        (folder / "metadata.yaml").write_text(text, encoding="utf-8")
-
-    return make
+def _metadata(folder: Path, text: str) -> None:
+    (folder / "metadata.yaml").write_text(text, encoding="utf-8")
 
 
 def _metadata_records(folder: Path) -> None:
     one = written(Metadata(name="rosbag2", metadata={"serialized_metadata": "- 1\n" * 99_000}))
-    _unfinished(one * 20, chunk(message()))(folder)
+    _unfinished(folder, one * 20, chunk(message()))
 
 
 def _socket(folder: Path) -> None:
@@ -268,39 +275,40 @@ def _socket(folder: Path) -> None:
 
 
 def _put(
-    data: Iterable[bytes], *summary: bytes, counts: tuple[int, int] = (1, 1)
-) -> Callable[[Path], None]:
+    folder: Path, data: Iterable[bytes], *summary: bytes, counts: tuple[int, int] = (1, 1)
+) -> None:
     """Make a finished file, with these records in its summary if there are any."""
-    return lambda folder: finished(
-        folder / NAME, data, (lambda _: summary) if summary else None, counts
-    )
+    finished(folder / NAME, data, (lambda _: summary) if summary else None, counts)
 
 
 _EMPTY = record(0x80, b"")
 _FOOTER = written(DataEnd(0), Footer(9, 0, 0)) + MAGIC
-_LARGE_STATISTICS = record(
-    Opcode.STATISTICS,
-    struct.pack("<QHIIIIQQI", *[0] * 8, _SIZE // 10 * 10) + bytes(_SIZE // 10 * 10),
-)
 _ENDS = b"".join(map(message, (0, 1, 2**63 - 1, 2**63, 2**64 - 1)))
-_LENGTHS = [_RECORD.pack(Opcode.METADATA, min(left, 2**24)) for left in range(_SIZE, 0, -9)]
 
 BAGS: Mapping[str, Callable[[Path], object]] = {
-    "metadata: 80 MB": _metadata("- 1\n" * 20_000_000),
-    "metadata: 99,000 values": _metadata("- 1\n" * 99_000),
-    "metadata: nested to 49": _metadata("[" + ("[" * 48 + "]" * 48 + ",") * 10_000 + "]"),
-    "metadata: base 60": _metadata("a: 1" + ":1" * 500_000),
-    "metadata: tag directives": _metadata("".join(f"%TAG !a{k}! b\n" for k in range(55_000))),
+    "metadata: 80 MB": lambda folder: _metadata(folder, "- 1\n" * 20_000_000),
+    "metadata: 99,000 values": lambda folder: _metadata(folder, "- 1\n" * 99_000),
+    "metadata: nested to 49": lambda folder: _metadata(
+        folder, "[" + ("[" * 48 + "]" * 48 + ",") * 10_000 + "]"
+    ),
+    "metadata: base 60": lambda folder: _metadata(folder, "a: 1" + ":1" * 500_000),
+    "metadata: tag directives": lambda folder: _metadata(
+        folder, "".join(f"%TAG !a{k}! b\n" for k in range(55_000))
+    ),
     "metadata: pipe": lambda folder: os.mkfifo(folder / "metadata.yaml"),
     "metadata: device": lambda folder: (folder / "metadata.yaml").symlink_to("/dev/zero"),
     "metadata: in records": _metadata_records,
-    "alikes: chunks": _unfinished(_alike()),
-    "alikes: unchecked chunks": _unfinished(_alike(crc=0)),
-    "alikes: zstd chunks": _unfinished(_alike(b"zstd")),
-    "alikes: wrapped chunks": _unfinished(_wrapped_alikes(), b"\xff" * 300),
-    "alikes: metadata": _unfinished(*_LENGTHS),
-    "alikes: channels": _unfinished(chunk(message()), (b"\0" + DESCRIBED) * (_SIZE // 100)),
-    "alikes: every ninth byte": _unfinished(_RECORD.pack(Opcode.CHANNEL, 0) * (_SIZE // 9)),
+    "alikes: chunks": lambda folder: _unfinished(folder, _alike()),
+    "alikes: unchecked chunks": lambda folder: _unfinished(folder, _alike(crc=0)),
+    "alikes: zstd chunks": lambda folder: _unfinished(folder, _alike(b"zstd")),
+    "alikes: wrapped chunks": lambda folder: _unfinished(folder, _wrapped_alikes(), b"\xff" * 300),
+    "alikes: metadata": lambda folder: _unfinished(folder, *_lengths()),
+    "alikes: channels": lambda folder: _unfinished(
+        folder, chunk(message()), (b"\0" + DESCRIBED) * (_SIZE // 100)
+    ),
+    "alikes: every ninth byte": lambda folder: _unfinished(
+        folder, _RECORD.pack(Opcode.CHANNEL, 0) * (_SIZE // 9)
+    ),
     "bombs: zstd, zeros": _bombs("zstd", b"\0"),
     "bombs: zstd, messages": _bombs("zstd", message()),
     "bombs: zstd, empty records": _bombs("zstd", _EMPTY),
@@ -314,39 +322,54 @@ BAGS: Mapping[str, Callable[[Path], object]] = {
     "sparse: 20 GB, chunk": _sparse(tail=chunk(message()) + _FOOTER),
     "sparse: 20 GB, summary": _sparse(tail=written(Footer(len(FRONT), 0, 0)) + MAGIC),
     "sparse: 20 GB, attachment": _sparse_attachment,
-    "summary: empty records": _put([], _EMPTY * (_SIZE // 9), _statistics(0, 0)),
-    "summary: statistics": _put([], _LARGE_STATISTICS),
-    "summary: chunk indexes": _put(
+    "summary: empty records": lambda folder: _put(
+        folder, [], _EMPTY * (_SIZE // 9), _statistics(0, 0)
+    ),
+    "summary: statistics": _large_statistics,
+    "summary: chunk indexes": lambda folder: _put(
+        folder,
         [],
         DESCRIBED,
         *(index(10**6 + k, 0) for k in range(_SIZE // 80)),
         _statistics(_SIZE // 80, 8),
     ),
-    "summary: index of channels": _put(
-        [], DESCRIBED, *[index(9, 0, dict.fromkeys(range(2**16), 9))] * 12, _statistics(12, 8)
+    "summary: index of channels": lambda folder: _put(
+        folder,
+        [],
+        DESCRIBED,
+        *[index(9, 0, dict.fromkeys(range(2**16), 9))] * 12,
+        _statistics(12, 8),
     ),
     "summary: one chunk": _same_chunk,
     "summary: one message index": _same_index,
     "summary: channels": _channels,
     "many chunks": _many_chunks(overlap=False),
     "many chunks that overlap": _many_chunks(overlap=True),
-    "many messages": _put([chunk(DESCRIBED + message() * (_SIZE // 31))], counts=(_SIZE // 31, 1)),
-    "outside of chunks": _put(
-        [DESCRIBED, message() * (_SIZE // 31)], DESCRIBED, _statistics(0, _SIZE // 31)
+    "many messages": lambda folder: _put(
+        folder, [chunk(DESCRIBED + message() * (_SIZE // 31))], counts=(_SIZE // 31, 1)
     ),
-    "outside: empty records": _put(
-        [DESCRIBED, _EMPTY * (_SIZE // 9), message()], DESCRIBED, _statistics(0)
+    "outside of chunks": lambda folder: _put(
+        folder,
+        [DESCRIBED, message() * (_SIZE // 31)],
+        DESCRIBED,
+        _statistics(0, _SIZE // 31),
     ),
-    "outside: attachments": _put(
+    "outside: empty records": lambda folder: _put(
+        folder, [DESCRIBED, _EMPTY * (_SIZE // 9), message()], DESCRIBED, _statistics(0)
+    ),
+    "outside: attachments": lambda folder: _put(
+        folder,
         [DESCRIBED, record(Opcode.ATTACHMENT, b"") * (_SIZE // 9), message()],
         DESCRIBED,
         _statistics(0),
     ),
-    "times at the limits": _put([chunk(DESCRIBED + _ENDS, times=(0, 2**64 - 1))]),
+    "times at the limits": lambda folder: _put(
+        folder, [chunk(DESCRIBED + _ENDS, times=(0, 2**64 - 1))]
+    ),
     "pipe": lambda folder: os.mkfifo(folder / NAME),
     "device": lambda folder: (folder / NAME).symlink_to("/dev/zero"),
     "socket": _socket,
     "loop of links": lambda folder: (folder / NAME).symlink_to(NAME),
     "folder": lambda folder: (folder / NAME).mkdir(),
 }
-"""What makes each bag, by name, given an empty folder: one file."""
+"""What makes each bag, by name, given an empty folder: one file. None is made on import."""

@@ -47,7 +47,7 @@ def test_hostile_samples_and_exports_are_refused_or_stepped(
         ("metadata: base 60", "verify"),
         ("metadata: pipe", "info"),
         ("metadata: device", "recover"),
-        ("alikes: wrapped chunks", "recover"),
+        pytest.param("alikes: wrapped chunks", "recover", marks=pytest.mark.slow),
         pytest.param("bombs: zstd, messages", "verify", marks=pytest.mark.slow),
         ("bombs: lz4, states little", "recover"),
         ("sparse: 20 GB, chunk", "recover"),

@@ -16,6 +16,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -91,6 +92,7 @@ class Block(NamedTuple):
             yield command, "".join(answer.partition("\nerror: ")[1:])
 
 
+@cache
 def blocks(page: Path) -> list[Block]:
     """Return a page's fenced and indented blocks, in order."""
     return [
@@ -118,7 +120,6 @@ COMMAND_PAGES = [
     and any(b.language in ("sh", "yaml") for b in blocks(page))
 ]
 SLOW = pytest.mark.slow
-LONG = pytest.mark.xdist_group("pages")  # groups start first, so that no worker ends with these
 PYTHON_PAGES = [page for page in PAGES if any(b.language == "python" for b in blocks(page))]
 
 
@@ -324,7 +325,7 @@ class LiveShell(Shell):
             assert process.finish().exit_code == 0
 
 
-@LONG
+@SLOW
 def test_the_tutorial_runs(
     folder: Path, ros_process: Callable[..., Any], tools: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -342,7 +343,6 @@ def test_the_tutorial_runs(
 
 
 @SLOW
-@LONG
 def test_the_numbers_of_a_robot_are_found(folder: Path, tools: Any) -> None:
     shutil.copy(ROOT / "examples" / "hidden_robot.py", folder)
     shell = Shell(*tools)

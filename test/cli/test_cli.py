@@ -95,14 +95,12 @@ def test_a_design_says_what_arm_it_is_for(tmp_path: Path, capsys: Captured) -> N
 def test_an_impossible_request_is_explained(tmp_path: Path, capsys: Captured) -> None:
     pytest.importorskip("cvxpy")
     request, path = tmp_path / "request.yaml", tmp_path / "new.design.yaml"
-    request.write_text("x_max: 1.6\n", encoding="utf-8")
+    request.write_text("disturbance: [{kind: arbitrary}]\n", encoding="utf-8")
     assert main(["design", str(request), "--output", str(path)]) == 1
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith("error: no observer exists: disturbance bias, |q1| <= 1.6 rad")
-    assert "gravity slope c = 0" in err
-    assert "what would help:" in err
-    assert "a smaller domain" in err
+    assert err.startswith("error: no observer exists: disturbance arbitrary, |q1| <= 0.75 rad")
+    assert "what would help:\n  - a model of the disturbance" in err
     assert not path.exists()
 
 

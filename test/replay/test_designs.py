@@ -102,7 +102,7 @@ def test_another_design_is_used_if_it_is_meant(live: str, tmp_path: Path, capsys
 def test_a_report_is_of_one_joint_and_names_those_there_are(
     live: str, tmp_path: Path, capsys: Any
 ) -> None:
-    command = ["report", live, "--output", str(tmp_path / "report"), "--json"]
+    command = ["report", live, "--no-ekf", "--output", str(tmp_path / "report"), "--json"]
 
     for options, error in (
         ((), "several joints, choose one of elbow, wrist"),

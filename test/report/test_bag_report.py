@@ -49,7 +49,12 @@ def test_a_report_of_a_simulated_bag(simulated, messages_of, write_bag, design, 
 def test_a_report_lists_what_happened_to_the_estimates(
     troubled, messages_of, write_bag, tmp_path
 ) -> None:
-    report, text = make_bag_report(write_bag(messages_of(troubled)), tmp_path, ekf=False)
+    parts = {
+        name: part if name == "health" else part.take(slice(None, None, 20))
+        for name, part in troubled.parts.items()
+    }
+    bag = write_bag(messages_of(replace(troubled, parts=parts)))
+    report, text = make_bag_report(bag, tmp_path, ekf=False)
 
     health = report["health"]
     assert [(round(one["time"]), one["kind"], one["level"]) for one in health["events"]] == [
