@@ -21,7 +21,7 @@ from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Mismatch, Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, arm_with, simulate
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import Sinusoid
+from tsobs_ros.simulation.signals import Pulses, Sinusoid
 
 RATE, STD = 200, 0.028
 DESIGNS = {
@@ -327,16 +327,25 @@ def test_good_samples_after_a_second_of_bad_ones_bring_the_estimate_back(
 
 
 @both
-@pytest.mark.parametrize(("size", "samples"), [(-1.5, 20), (20.0, 1)])
+@pytest.mark.parametrize(("size", "samples", "count"), [(-1.5, 20, 0), (20.0, 1, 1), (-200, 1, 1)])
 def test_a_torque_that_the_arm_did_not_get_stays_inside_the_bounds(
-    name: str, size: float, samples: int
+    name: str, size: float, samples: int, count: int
 ) -> None:
+    """A single wrong sample is found; of one at a wrong level for a while the bounds tell."""
     u = simulated().torques[0].copy()
     u[EVENT : EVENT + samples] += size
     got = course(name, simulated(), u=u)
-    assert got.inside[EVENT:].mean() > 0.9
-    assert got.tracker.rejected == {}
+    assert got.inside[EVENT:].mean() > (0.999 if count else 0.9)
+    assert got.tracker.rejected[RejectReason.IMPLAUSIBLE_TORQUE] == count
     assert not {"losses of track", "sensor jumps"} & got.found.keys()
+
+
+@both
+def test_a_push_of_one_sample_that_the_arm_got_is_not_taken_back(name: str) -> None:
+    push = Pulses(50.0, EVENT / RATE, 1.0 / RATE, 0.0)
+    got = course(name, simulated(arm_with(inputs=(push,))))
+    assert got.inside[EVENT:].mean() > 0.999
+    assert got.tracker.rejected == got.found == {}
 
 
 def test_limits_of_the_torque_come_from_the_settings_the_request_or_the_arm() -> None:

@@ -45,7 +45,7 @@ static int state_is_sound(const model *m, const state *at)
     for (long i = 0; i < m->s.hypotheses; i++) {
         const hypothesis h = hypothesis_of(m, at, i);
         if (*h.kind < 0 || *h.kind >= STANDING || *h.output < 0 || *h.output >= m->s.p
-            || *h.fork < NO_FORK || *h.fork > MOVED
+            || *h.fork < NO_FORK || *h.fork > WRONG_TORQUE
             || (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
             return 0;
         }
@@ -149,25 +149,6 @@ void hold_inputs(const model *m, state *at, const double *u)
         at->past[1] = 0.0;
     }
     at->held[0] = mean_torque(m, at, 0.0, *m->period);
-}
-
-void take_torque(const model *m, state *at, const double *u)
-{
-    if (*m->torque_limit > 0.0) {
-        /* A first torque has none before it: its age is infinite. Late samples and those of two
-         * sensors may be as close as can be. */
-        const double elapsed = maximum(*at->torque_age, *m->period);
-        const double before = m->s.past > 0 ? at->past[0] : at->held[0];
-        if (!isfinite(u[0]) || !(fabs(u[0]) <= *m->torque_limit)
-            || fabs(at_motor(m, u[0]) - before)
-                   > *m->torque_gain * *m->torque_rate_limit * elapsed) {
-            *at->torque_unknown = 1;
-            return;
-        }
-    }
-    hold_inputs(m, at, u);
-    *at->torque_unknown = 0;
-    *at->torque_age = 0.0;
 }
 
 /* Begin a time in which the torque is unknown. */
@@ -401,12 +382,18 @@ static int is_its_own(const model *m, double frequency)
     return is_near(m, frequency, m->modes[0]) || is_near(m, frequency, m->modes[1]);
 }
 
+/* Return the lowest frequency at which tones are looked for: the memory has four radians of it. */
+static double slowest_tone(const model *m)
+{
+    return 4.0 / m->constants[AWAKE];
+}
+
 /* Turn what an output's innovations have of each frequency over a sample, and add the newest. Write
  * how loud each is, the root of its power, 0 where no tone is looked for. */
 static void listen_to(
     const model *m, const sensor *of, double r, double elapsed, double share, double *loud)
 {
-    double rate = m->constants[FIRST_TONE];
+    double rate = slowest_tone(m);
     for (long j = 0; j < TONES; j++) {
         double *z = of->tones + 2 * j, sin, cos;
         const double first = z[0];
@@ -456,7 +443,7 @@ static void listen(const model *m, state *at, const correction *effect)
         const double std = sqrt(outlook_of(effect, i)->variance);
         const double r = clip(outlook_of(effect, i)->innovation / std, -3.0, 3.0);
         double loud[TONES + 2] = {0.0}; /* and 0 beyond both ends */
-        double rate = m->constants[FIRST_TONE];
+        double rate = slowest_tone(m);
         if (!effect->heard[i]) {
             continue;
         }
@@ -567,6 +554,54 @@ static void suppose(const model *m, const state *at, int64_t fork, long output, 
     }
 }
 
+/* Suppose that the torque since the last sample never acted, if it stands out from those before and
+ * after it by what moves the motor further than is known of its speed. */
+static void suppose_wrong_torque(const model *m, const state *at, const double *u)
+{
+    const flow *f = &m->design_flow;
+    const long n = m->s.n, inputs = flow_sizes_of(m->flow).inputs, speed = 3;
+    if (*m->supervised == 0 || *f->kind != KIND_ARM || m->s.past > 0 || *at->torque_unknown != 0
+        || *at->since > *m->longest) {
+        return;
+    }
+    const hypothesis best = best_of(m, at);
+    const double *known = *best.certified != 0 ? m->X : best.covariance;
+    const double limit = m->constants[SUDDEN] * sqrt(known[speed * (m->s.width + 1)]);
+    const double score = *best.score - m->constants[TORQUE_PRICE];
+    const double held = at->held[0], before = *at->torque_before, next = at_motor(m, u[0]);
+    const double alone = held - clip(held, minimum(before, next), maximum(before, next));
+    const double made = alone * *at->since / *m->period;
+    const long place = place_for(m, at, score);
+    if (place < 0 || !(fabs(made * f->gamma[speed * inputs]) > limit)) {
+        return;
+    }
+    const hypothesis h = begin_from_best(m, at, place, WRONG_TORQUE, score);
+    for (long i = 0; i < n; i++) {
+        h.x[i] -= made * f->gamma[i * inputs];
+    }
+}
+
+void take_torque(const model *m, state *at, const double *u)
+{
+    if (*m->torque_limit > 0.0) {
+        /* A first torque has none before it: its age is infinite. Late samples and those of two
+         * sensors may be as close as can be. */
+        const double elapsed = maximum(*at->torque_age, *m->period);
+        const double before = m->s.past > 0 ? at->past[0] : at->held[0];
+        if (!isfinite(u[0]) || !(fabs(u[0]) <= *m->torque_limit)
+            || fabs(at_motor(m, u[0]) - before)
+                   > *m->torque_gain * *m->torque_rate_limit * elapsed) {
+            *at->torque_unknown = 1;
+            return;
+        }
+    }
+    suppose_wrong_torque(m, at, u);
+    *at->torque_before = at->held[0];
+    hold_inputs(m, at, u);
+    *at->torque_unknown = 0;
+    *at->torque_age = 0.0;
+}
+
 /* Let the best fork take its parent's place once it is sure, and let the others end. */
 static void select_forks(const model *m, state *at)
 {
@@ -580,6 +615,7 @@ static void select_forks(const model *m, state *at)
                 *at->jumps += *h.fork == JUMPED;
                 *at->hits += *h.fork == HIT;
                 *at->losses += *h.fork == MOVED;
+                at->judged[IMPLAUSIBLE_TORQUE] += *h.fork == WRONG_TORQUE;
                 *h.fork = NO_FORK;
                 memcpy(parent.live, h.live, hypothesis_size(&m->s) * sizeof(double));
                 drop(m, &h);

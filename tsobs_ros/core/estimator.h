@@ -44,7 +44,7 @@ enum {
 };
 
 /* What a fork supposes to have happened at its first sample. */
-enum { NO_FORK, JUMPED, HIT, MOVED };
+enum { NO_FORK, JUMPED, HIT, MOVED, WRONG_TORQUE };
 
 /* Outcomes of measurements, in the order of `estimation.records.RejectReason`. */
 enum {
@@ -69,7 +69,9 @@ enum {
     C(OUTLIER_PRICE, 7.0, "how unlikely an outlier is, by the likeliest sample [nat]")          \
     C(FORK_PRICE, 10.0, "prior of a jump or a hit at an outlier [nat]")                        \
     C(LOST_PRICE, 14.0, "prior of an arm that is elsewhere at an outlier [nat]")               \
-    C(SUDDEN, 3.5, "innovation at which a sensor may have jumped [sigma]")                     \
+    C(TORQUE_PRICE, 1.5, "prior of a wrong torque where one stands out [nat]")                 \
+    C(SUDDEN, 3.5, "innovation at which a sensor may have jumped, and motion that a torque "   \
+                   "makes when it may be wrong [sigma]")                                       \
     C(TRIAL, 1.0, "age at which the best fork takes its parent's place [s]")                   \
     C(NOISE_FACTOR, 16.0, "variance of loud noise, by the design's")                           \
     C(IMPERFECTION, 100.0, "process noise of an imperfect model, by the design's")             \
@@ -81,7 +83,6 @@ enum {
     C(DRIFT_TIME, 10.0, "its correlation time [s]")                                            \
     C(TONE_TIME, 200.0, "time in which a tone's size and frequency change [s]")                \
     C(TONE_SIGN, 50.0, "power of an innovation's tone, by white noise's, that proposes one")   \
-    C(FIRST_TONE, 0.8, "lowest frequency at which tones are looked for [rad/s]")               \
     C(TONE_RATIO, 1.12, "ratio of neighbouring ones")                                          \
     C(LEAST_SCALE, 0.5, "least measured noise, by the design's; 1 is used then")               \
     C(REJECTING, 0.54, "share of used samples below which a lone filter opens its covariance")  \
@@ -179,6 +180,7 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(VECTOR, u, s->m, 1)          /* inputs in it */                                          \
     F(VECTOR, held, s->m, 1)       /* inputs in use, plausible ones */                         \
     F(MATRIX, past, s->past, 2)    /* torques on their way and their ages [s], newest first */ \
+    F(NUMBER, torque_before, 1, 1) /* held before those in use */                              \
     F(NUMBER, torque_age, 1, 1)    /* since the newest plausible torque [s] */                 \
     F(COUNT, torque_unknown, 1, 1) /* whether that is not the newest sample's */               \
     F(COUNT, late, 1, 1)           /* whether the next sample was due when this is read */     \
