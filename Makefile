@@ -15,7 +15,8 @@ DEMO_EXTRAS ?= report,watch
 EXTRAS := design,report,export,campaign,watch
 # The NumPy that a ROS found was built for; another one breaks its messages.
 NUMPY = $$(test -s $(VENV)/.ros || $(BIN)/python -c 'import numpy; print("numpy==" + numpy.__version__)')
-PYTEST_ARGS ?= -n 3 --dist loadgroup
+# Each process imports everything: more of them than cores cost more than they gain.
+PYTEST_ARGS ?= -n auto --maxprocesses 4 --dist loadgroup
 # Else threads of the linear algebra wait actively for cores that other tests use.
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/pytest $(PYTEST_ARGS)
 # Python keeps what it compiles, also in a container that asks for the opposite: tests and nodes are

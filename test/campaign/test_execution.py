@@ -23,6 +23,8 @@ from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.run import read_run
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN
 
+pytestmark = pytest.mark.xdist_group("campaign")  # its fixture takes seconds
+
 
 def files_of(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted((folder / "runs").iterdir())}

@@ -51,20 +51,19 @@ def running(folder: Path) -> list[int]:
     return found
 
 
-def test_a_demo_leaves_a_bag_a_table_and_figures(demo: Demo, tmp_path: Path) -> None:
+def test_a_demo_leaves_a_bag_a_table_and_figures(
+    domain_id: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     output = tmp_path / "demo"
-    process = demo(
-        "--duration", "3", "--seed", "7", "--bias", "0.25", "--bias-at", "1.5",
-        "--output", str(output),
-    )  # fmt: skip
-    finished = process.finish(TIMEOUT)
-    assert finished.exit_code == 0, finished.stderr
-    assert "Traceback" not in finished.stderr
-    assert "3.0/3.0 s" in finished.stderr
+    command = ["demo", "--domain-id", str(domain_id), "--output", str(output)]
+    command += ["--duration", "3", "--seed", "7", "--bias", "0.25", "--bias-at", "1.5"]
+    assert main(command) == 0
+    out, err = capfd.readouterr()
+    assert "3.0/3.0 s" in err
     for quantity in ("link angle", "motor velocity", "sensor disturbance"):
-        assert quantity in finished.stdout
+        assert quantity in out
     for name in ("report.png", "report.json"):
-        assert str(output / name) in finished.stdout
+        assert str(output / name) in out
         assert (output / name).stat().st_size > 0
     assert (output / "report.png").read_bytes().startswith(b"\x89PNG")
     report = json.loads((output / "report.json").read_text(encoding="utf-8"))
@@ -129,18 +128,19 @@ def check_layouts(reader: BagReader) -> None:
 
 
 def test_a_node_that_fails_fails_the_demo_with_its_reason(
-    demo: Demo, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    domain_id: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "demo"
-    finished = demo("--design", str(tmp_path / "no.yaml"), "--output", str(output)).finish(TIMEOUT)
-    assert finished.exit_code == 1
-    (line,) = [line for line in finished.stderr.splitlines() if line.startswith("error: ")]
+    command = ["demo", "--domain-id", str(domain_id), "--output", str(output)]
+    assert main([*command, "--design", str(tmp_path / "no.yaml")]) == 1
+    err = capfd.readouterr().err
+    (line,) = [line for line in err.splitlines() if line.startswith("error: ")]
     assert "observer ended with exit code 1" in line
     assert "no.yaml: cannot read it: No such file or directory" in line
     assert running(output) == []
     # Another one does not write into its folder.
-    assert main(["demo", "--output", str(output)]) == 1
-    assert f"error: {output}: exists already" in capsys.readouterr().err
+    assert main(command) == 1
+    assert f"error: {output}: exists already" in capfd.readouterr().err
 
 
 def test_signals_end_the_nodes_and_close_the_bag(demo: Demo, tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ pytest.importorskip("rich")
 from rich.console import Console
 from staging import start
 
+from tsobs_ros.cli.main import main
 from tsobs_ros.cli.picture import picture
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.watcher import View
@@ -98,12 +99,14 @@ def test_a_program_gets_one_view(arm: None, ros: Any, ros_process: Any) -> None:
     assert found["statuses"]["measurements"]["values"]["rejected: gated"].isdigit()
 
 
-def test_an_observer_that_is_not_there_is_an_error(ros_process: Any) -> None:
-    arguments = ["watch", "--once", "--timeout", "0.5", "--observer", "/left/observer"]
-    finished = ros_process("tsobs", arguments=arguments).finish()
+def test_an_observer_that_is_not_there_is_an_error(
+    domain_id: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
+    assert main(["watch", "--once", "--timeout", "0.5", "--observer", "/left/observer"]) == 1
 
-    assert finished.exit_code == 1
-    assert finished.stderr.startswith("error: no observer /left/observer within 0.5 s; ")
+    err = capsys.readouterr().err
+    assert err.startswith("error: no observer /left/observer within 0.5 s; ")
 
 
 def test_names_and_texts_are_shown_and_not_obeyed(

@@ -217,13 +217,13 @@ def test_a_model_too_fast_to_enclose_is_refused() -> None:
         verify_exactly(Design(request, np.eye(4), np.zeros((4, 1)), SolverReport()))
 
 
-RUNS, SAMPLES = 800, 1000
+RUNS, SAMPLES = 800, 600
 WALK = 1e6
 """Time constant of a drift that is a random walk for the length of a run [s]."""
 
 
 def test_the_covariance_of_the_errors_stays_below_the_bound_and_not_far() -> None:
-    """Encoders on both sides, the link's biased, and an unknown torque at the link, for 5 s.
+    """Encoders on both sides, the link's biased, and an unknown torque at the link, for 3 s.
 
     The truth is the differential equation with random accelerations, not the prediction that the
     design was made with. The largest eigenvalue of X⁻¹cov(e) may exceed 1 only as far as sampling

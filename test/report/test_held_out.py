@@ -175,9 +175,9 @@ def test_a_sensor_that_cannot_be_compared_is_refused_in_one_line(
 
 
 def test_a_bag_without_the_sensor_is_refused_in_one_line(
-    simulated, write_bag, messages_of, capsys
+    short, write_bag, messages_of, capsys
 ) -> None:
-    bag = str(write_bag(messages_of(simulated)))
+    bag = str(write_bag(messages_of(short)))
     for option, said in (
         ("motor_angle", "in position of elastic_joint_motor on /joint_measurements, got 0"),
         ("motor_angle=/nowhere", "no topic /nowhere; topics: "),
