@@ -213,11 +213,3 @@ def test_a_new_bag_has_what_was_recorded(arms, write_bag, estimate, tmp_path, op
     topics = [m.topic for m in messages if m.log_time == arms.messages(50)[-1][2]]
     if "rate" not in options:
         assert topics.index("/joint_measurements") < topics.index("/observer/joint_states")
-
-
-def test_live_estimates_are_replaced(arms, write_bag, estimate, tmp_path) -> None:
-    estimate(write_bag(with_truth(arms.messages(60))), output="live")
-    estimate(tmp_path / "live", output="again")
-
-    live, again = (sorted(BagReader(tmp_path / name).messages()) for name in ("live", "again"))
-    assert live == again

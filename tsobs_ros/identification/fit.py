@@ -275,7 +275,7 @@ def fit(
         BagReadError: A bag cannot be read.
 
     >>> import tsobs_ros as ts
-    >>> run = ts.simulate(duration=20.0, torque=lambda t: 2.0 if t % 3.0 < 1.0 else -1.0)
+    >>> run = ts.simulate(duration=8.0, torque=lambda t: 2.0 if t % 3.0 < 1.0 else -1.0)
     >>> sheet = ts.ArmRequest(ts.ElasticJointArm(stiffness=13.0))
     >>> found = ts.fit(sheet, (run.time, run.angle, run.torque), free=["stiffness"])
     >>> 9.5 < found.number("stiffness").value < 10.5

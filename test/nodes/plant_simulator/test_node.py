@@ -53,17 +53,6 @@ def test_a_command_moves_the_arm_until_its_timeout_and_a_reset_makes_it_as_new(
     assert {(item.stamp - received[0].stamp) % PERIOD for item in received} == {0}
 
 
-def test_duration_finishes_the_node_after_its_last_sample(ros: Any, listener: Any) -> None:
-    node = listener.start(duration=0.2)
-    assert not node.finished
-    ros.spin_until(lambda: node.finished, what="the end of the duration")
-    last = listener.core(11, of="physical")[-1]
-    ros.spin_until(
-        lambda: bool(listener.states) and listener.states[-1].message.position[0] == last,
-        what="the last sample",
-    )
-
-
 def test_without_subscribers_it_starts_after_the_timeout(ros: Any) -> None:
     node = start(ros, "plant_simulator", wait_for_subscribers=2, wait_timeout=0.3, duration=0.1)
     ros.spin_until(lambda: node.finished, what="a run without subscribers")
