@@ -3,11 +3,9 @@
 """The paper's examples run again: what holds, what does not, and the page that says so."""
 
 import html
-import io
 import json
 import re
 from collections import Counter
-from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +15,10 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from tsobs_ros.cli.main import main
-from tsobs_ros.paper.claims import VERDICTS
-from tsobs_ros.paper.examples import example_1
-from tsobs_ros.paper.runs import ExampleRun, run_example
+from tsobs_ros.design.record import Design
+from tsobs_ros.paper.claims import VERDICTS, Claim, judge
+from tsobs_ros.paper.examples import example_1, example_2
+from tsobs_ros.paper.runs import ArmComparison, ExampleRun, compare_on_arm, run_example
 
 pytestmark = pytest.mark.xdist_group("paper")  # its fixtures take seconds
 
@@ -28,27 +27,28 @@ ROOT = Path(__file__).resolve().parents[2]
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-@pytest.fixture(scope="session")
-def report(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    folder = tmp_path_factory.mktemp("paper") / "new"
-    with redirect_stdout(io.StringIO()) as printed:
-        assert main(["paper", "--output", str(folder), "--seeds", "2", "--json"]) == 0
-    return json.loads(printed.getvalue())
-
-
-@pytest.fixture(scope="session")
-def numbers(report: dict[str, Any]) -> dict[str, Any]:
-    return report["numbers"]
+@pytest.fixture(scope="module")
+def runs() -> dict[str, ExampleRun]:
+    return {"example_1": run_example(example_1()), "example_2": run_example(example_2())}
 
 
 @pytest.fixture(scope="module")
-def run() -> ExampleRun:
-    """Example 1 without the time it needs to settle to its last digits."""
-    return run_example(example_1(), 6.0)
+def run(runs: dict[str, ExampleRun]) -> ExampleRun:
+    return runs["example_1"]
 
 
-def test_errors_vanish_without_uncertainty_only(report: dict[str, Any]) -> None:
-    numbers = {claim["claim"]: claim["number"] for claim in report["claims"]}
+@pytest.fixture(scope="module")
+def comparison(design: Design) -> ArmComparison:
+    return compare_on_arm(design, 2)
+
+
+@pytest.fixture(scope="module")
+def claims(runs: dict[str, ExampleRun], comparison: ArmComparison) -> list[Claim]:
+    return judge(runs, comparison)
+
+
+def test_errors_vanish_without_uncertainty_only(claims: list[Claim]) -> None:
+    numbers = {each.claim: each.number for each in claims}
     largest = numbers["Without uncertainty, state and disturbance errors vanish."]
     assert all(float(each) < 1e-3 for each in re.findall(r"[\d.]+e-\d+", largest))
     text = numbers["With the printed ΔA (λ = 1), the errors vanish, too."]
@@ -82,34 +82,41 @@ def test_plants_move_by_their_equations(run: ExampleRun, uncertainty: int) -> No
         return np.tensordot(h, A, 1) @ x + np.tensordot(h, B, 1) @ [np.sin(t)]
 
     times, options = run.times[some], {"rtol": 1e-10, "atol": 1e-12}
-    exact = solve_ivp(rate, (0.0, 6.0), example.initial_state, "DOP853", times, **options).y.T
+    span = (0.0, run.times[-1])
+    exact = solve_ivp(rate, span, example.initial_state, "DOP853", times, **options).y.T
     outputs = [measured(t, x)[1] for t, x in zip(times, exact, strict=True)]
     np.testing.assert_allclose(run.states[some, uncertainty], exact, atol=1e-6)
     np.testing.assert_allclose(run.outputs[some, uncertainty], outputs, atol=1e-6)
 
 
 def test_printed_gains_lose_to_all_and_the_certified_observer_beats_high_gain(
-    numbers: dict[str, Any],
+    comparison: ArmComparison,
 ) -> None:
-    errors = {name: each["x3_rmse_mean"] for name, each in numbers.items()}
+    errors, ours = comparison.motor_angle, comparison.observers["ours"]
     assert errors.pop("paper") > max(0.3, 10.0 * max(errors.values()))
     assert errors["ours"] < 1.05 * errors["EKF"]
     for name in ("PO", "PIO"):
-        for what in ("x3_rmse_mean", "normalised_rmse_mean"):
-            assert numbers["ours"][what] < numbers[name][what]
+        other = comparison.observers[name]
+        assert ours.motor_angle.mean() < other.motor_angle.mean()
+        assert ours.normalised.mean() < other.normalised.mean()
         # The best θ lies inside the grid, not at its end.
-        assert 0.6 < numbers[name]["theta"] < 7.0
+        assert 0.6 < other.theta < 7.0
 
 
-def test_verdicts_are_as_documented(report: dict[str, Any]) -> None:
+def test_verdicts_are_as_documented(claims: list[Claim]) -> None:
     text = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
     documented = dict(re.findall(r"^\| (.+?) \| \*\*(.+?)\*\*", text, flags=re.MULTILINE))
-    assert {each["claim"]: each["verdict"] for each in report["claims"]} == documented
+    assert {each.claim: each.verdict for each in claims} == documented
     counts = Counter(documented.values())
     assert min(counts[each] for each in VERDICTS) >= 2
 
 
-def test_the_page_has_every_claim_and_figure(report: dict[str, Any]) -> None:
+@pytest.mark.slow
+def test_the_page_has_every_claim_and_figure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["paper", "--output", str(tmp_path / "new"), "--seeds", "2", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
     page = Path(report["page"]).read_text(encoding="utf-8")
     assert len(report["figures"]) == 3
     assert all(Path(each).read_bytes().startswith(PNG) for each in report["figures"])
