@@ -52,6 +52,11 @@ def test_streams_that_are_full_or_closed_are_errors(name: str) -> None:
         with Path("/dev/full").open("w") as full:
             code, _, err = ended([*COMMAND, name, "verify"], stdout=full)
         assert (code, err) == (1, "error: [Errno 28] No space left on device\n")
+        reader, writer = os.pipe()
+        os.close(reader)
+        code, _, err = ended([*COMMAND, name, "verify", "--json"], stdout=writer)
+        os.close(writer)
+        assert (code, "Traceback" in err) == (1, False)
     arguments = "verify nowhere.yaml" if name == "tsobs" else "--ros-args -p design:=nowhere.yaml"
     # Without a stderr, errors do not come to stdout.
     assert ended(["sh", "-c", f"exec {' '.join(COMMAND)} {name} {arguments} 2>&-"])[:2] == (1, "")

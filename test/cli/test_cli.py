@@ -3,7 +3,6 @@
 """The `tsobs` command: text for people, JSON for programs, exit codes for scripts."""
 
 import json
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -137,17 +136,6 @@ def test_folder_and_version_are_printed(capsys: Captured) -> None:
     with pytest.raises(SystemExit, match="0"):
         main(["--version"])
     assert capsys.readouterr().out == f"tsobs {tsobs_ros.__version__}\n"
-
-
-def test_a_reader_that_has_gone_is_no_traceback(executables: list[str]) -> None:
-    command = [*executables, "tsobs", "verify", "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        process.stdout.close()
-        assert process.stderr is not None
-        err = process.stderr.read().decode()
-    assert process.returncode == 1
-    assert "Traceback" not in err
 
 
 def test_a_missing_library_is_one_line_with_the_command_that_installs_it(

@@ -40,7 +40,7 @@ REST = (0.0, 0.0, 0.0, 0.0)
     ],
 )
 def motion(request: pytest.FixtureRequest) -> Excitation:
-    return ts.excite(request.param, duration=12.0, max_velocity=3.0, seed=3, candidates=14)
+    return ts.excite(request.param, duration=12.0, max_velocity=3.0, seed=3, candidates=6)
 
 
 def test_limits_hold_for_arms_that_the_search_did_not_see(motion: Excitation) -> None:

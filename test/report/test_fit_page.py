@@ -39,7 +39,7 @@ def test_a_fit_has_a_request_and_a_page(tmp_path: Path, capsys: pytest.CaptureFi
     sheet, log = tmp_path / "sheet.request.yaml", tmp_path / HOSTILE
     sheet.write_text(REQUEST.replace("13.0", "10.0"))
     friction = {"motor_coulomb": 0.4}
-    run = ts.simulate(ts.load_request(sheet), duration=8.0, torque=torque, friction=friction)
+    run = ts.simulate(ts.load_request(sheet), duration=6.0, torque=torque, friction=friction)
     sheet.write_text(REQUEST)
     table = np.column_stack([run.time, np.degrees(run.angle), 1000.0 * run.torque])
     titles = "time [s],motor_angle [deg],link_angle [deg],torque [mNm]"
@@ -69,4 +69,4 @@ def test_a_fit_has_a_request_and_a_page(tmp_path: Path, capsys: pytest.CaptureFi
     assert "--force replaces it" in capsys.readouterr().err
     assert main([*words, "--free", "stiffness", "--json", "--force", "--held-out", "0"]) == 0
     assert json.loads(capsys.readouterr().out)["report"] == str(page)
-    assert "figures: the last (fitted) 4 s" in page.read_text()
+    assert "figures: the last (fitted) 3 s" in page.read_text()
