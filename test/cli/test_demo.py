@@ -139,7 +139,7 @@ def test_a_node_that_fails_fails_the_demo_with_its_reason(
     assert "no.yaml: cannot read it: No such file or directory" in line
     assert running(output) == []
     # Another one does not write into its folder.
-    assert main(command) == 1
+    assert main(["demo", "--output", str(output)]) == 1
     assert f"error: {output}: exists already" in capfd.readouterr().err
 
 
