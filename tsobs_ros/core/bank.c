@@ -464,8 +464,9 @@ static void listen(const model *m, state *at, const correction *effect)
     for (long place = TONE; place <= TONE_AFRESH; place++) {
         const hypothesis h = hypothesis_of(m, at, place);
         const double now = h.x[m->s.n + 3];
-        /* A slow one takes three periods to show. */
-        const int is_over = *h.age > maximum(m->constants[AWAKE], 20.0 / now);
+        /* A slow one takes three periods to show, unless a much faster one is louder. */
+        const double periods = frequency < 2.0 * now ? 20.0 / now : 0.0;
+        const int is_over = *h.age > maximum(m->constants[AWAKE], periods);
         if (*h.live != 0 && is_its_own(m, now)) {
             *h.score = -INFINITY;
         }
