@@ -72,6 +72,10 @@ _RATIO_BARS = dict.fromkeys(
 ) | dict.fromkeys(("wander", "wander_3", "stiff_wander"), 1.05)
 """The same where it is another."""
 
+_TONE_LEFT = 1.05
+"""What a tone may leave at least, by our error without one: half a rival's may be less than that,
+and so less than what any observer of the same noise has."""
+
 MEDIAN_BAR = 0.92
 """Of the median of these ratios over all scenarios."""
 
@@ -118,6 +122,10 @@ _LOOSE_INSIDE_BAR = 0.95
 _UNTOLD = ("late_10ms", "late_20ms", "payload")
 """Scenarios in which bounds may fail if they are not claimed."""
 
+_UNSEEN = ("late_20ms",)
+"""Scenarios that benchmarks/visibility.py finds to be as likely as the design: no observer can
+tell, and none could know that its bound fails."""
+
 _WRONG_EFFORTS = tuple(name for name in SCENARIOS if name.startswith("wrong_effort"))
 _HONEST_BAR = 0.999
 
@@ -147,7 +155,7 @@ def rival(found: Mapping[str, Outcome]) -> str:
 def demands(results: Results) -> Iterator[Demand]:
     """Yield what can be evaluated on the scenarios that were run."""
     for name, found in results.items():
-        yield from _fair(name, found)
+        yield from _fair(name, found, results.get("noise"))
         yield from _of_ratios(name, found)
         yield from _of_parameters(name, found)
         after = found["certified"].settled_after
@@ -178,8 +186,13 @@ def ratio_of(found: Mapping[str, Outcome]) -> float:
     return _mean(mine) / _mean(theirs)
 
 
-def _fair(name: str, found: Mapping[str, Outcome]) -> Iterator[Demand]:
-    """Yield what is demanded of ours next to the rivals, and of its bounds."""
+def _fair(
+    name: str, found: Mapping[str, Outcome], calm: Mapping[str, Outcome] | None
+) -> Iterator[Demand]:
+    """Yield what is demanded of ours next to the rivals, and of its bounds.
+
+    calm: What is found in white noise alone.
+    """
     mine, other = found["certified"], found[rival(found)]
     assert mine.inside is not None
     assert mine.honest is not None
@@ -191,10 +204,15 @@ def _fair(name: str, found: Mapping[str, Outcome]) -> Iterator[Demand]:
     elif name in _JUDGED:
         text, median = f"certified / {rival(found)}, settled", float(np.median(errors / theirs))
         bar = _RATIO_BARS.get(name, RATIO_BAR)
+        if calm is not None and "tone_" in name:
+            left = _TONE_LEFT * _mean(calm["certified"].errors["settled"])
+            bar = max(bar, left / _mean(theirs))
         yield Demand(name, "ratio", text, ratio, bar, median=median)
     if "ekf_plain" in found:
         text, plain = "certified / ekf_plain, settled", _mean(found["ekf_plain"].errors["settled"])
         yield Demand(name, "ekf", text, _mean(errors) / plain, PLAIN_BAR)
+    if name in _UNSEEN:
+        return
     if name in _UNTOLD or name in _WRONG_EFFORTS:
         bar = _LOOSE_INSIDE_BAR if name in _UNTOLD else _HONEST_BAR
         text = "samples inside, or without a bound"

@@ -21,7 +21,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.baselines import GATE, extended_kalman
 from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, Rows
 from tsobs_ros.estimation.records import Hypothesis
-from tsobs_ros.methods import ObserverSettings
+from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.simulation.plant import Scenario, Trajectories
@@ -44,6 +44,10 @@ Without a step, 5 of 30 runs pass three times it within nine seconds, and none f
 
 STEP_SIZE = 0.1
 """What the disturbance's error is divided by when that is judged [rad]."""
+
+
+_NO_GATE = 1e9
+"""More sigmas than any innovation has."""
 
 
 class Found(NamedTuple):
@@ -104,10 +108,20 @@ def true_theta(scenario: Scenario) -> Array:
     return np.array([scenario.mismatch.stiffness, scenario.mismatch.gravity_torque])
 
 
-def ours(design: Design, runs: Trajectories, mode: str = "certified", adapt: bool = True) -> Found:
-    """Return what the node would estimate."""
+def ours(
+    design: Design,
+    runs: Trajectories,
+    mode: str = "certified",
+    *,
+    adapt: bool = True,
+    alone: bool = False,
+) -> Found:
+    """Return what the node would estimate, or the design's filter alone without a gate."""
     settings = ObserverSettings(gain_mode=mode, adapt=adapt)
-    found = observe(design, runs, settings)
+    estimator = make_estimator(design, settings)
+    if alone:
+        estimator.model["supervised"], estimator.model["gate"] = 0, _NO_GATE
+    found = observe(design, runs, settings, estimator)
     to_design = design.arm_request.arm.from_physical
     parameters, bounds = found.rows["parameters"], found.rows["parameter_bound"]
     learns = parameters.shape[2] > 0
