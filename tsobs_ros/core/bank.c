@@ -529,13 +529,16 @@ static void open_fork(
     }
 }
 
-/* Suppose that something happened at this sample, which the best hypothesis did not expect from an
- * output and is not corrected by yet; the outputs that it takes for regular are of `weigh`. */
-static void suppose(const model *m, const state *at, int64_t fork, long output, correction *effect)
+/* Suppose that something happened at this sample, by what the best hypothesis did not expect from
+ * an output, which it is not corrected by yet; the outputs that it takes for regular are of `weigh`.
+ */
+static void suppose(
+    const model *m, const state *at, int64_t fork, long output, double innovation,
+    correction *effect)
 {
     const double price = m->constants[fork == MOVED ? LOST_PRICE : FORK_PRICE];
     const hypothesis from = best_of(m, at);
-    const double score = *from.score - price, innovation = effect->innovation[output];
+    const double score = *from.score - price;
     const long place = place_for(m, at, score);
     const double disturbance
         = dot(m->disturbance_map + output * m->s.width, from.x, m->s.n) + innovation;
@@ -693,27 +696,37 @@ static void report(const model *m, const hypothesis *best, correction *effect)
     }
 }
 
+/* Return whether it is time to suppose a jump without a sign: four times per trial, in noise that is
+ * so loud that what would be sudden in the design's is not even an outlier. */
+static int is_due(const model *m, const state *at, long output)
+{
+    const double interval = 0.25 * m->constants[TRIAL];
+    return *at->awake > 0.0 && noise_of(m, at, output) > *m->gate / m->constants[SUDDEN]
+           && floor(*at->age / interval) > floor((*at->age - *at->since) / interval);
+}
+
 /* Fork the best hypothesis where it takes a sample for an outlier; a sensor may have jumped where a
  * sample is only unlikely. */
 static void fork_best(const model *m, const state *at, correction *effect)
 {
     for (long i = 0; i < m->s.p; i++) {
-        const double square = effect->innovation[i] * effect->innovation[i];
-        const double sudden = m->constants[SUDDEN] * m->constants[SUDDEN];
+        const double innovation = effect->innovation[i];
+        const double sudden = m->constants[SUDDEN]
+                              * sqrt(effect->innovation_covariance[i * m->s.p + i]);
         const int is_outlier = !outlook_of(effect, i)->used;
         if (!effect->heard[i]) {
             continue;
         }
         if (is_outlier && *m->design_flow.kind == KIND_ARM) {
-            suppose(m, at, HIT, i, effect);
+            suppose(m, at, HIT, i, innovation, effect);
         }
         if (is_outlier) {
-            suppose(m, at, MOVED, i, effect);
+            suppose(m, at, MOVED, i, innovation, effect);
         }
-        if (is_outlier
-            || (m->disturbed[i] != 0
-                && square > sudden * effect->innovation_covariance[i * m->s.p + i])) {
-            suppose(m, at, JUMPED, i, effect);
+        if (is_outlier || (m->disturbed[i] != 0 && fabs(innovation) > sudden)) {
+            suppose(m, at, JUMPED, i, innovation, effect);
+        } else if (m->disturbed[i] != 0 && is_due(m, at, i)) {
+            suppose(m, at, JUMPED, i, sudden, effect);
         }
     }
 }
