@@ -61,10 +61,11 @@ ABLATIONS: dict[str, dict[str, float]] = {
     "no TONE": {"TONE_SIGN": _OFF},
     "no forks of jumps and hits": {"FORK_PRICE": _OFF},
     "no forks of moved arms": {"LOST_PRICE": _OFF},
-    "no forks": {"FORK_PRICE": _OFF, "LOST_PRICE": _OFF},
+    "no forks": {"FORK_PRICE": _OFF, "LOST_PRICE": _OFF, "TORQUE_PRICE": _OFF},
     "the design alone": {
         "FORCE_SHARE": 0.0, "IMPERFECTION": 1.0, "NOISE_FACTOR": 1.0, "COLOUR_SIZE": 0.0,
         "DRIFT_SIZE": 0.0, "TONE_SIGN": _OFF, "FORK_PRICE": _OFF, "LOST_PRICE": _OFF,
+        "TORQUE_PRICE": _OFF,
     },
     "jumps at outliers only": {"SUDDEN": _OFF},
     "no significance": {"significance": 0.0},

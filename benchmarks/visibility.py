@@ -6,7 +6,7 @@ The right model is a Kalman filter with the true arm, which is given the torque 
 the sensor is late. The other one has the nominal arm, with stiffness and gravity learnt, by the
 design's own recursion. Both start alike; the logarithm of the likelihoods' ratio is summed from
 10 s on, when the parameters are learnt. No test distinguishes the models better than this ratio
-(Neyman and Pearson), so that no observer can tell what leaves it at a few nats.
+(Neyman and Pearson), and none can rely on what leaves it at a few nats.
 """
 
 from collections.abc import Iterator

@@ -6,7 +6,8 @@
  * Each sample is weighed by every hypothesis, and adds the logarithm of its likelihood to their
  * scores. A sample that the best one takes for an outlier may be that, or the first of something
  * new: then forks of the best one suppose that the sensor jumped, that the arm was hit, or that it
- * was put elsewhere. The samples that follow decide: the best fork takes its parent's place.
+ * was put elsewhere. At a torque that stands out one supposes that it never acted. The samples that
+ * follow decide: the best fork takes its parent's place.
  *
  * While nothing contradicts the design, it is alone, and the others sleep.
  */
@@ -559,7 +560,8 @@ static void suppose(
 }
 
 /* Suppose that the torque since the last sample never acted, if it stands out from those before and
- * after it by what moves the motor further than is known of its speed. */
+ * after it by what moves the motor further than is known of its speed, and none did so for a while:
+ * peaks that come often are the drive's own. */
 static void suppose_wrong_torque(const model *m, const state *at, const double *u)
 {
     const flow *f = &m->design_flow;
@@ -570,13 +572,19 @@ static void suppose_wrong_torque(const model *m, const state *at, const double *
     }
     const hypothesis best = best_of(m, at);
     const double *known = *best.certified != 0 ? m->X : best.covariance;
-    const double limit = m->constants[SUDDEN] * sqrt(known[speed * (m->s.width + 1)]);
+    const double scale = *best.certified != 0 ? scale_of(at) : 1.0;
+    const double limit = m->constants[SUDDEN] * scale * sqrt(known[speed * (m->s.width + 1)]);
     const double score = *best.score - m->constants[TORQUE_PRICE];
     const double held = at->held[0], before = *at->torque_before, next = at_motor(m, u[0]);
     const double alone = held - clip(held, minimum(before, next), maximum(before, next));
     const double made = alone * *at->since / *m->period;
+    const double calm = *at->torque_calm;
     const long place = place_for(m, at, score);
-    if (place < 0 || !(fabs(made * f->gamma[speed * inputs]) > limit)) {
+    if (!(fabs(made * f->gamma[speed * inputs]) > limit)) {
+        return;
+    }
+    *at->torque_calm = 0.0;
+    if (place < 0 || calm < m->constants[AWAKE]) {
         return;
     }
     const hypothesis h = begin_from_best(m, at, place, WRONG_TORQUE, score);
@@ -600,7 +608,9 @@ void take_torque(const model *m, state *at, const double *u)
         }
     }
     suppose_wrong_torque(m, at, u);
-    *at->torque_before = at->held[0];
+    if (*at->since >= 0.5 * *m->period) { /* else the message is another sensor's */
+        *at->torque_before = at->held[0];
+    }
     hold_inputs(m, at, u);
     *at->torque_unknown = 0;
     *at->torque_age = 0.0;
@@ -619,7 +629,7 @@ static void select_forks(const model *m, state *at)
                 *at->jumps += *h.fork == JUMPED;
                 *at->hits += *h.fork == HIT;
                 *at->losses += *h.fork == MOVED;
-                at->judged[IMPLAUSIBLE_TORQUE] += *h.fork == WRONG_TORQUE;
+                *at->wrong_torques += *h.fork == WRONG_TORQUE;
                 *h.fork = NO_FORK;
                 memcpy(parent.live, h.live, hypothesis_size(&m->s) * sizeof(double));
                 drop(m, &h);
@@ -697,12 +707,12 @@ static void report(const model *m, const hypothesis *best, correction *effect)
 }
 
 /* Return whether it is time to suppose a jump without a sign: four times per trial, in noise that is
- * so loud that what would be sudden in the design's is not even an outlier. */
+ * so loud that a jump which the design takes for an outlier is not even sudden. */
 static int is_due(const model *m, const state *at, long output)
 {
-    const double interval = 0.25 * m->constants[TRIAL];
+    const double interval = 0.25 * m->constants[TRIAL], since = *sensor_of(m, at, output).since;
     return *at->awake > 0.0 && noise_of(m, at, output) > *m->gate / m->constants[SUDDEN]
-           && floor(*at->age / interval) > floor((*at->age - *at->since) / interval);
+           && floor(*at->age / interval) > floor((*at->age - since) / interval);
 }
 
 /* Fork the best hypothesis where it takes a sample for an outlier; a sensor may have jumped where a
@@ -892,6 +902,7 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
         at->held[0] = mean_torque(m, at, 0.0, *m->period);
     }
     *at->torque_age += duration;
+    *at->torque_calm += duration;
     *at->since += duration;
     *at->age += duration;
     *at->awake = maximum(0.0, *at->awake - duration);

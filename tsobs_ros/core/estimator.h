@@ -181,6 +181,7 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(VECTOR, held, s->m, 1)       /* inputs in use, plausible ones */                         \
     F(MATRIX, past, s->past, 2)    /* torques on their way and their ages [s], newest first */ \
     F(NUMBER, torque_before, 1, 1) /* held before those in use */                              \
+    F(NUMBER, torque_calm, 1, 1)   /* time since one stood out from both its neighbours [s] */ \
     F(NUMBER, torque_age, 1, 1)    /* since the newest plausible torque [s] */                 \
     F(COUNT, torque_unknown, 1, 1) /* whether that is not the newest sample's */               \
     F(COUNT, late, 1, 1)           /* whether the next sample was due when this is read */     \
@@ -198,6 +199,7 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(COUNT, jumps, 1, 1)                                                                      \
     F(COUNT, hits, 1, 1)                                                                       \
     F(COUNT, losses, 1, 1)                                                                     \
+    F(COUNT, wrong_torques, 1, 1)                                                              \
     F(COUNTS, judged, OUTCOMES, 1) /* counts of samples by outcome, of those judged here */    \
     F(COUNT, restarts, 1, 1)       /* counts of new starts after gaps and failures */          \
     F(COUNT, failures, 1, 1)       /* counts of numbers that were not finite */                \

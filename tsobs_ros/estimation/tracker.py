@@ -45,6 +45,7 @@ _FOUND = {
     "sensor jumps": "jumps",
     "hits": "hits",
     "losses of track": "losses",
+    "wrong torques": "wrong_torques",
 }
 
 _LONGEST = 2**61

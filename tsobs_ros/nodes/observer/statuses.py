@@ -124,7 +124,7 @@ def _innovation_status(joint: ObservedJoint) -> Status:
         if estimate.noise_scale >= NOISY:
             level = Level.WARN
             message = f"the noise is {estimate.noise_scale:.2g} times the design's"
-    for event in ("outliers left out", "sensor jumps", "hits"):
+    for event in ("outliers left out", "sensor jumps", "hits", "wrong torques"):
         values[f"last minute: {event}"] = str(joint.recent.growth[event])
     return Status("innovation", level, message, values)
 
