@@ -46,10 +46,6 @@ STEP_SIZE = 0.1
 """What the disturbance's error is divided by when that is judged [rad]."""
 
 
-_NO_GATE = 1e9
-"""More sigmas than any innovation has."""
-
-
 class Found(NamedTuple):
     """Estimates of a contender, at each sample of some runs.
 
@@ -108,6 +104,13 @@ def true_theta(scenario: Scenario) -> Array:
     return np.array([scenario.mismatch.stiffness, scenario.mismatch.gravity_torque])
 
 
+def filter_alone(design: Design, settings: ObserverSettings) -> Estimator:
+    """Return the design's filter without other hypotheses and without a gate."""
+    estimator = make_estimator(design, settings)
+    estimator.model["supervised"], estimator.model["gate"] = 0, np.inf
+    return estimator
+
+
 def ours(
     design: Design,
     runs: Trajectories,
@@ -116,11 +119,9 @@ def ours(
     adapt: bool = True,
     alone: bool = False,
 ) -> Found:
-    """Return what the node would estimate, or the design's filter alone without a gate."""
+    """Return what the node would estimate, or the design's filter alone."""
     settings = ObserverSettings(gain_mode=mode, adapt=adapt)
-    estimator = make_estimator(design, settings)
-    if alone:
-        estimator.model["supervised"], estimator.model["gate"] = 0, _NO_GATE
+    estimator = filter_alone(design, settings) if alone else make_estimator(design, settings)
     found = observe(design, runs, settings, estimator)
     to_design = design.arm_request.arm.from_physical
     parameters, bounds = found.rows["parameters"], found.rows["parameter_bound"]

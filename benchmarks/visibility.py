@@ -14,6 +14,7 @@ from dataclasses import replace
 from multiprocessing import Pool
 
 import numpy as np
+from acceptance_runs import filter_alone
 from common import design_of, parser, show, use_one_thread
 from pages import head, options_of, row
 
@@ -22,7 +23,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.methods import ObserverSettings, make_estimator
+from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.series import Stamps
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -38,8 +39,7 @@ _LEARNT = 10.0
 
 def log_likelihood(design: Design, stamps: Stamps, y: Array, u: Array) -> float:
     """Return that of a run's samples by the design's filter alone, with Riccati gains."""
-    estimator = make_estimator(design, ObserverSettings(gain_mode="riccati"))
-    estimator.model["supervised"], estimator.model["gate"] = 0, 1e9
+    estimator = filter_alone(design, ObserverSettings(gain_mode="riccati"))
     tracker = Tracker(estimator, history=0.0, max_steps=1)
     got = tracker.offer_many(stamps, y, u, int(stamps[-1]))
     counted = (stamps >= stamps[0] + _LEARNT * 1e9) & np.isfinite(got.innovations[:, 0])

@@ -59,6 +59,7 @@ def test_a_demo_leaves_a_bag_a_table_and_figures(
     command += ["--duration", "3", "--seed", "7", "--bias", "0.25", "--bias-at", "1.5"]
     assert main(command) == 0
     out, err = capfd.readouterr()
+    assert "Traceback" not in err
     assert "3.0/3.0 s" in err
     for quantity in ("link angle", "motor velocity", "sensor disturbance"):
         assert quantity in out

@@ -342,11 +342,19 @@ def test_a_torque_that_the_arm_did_not_get_stays_inside_the_bounds(
 
 
 @both
-def test_a_push_of_one_sample_that_the_arm_got_is_not_taken_back(name: str) -> None:
-    push = Pulses(50.0, EVENT / RATE, 1.0 / RATE, 0.0)
-    got = course(name, simulated(arm_with(inputs=(push,))))
+@pytest.mark.parametrize("interval", [0.0, 0.05])
+def test_pushes_of_one_sample_that_the_arm_got_are_not_taken_back(
+    name: str, interval: float
+) -> None:
+    """One forks the best hypothesis; of those that come often, the others do not."""
+    push = Pulses(20.0, EVENT / RATE, 1.0 / RATE, interval)
+    run = simulated(arm_with(inputs=(push,)))
+    got = course(name, run)
     assert got.inside[EVENT:].mean() > 0.999
     assert got.tracker.rejected == got.found == {}
+    later = slice(EVENT + 2 * RATE, COUNT)
+    wrong = got.state[later, 3] - run.physical[0, later, 3]
+    assert np.sqrt((wrong * wrong).mean()) < 0.02
 
 
 def test_limits_of_the_torque_come_from_the_settings_the_request_or_the_arm() -> None:

@@ -530,9 +530,8 @@ static void open_fork(
     }
 }
 
-/* Suppose that something happened at this sample, by what the best hypothesis did not expect from
- * an output, which it is not corrected by yet; the outputs that it takes for regular are of `weigh`.
- */
+/* Suppose that something happened at this sample, by what the best hypothesis, which is not
+ * corrected by it yet, did not expect from an output; the regular outputs are those of `weigh`. */
 static void suppose(
     const model *m, const state *at, int64_t fork, long output, double innovation,
     correction *effect)
@@ -570,19 +569,21 @@ static void suppose_wrong_torque(const model *m, const state *at, const double *
         || *at->since > *m->longest) {
         return;
     }
+    const double held = at->held[0], before = *at->torque_before, next = at_motor(m, u[0]);
+    const double alone = held - clip(held, minimum(before, next), maximum(before, next));
+    const double made = alone * *at->since / *m->period;
+    if (made == 0.0) {
+        return;
+    }
     const hypothesis best = best_of(m, at);
     const double *known = *best.certified != 0 ? m->X : best.covariance;
     const double scale = *best.certified != 0 ? scale_of(at) : 1.0;
     const double limit = m->constants[SUDDEN] * scale * sqrt(known[speed * (m->s.width + 1)]);
-    const double score = *best.score - m->constants[TORQUE_PRICE];
-    const double held = at->held[0], before = *at->torque_before, next = at_motor(m, u[0]);
-    const double alone = held - clip(held, minimum(before, next), maximum(before, next));
-    const double made = alone * *at->since / *m->period;
-    const double calm = *at->torque_calm;
-    const long place = place_for(m, at, score);
     if (!(fabs(made * f->gamma[speed * inputs]) > limit)) {
         return;
     }
+    const double calm = *at->torque_calm, score = *best.score - m->constants[TORQUE_PRICE];
+    const long place = place_for(m, at, score);
     *at->torque_calm = 0.0;
     if (place < 0 || calm < m->constants[AWAKE]) {
         return;
