@@ -19,6 +19,7 @@ from staging.stage import BEGIN, OUTPUTS, PERIOD, TOPIC, Arm, Event, Stage, good
 from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.bag.joint_states import JointStateDecoder
+from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.design.record import Design
 from tsobs_ros.replay.estimate import Run
 
@@ -153,19 +154,22 @@ def record(ros: Any, node: Any, bag: Path, source: tuple[str, dict[str, Any]], *
     name, parameters = source
     publishing = start(ros, name, wait_for_subscribers=2, wait_timeout=0.0, **parameters)
     ros.spin_until(lambda: publishing.finished, TIMEOUT, "the end of the run")
+    for publisher in publishing.publishers:
+        assert publisher.wait_for_all_acked(Duration(seconds=10))
+    ros.remove(publishing)  # a player would say for ever that it is the end
     if "use_sim_time" in of:  # the last sample may have come after the last tick
-        for publisher in publishing.publishers:
-            assert publisher.wait_for_all_acked(Duration(seconds=10))
-        nodes = estimating, recording  # no clock of the player may come after this one
-        ros.spin_until(
-            lambda: len({each.get_clock().now().nanoseconds for each in nodes}) == 1, what="a clock"
-        )
-        clock = node.create_publisher(Clock, "/clock", 10)
-        ros.spin_until(lambda: clock.get_subscription_count() == 2, what="the clock's match")
-        clock.publish(Clock(clock=to_stamp(estimating.get_clock().now().nanoseconds + PERIOD)))
+        after = BagReader(parameters["bag"]).end_time + PERIOD
+        nodes, clock = (estimating, recording), node.create_publisher(Clock, "/clock", 10)
+
+        def tick_on() -> bool:
+            # Again and again, as a best-effort reader loses what it has not matched yet.
+            clock.publish(Clock(clock=to_stamp(after)))
+            return all(each.get_clock().now().nanoseconds == after for each in nodes)
+
+        ros.spin_until(tick_on, what="a last clock")
     ros.spin_until(lambda: estimating.joints[0].received == SAMPLES, TIMEOUT, "all samples' use")
     call(ros, node, SetBool, "observer/enable", SetBool.Request(data=False))
-    for publisher in (*estimating.publishers, *publishing.publishers):
+    for publisher in estimating.publishers:
         assert publisher.wait_for_all_acked(Duration(seconds=10))
 
     def all_there() -> bool:
@@ -176,7 +180,7 @@ def record(ros: Any, node: Any, bag: Path, source: tuple[str, dict[str, Any]], *
     recording.close()
     assert recording.lost == 0
     assert estimating.joints[0].tracker.used == SAMPLES
-    for finished in (estimating, recording, publishing):
+    for finished in (estimating, recording):
         ros.remove(finished)
 
 
