@@ -285,13 +285,13 @@ def _of_contact(name: str, found: Contact) -> Iterator[Demand]:
     ):
         text = f"{text} within three bounds"
         yield Demand(name, text, text, float(share), INSIDE_BAR, at_least=True)
-    none, bias = FaultKind.NONE.value, FaultKind.BIAS.value
+    there = FaultKind.NOISE if name == "contact_loud" else FaultKind.NONE
     for output, kinds in found.reports.items():
         faulty = name == "contact_and_bias" and output == "link_angle"
-        right = kinds.get(bias if faulty else none, 0.0)
-        text = f"{output}: {'bias' if faulty else 'no fault'} reported"
-        bar = 0.9 if faulty else 1.0
-        yield Demand(name, text, text, right, bar, at_least=True)
+        right = FaultKind.BIAS if faulty else there
+        text = f"{output}: {right.value} reported"
+        bar = 1.0 if right is FaultKind.NONE else 0.9
+        yield Demand(name, text, text, kinds.get(right.value, 0.0), bar, at_least=True)
 
 
 def _work(job: tuple[str, Design, Design, tuple[int, ...]]) -> tuple[str, Found]:

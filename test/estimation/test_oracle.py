@@ -234,3 +234,13 @@ def test_some_hypotheses_trust_the_model_less(kind: Hypothesis, power: float) ->
     spreads = [likeliest(one)["covariance"] for one in moved]
     more = (BANK["IMPERFECTION"] ** power - 1.0) * request.flow.nominal.noise[:4, :4]
     check((spreads[1] - spreads[0])[:4, :4], more, "process noise")
+
+
+@pytest.mark.parametrize(("slowness", "growth"), [(0.9, 1.0), (2.0, 4.0), (3.0, 6.0)])
+def test_slow_innovations_widen_bounds(slowness: float, growth: float) -> None:
+    observer = make_estimator(load_design(config_path(SHIPPED_DESIGN)), SOON)
+    state, slow = observer.initial(), observer.initial()
+    slow["hypotheses"]["slow_power"] = slowness * BANK["QUIET"] * state["hypotheses"]["nis"]
+    for name in ("state_bound", "disturbance_bound", "parameter_bound"):
+        bounds = [np.asarray(getattr(observer.readout(one), name)) for one in (state, slow)]
+        check(bounds[1], growth * bounds[0], name)

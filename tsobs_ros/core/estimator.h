@@ -94,7 +94,7 @@ enum {
     C(POWER_TIME, 2.5, "time constant of their power [s]")                                     \
     C(MOVING, 6.0, "motion, by bounds, from which on parameters are learnt")                   \
     C(CURVED, 0.5, "share of a learnt distance by which regressors are wrong")                 \
-    C(QUIET, 0.22, "slow power that white noise leaves, by that of all innovations")           \
+    C(QUIET, 0.25, "slow power that white noise leaves, by that of all innovations")           \
     C(VOID, 4.0, "power of innovations, by that expected, from which on nothing is claimed")
 
 #define BANK_CONSTANT_NAME(name, value, what) name,

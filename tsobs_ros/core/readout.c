@@ -12,13 +12,13 @@
 
 #include <string.h>
 
-/* Return by how much the errors of a hypothesis are larger than it says: by white noise where the
- * bound is the certificate's, and by slow innovations, which a wrong model makes. */
-static double spread_of(const model *m, const state *at, const hypothesis *h, int slow)
+/* Return by how much the errors of a hypothesis are larger than it says, those of parameters too: as
+ * its innovations are, and by the square of slow ones' power, which a wrong model makes. It errs
+ * most in what is not measured; how much, large ones no longer say. */
+static double growth_of(const model *m, const hypothesis *h, int slow)
 {
-    const double late = *at->late != 0 ? *m->late_factor : 1.0;
-    const double spread = *h->certified != 0 ? scale_of(at) * late : 1.0;
-    return spread * sqrt(maximum(*h->nis, 1.0)) * (slow ? maximum(slowness_of(m, h), 1.0) : 1.0);
+    const double slowness = slowness_of(m, h), most = 1.5 * m->constants[VOID];
+    return sqrt(maximum(*h->nis, 1.0)) * (slow ? clip(slowness * slowness, 1.0, most) : 1.0);
 }
 
 /* Write the weights of the hypotheses, 0 of those that do not count. */
@@ -114,16 +114,19 @@ static double read_one(
         }
         const hypothesis h = hypothesis_of(m, at, j);
         const double said = value_of(m, at, &h, what, place, &variance, scratch);
-        const int is_constant = *h.certified != 0 || *m->gain_mode == GAIN_OPEN;
-        const double own
-            = (is_constant ? least : sqrt(variance)) * spread_of(m, at, &h, what != TORQUE);
+        const double late = *at->late != 0 ? *m->late_factor : 1.0;
+        double own = *m->gain_mode == GAIN_OPEN ? least : sqrt(variance);
+        if (*h.certified != 0) {
+            own = least * scale_of(at) * late;
+        }
         for (long a = 0; a < k; a++) {
             const double moved = h.theta[a] + h.pending[a] - h.anchor[a];
             shift += scratch->share[a] * h.pending[a];
             curved += scratch->share[a] * (m->constants[CURVED] * moved);
         }
         const double added = k > 0 ? maximum(quadratic(h.gamma, k, scratch->share, k), 0.0) : 0.0;
-        const double std = sqrt(own * own + (added + shift * shift + curved * curved));
+        const double std = growth_of(m, &h, what != TORQUE)
+                           * sqrt(own * own + (added + shift * shift + curved * curved));
         mean += weight * said;
         mean_square += weight * said * said;
         within += weight * std * std;
