@@ -236,11 +236,17 @@ def test_some_hypotheses_trust_the_model_less(kind: Hypothesis, power: float) ->
     check((spreads[1] - spreads[0])[:4, :4], more, "process noise")
 
 
-@pytest.mark.parametrize(("slowness", "growth"), [(0.9, 1.0), (2.0, 4.0), (3.0, 6.0)])
-def test_slow_innovations_widen_bounds(slowness: float, growth: float) -> None:
+@pytest.mark.parametrize(
+    ("slowness", "lasting", "growth"),
+    [(0.9, 1.0, 1.0), (2.0, 1.0, 2.0), (2.0, 2.0, 3.0), (2.0, 3.0, 6.0), (9.0, 2.0, 6.0)],
+)
+def test_slow_innovations_widen_bounds(slowness: float, lasting: float, growth: float) -> None:
     observer = make_estimator(load_design(config_path(SHIPPED_DESIGN)), SOON)
-    state, slow = observer.initial(), observer.initial()
-    slow["hypotheses"]["slow_power"] = slowness * BANK["QUIET"] * state["hypotheses"]["nis"]
+    states = [observer.initial(), observer.initial()]
+    for one in states:
+        one["hypotheses"]["gamma"] *= 1e-4
+    one["hypotheses"]["slow_power"] = slowness * BANK["QUIET"] * one["hypotheses"]["nis"]
+    one["hypotheses"]["lasting"] = lasting * BANK["QUIET"] * one["hypotheses"]["nis"]
     for name in ("state_bound", "disturbance_bound", "parameter_bound"):
-        bounds = [np.asarray(getattr(observer.readout(one), name)) for one in (state, slow)]
+        bounds = [np.asarray(getattr(observer.readout(one), name)) for one in states]
         check(bounds[1], growth * bounds[0], name)

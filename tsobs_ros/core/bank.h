@@ -62,10 +62,10 @@ static inline int counts(const model *m, const hypothesis *h)
     return *h->live != 0 && *h->score >= -0.8 * m->constants[FLOOR];
 }
 
-/* Return the power of slow innovations relative to what white noise leaves of it. */
-static inline double slowness_of(const model *m, const hypothesis *h)
+/* Return a power of slow innovations relative to what white noise leaves of it. */
+static inline double slowness_of(const model *m, const hypothesis *h, double power)
 {
-    return *h->slow_power / (m->constants[QUIET] * *h->nis);
+    return power / (m->constants[QUIET] * *h->nis);
 }
 
 /* Return half the way from a frequency to the next one that is listened to. */

@@ -96,7 +96,7 @@ static outlook expect(
  * they are. A tone may leave none, as a wrong model of the arm may look like one. */
 static double price_of(const model *m, const hypothesis *h)
 {
-    const double slowness = slowness_of(m, h);
+    const double slowness = slowness_of(m, h, *h->slow_power);
     double price = maximum(1.0, slowness * m->constants[QUIET] / m->constants[SIGN_SLOW]);
     if (*h->kind == TONE) {
         price += 0.5 * (1.0 + maximum(1.0, slowness));
@@ -154,8 +154,10 @@ static void follow(
     h->previous[output] = r;
     *slow += slow_share * (r - *slow);
     const double power = *slow * *slow * ((2.0 - slow_share) / slow_share);
-    *h->slow_power += share_of(elapsed, m->constants[POWER_TIME]) / (double)m->s.p
-                      * (power - *h->slow_power);
+    const double time = m->constants[POWER_TIME], longer = clip(*at->age, time, 4.0 * time);
+    const double outputs = (double)m->s.p;
+    *h->slow_power += share_of(elapsed, time) / outputs * (power - *h->slow_power);
+    *h->lasting += share_of(elapsed, longer) / outputs * (power - *h->lasting);
 }
 
 /* Return by how much less than one of the design an innovation says about parameters: by the mean

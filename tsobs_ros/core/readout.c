@@ -12,13 +12,14 @@
 
 #include <string.h>
 
-/* Return by how much the errors of a hypothesis are larger than it says, those of parameters too: as
- * its innovations are, and by the square of slow ones' power, which a wrong model makes. It errs
- * most in what is not measured; how much, large ones no longer say. */
-static double growth_of(const model *m, const hypothesis *h, int slow)
+/* Return by how much the errors of a hypothesis are larger than it says: as slow innovations are,
+ * which a wrong model makes, and by the square if they last, as it errs most in what is not
+ * measured. Of large ones that is no longer true. */
+static double growth_of(const model *m, const hypothesis *h)
 {
-    const double slowness = slowness_of(m, h), most = 1.5 * m->constants[VOID];
-    return sqrt(maximum(*h->nis, 1.0)) * (slow ? clip(slowness * slowness, 1.0, most) : 1.0);
+    const double slowness = slowness_of(m, h, *h->slow_power);
+    const double lasting = slowness_of(m, h, *h->lasting), most = 1.5 * m->constants[VOID];
+    return clip(maximum(slowness, 0.75 * lasting * lasting), 1.0, most);
 }
 
 /* Write the weights of the hypotheses, 0 of those that do not count. */
@@ -39,7 +40,7 @@ static void weigh_all(const model *m, const state *at, double *weights)
 static int64_t basis_of(const model *m, const hypothesis *best, double *claimed)
 {
     const double most = m->constants[VOID];
-    *claimed = *best->nis <= most && slowness_of(m, best) <= 4.0 * most;
+    *claimed = *best->nis <= most && slowness_of(m, best, *best->slow_power) <= 4.0 * most;
     if (*claimed == 0.0) {
         return BASIS_CONTRADICTED;
     }
@@ -108,7 +109,7 @@ static double read_one(
     double mean = 0.0, mean_square = 0.0, within = 0.0;
     for (long j = 0; j < m->s.hypotheses; j++) {
         const double weight = scratch->weights[j];
-        double variance, shift = 0.0, curved = 0.0;
+        double variance, shift = 0.0, curved = 0.0, prior = 0.0;
         if (!(weight > 0.0)) {
             continue;
         }
@@ -121,12 +122,18 @@ static double read_one(
         }
         for (long a = 0; a < k; a++) {
             const double moved = h.theta[a] + h.pending[a] - h.anchor[a];
+            const double first = scratch->share[a] * m->theta_deviation[a];
             shift += scratch->share[a] * h.pending[a];
             curved += scratch->share[a] * (m->constants[CURVED] * moved);
+            prior += first * first;
         }
+        const double growth
+            = sqrt(maximum(*h.nis, 1.0)) * (what == TORQUE ? 1.0 : growth_of(m, &h));
         const double added = k > 0 ? maximum(quadratic(h.gamma, k, scratch->share, k), 0.0) : 0.0;
-        const double std = growth_of(m, &h, what != TORQUE)
-                           * sqrt(own * own + (added + shift * shift + curved * curved));
+        /* Parameters are known at least as well as in the beginning. */
+        const double grown = maximum(minimum(growth * growth * added, prior), added);
+        const double std
+            = sqrt(growth * growth * (own * own) + (grown + shift * shift + curved * curved));
         mean += weight * said;
         mean_square += weight * said * said;
         within += weight * std * std;
