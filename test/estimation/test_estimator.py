@@ -63,7 +63,7 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "d75ff03d50e0dbfe",
+    "supervised arm": "2374dd77c5248782",
     "pendulum": "063ba54c0fdaf6c1",
     "proportional": "3bed2344d081223c",
     "proportional-integral": "6e7e29fca59d261d",

@@ -159,7 +159,7 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(NUMBER, colour, 1, 1)      /* average of products of neighbouring ones */       \
     F(VECTOR, slow, s->p, 1)     /* innovations, low-passed, */                       \
     F(NUMBER, slow_power, 1, 1)  /* their power, by white noise's, over seconds, */   \
-    F(NUMBER, lasting, 1, 1)     /* and over longer */                                \
+    F(NUMBER, lasting, 1, 1)     /* and over longer, without its peaks */             \
     F(VECTOR, theta, s->k, 1)    /* parameters */                                     \
     F(MATRIX, gamma, s->k, s->k) /* covariance of their errors */                     \
     F(MATRIX, upsilon, s->k, s->width) /* dx/dtheta, by rows */                       \

@@ -155,9 +155,10 @@ static void follow(
     *slow += slow_share * (r - *slow);
     const double power = *slow * *slow * ((2.0 - slow_share) / slow_share);
     const double time = m->constants[POWER_TIME], longer = clip(*at->age, time, 4.0 * time);
+    const double most = 2.0 * m->constants[VOID] * m->constants[QUIET] * *h->nis;
     const double outputs = (double)m->s.p;
     *h->slow_power += share_of(elapsed, time) / outputs * (power - *h->slow_power);
-    *h->lasting += share_of(elapsed, longer) / outputs * (power - *h->lasting);
+    *h->lasting += share_of(elapsed, longer) / outputs * (minimum(power, most) - *h->lasting);
 }
 
 /* Return by how much less than one of the design an innovation says about parameters: by the mean
