@@ -242,11 +242,12 @@ def test_some_hypotheses_trust_the_model_less(kind: Hypothesis, power: float) ->
 )
 def test_slow_innovations_widen_bounds(slowness: float, lasting: float, growth: float) -> None:
     observer = make_estimator(load_design(config_path(SHIPPED_DESIGN)), SOON)
-    states = [observer.initial(), observer.initial()]
-    for one in states:
-        one["hypotheses"]["gamma"] *= 1e-4
-    one["hypotheses"]["slow_power"] = slowness * BANK["QUIET"] * one["hypotheses"]["nis"]
-    one["hypotheses"]["lasting"] = lasting * BANK["QUIET"] * one["hypotheses"]["nis"]
+    calm, slow = observer.initial(), observer.initial()
+    for state in (calm, slow):
+        state["hypotheses"]["gamma"] *= 1e-4  # so far below the prior that this is no limit
+    quiet = BANK["QUIET"] * slow["hypotheses"]["nis"]
+    slow["hypotheses"]["slow_power"] = slowness * quiet
+    slow["hypotheses"]["lasting"] = lasting * quiet
     for name in ("state_bound", "disturbance_bound", "parameter_bound"):
-        bounds = [np.asarray(getattr(observer.readout(one), name)) for one in states]
+        bounds = [np.asarray(getattr(observer.readout(one), name)) for one in (calm, slow)]
         check(bounds[1], growth * bounds[0], name)

@@ -115,10 +115,9 @@ static double read_one(
         }
         const hypothesis h = hypothesis_of(m, at, j);
         const double said = value_of(m, at, &h, what, place, &variance, scratch);
-        const double late = *at->late != 0 ? *m->late_factor : 1.0;
         double own = *m->gain_mode == GAIN_OPEN ? least : sqrt(variance);
         if (*h.certified != 0) {
-            own = least * scale_of(at) * late;
+            own = least * scale_of(at) * (*at->late != 0 ? *m->late_factor : 1.0);
         }
         for (long a = 0; a < k; a++) {
             const double moved = h.theta[a] + h.pending[a] - h.anchor[a];
