@@ -63,7 +63,7 @@ _STATES_HEIGHT = 1330
 def demo(path: Path) -> None:
     """The upper part of the report of `tsobs demo`, whose nodes run for 20 s."""
     with tempfile.TemporaryDirectory() as folder:
-        report = Path(folder, "bag")
+        report = Path(folder, "demo")
         tsobs("demo", "--output", str(report))
         with Image.open(report / "report.png") as whole:
             whole.crop((0, 0, whole.width, _STATES_HEIGHT)).save(path)
