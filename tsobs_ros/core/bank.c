@@ -46,7 +46,7 @@ static int state_is_sound(const model *m, const state *at)
     for (long i = 0; i < m->s.hypotheses; i++) {
         const hypothesis h = hypothesis_of(m, at, i);
         if (*h.kind < 0 || *h.kind >= STANDING || *h.output < 0 || *h.output >= m->s.p
-            || *h.fork < NO_FORK || *h.fork > WRONG_TORQUE
+            || *h.fork < NO_FORK || *h.fork > TAUGHT
             || (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
             return 0;
         }
@@ -594,6 +594,46 @@ static void suppose_wrong_torque(const model *m, const state *at, const double *
     }
 }
 
+/* Return whether a time of the state's age that is a multiple of an interval has passed since. */
+static int has_passed(const state *at, double interval, double since)
+{
+    return floor(*at->age / interval) > floor((*at->age - since) / interval);
+}
+
+/* Suppose, if the best hypothesis takes the sensors' noise for another than designed, and so learns
+ * less from it, that the arm's parameters are what another one knows more precisely: each in turn,
+ * but those that take the arm itself for another. */
+static void suppose_taught(const model *m, const state *at)
+{
+    const double interval = m->constants[TRIAL];
+    const long k = m->s.k, turn = (long)fmod(floor(*at->age / interval), STANDING);
+    const hypothesis best = best_of(m, at), teacher = hypothesis_of(m, at, turn);
+    const double score = *best.score - 0.5 * m->constants[FLOOR];
+    if (*at->best < LOUD || *at->best == DRIFT || *at->best >= STANDING || turn == *at->best
+        || turn == FORCE || turn == IMPERFECT || !has_passed(at, interval, *at->since)
+        || *teacher.live == 0 || *teacher.significant == 0) {
+        return;
+    }
+    for (long a = 0; a < k; a++) {
+        if (teacher.gamma[a * (k + 1)] > best.gamma[a * (k + 1)]) {
+            return;
+        }
+    }
+    const long place = place_for(m, at, score);
+    if (place < 0) {
+        return;
+    }
+    const hypothesis h = begin_from_best(m, at, place, TAUGHT, score);
+    for (long a = 0; a < k; a++) {
+        const double *sensitivity = h.upsilon + a * m->s.width;
+        add_scaled(h.x, teacher.theta[a] - h.theta[a], sensitivity, states_in_use(m, &h));
+        h.theta[a] = h.anchor[a] = teacher.theta[a];
+        h.pending[a] = 0.0;
+    }
+    copy_matrix(teacher.gamma, k, h.gamma, k, k, k);
+    *h.significant = 1;
+}
+
 void take_torque(const model *m, state *at, const double *u)
 {
     if (*m->torque_limit > 0.0) {
@@ -711,9 +751,8 @@ static void report(const model *m, const hypothesis *best, correction *effect)
  * so loud that a jump which the design takes for an outlier is not even sudden. */
 static int is_due(const model *m, const state *at, long output)
 {
-    const double interval = 0.25 * m->constants[TRIAL], since = *sensor_of(m, at, output).since;
     return *at->awake > 0.0 && noise_of(m, at, output) > *m->gate / m->constants[SUDDEN]
-           && floor(*at->age / interval) > floor((*at->age - since) / interval);
+           && has_passed(at, 0.25 * m->constants[TRIAL], *sensor_of(m, at, output).since);
 }
 
 /* Fork the best hypothesis where it takes a sample for an outlier; a sensor may have jumped where a
@@ -810,6 +849,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
             }
         }
     }
+    suppose_taught(m, at);
     rest(m, at);
 }
 

@@ -43,8 +43,9 @@ enum {
     FORKS = 6
 };
 
-/* What a fork supposes to have happened at its first sample. */
-enum { NO_FORK, JUMPED, HIT, MOVED, WRONG_TORQUE };
+/* What a fork supposes to have happened at its first sample, or that the arm's parameters are those
+ * that another hypothesis has learnt. */
+enum { NO_FORK, JUMPED, HIT, MOVED, WRONG_TORQUE, TAUGHT };
 
 /* Outcomes of measurements, in the order of `estimation.records.RejectReason`. */
 enum {
