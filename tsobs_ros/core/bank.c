@@ -46,7 +46,7 @@ static int state_is_sound(const model *m, const state *at)
     for (long i = 0; i < m->s.hypotheses; i++) {
         const hypothesis h = hypothesis_of(m, at, i);
         if (*h.kind < 0 || *h.kind >= STANDING || *h.output < 0 || *h.output >= m->s.p
-            || *h.fork < NO_FORK || *h.fork > TAUGHT
+            || *h.fork < NO_FORK || *h.fork > OTHERWISE
             || (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
             return 0;
         }
@@ -219,11 +219,12 @@ static void open_all(const model *m, const hypothesis *h)
     copy_matrix(first.upsilon, width, h->upsilon, width, k, n);
 }
 
-/* Begin a standing hypothesis. */
-static void renew(const model *m, const state *at, long kind)
+/* Begin a hypothesis of a kind, which otherwise is a copy of the best one. */
+static void begin_kind(
+    const model *m, const state *at, long place, long kind, int64_t fork, double score)
 {
     const long n = m->s.n, p = m->s.p, width = m->s.width;
-    const hypothesis h = begin_from_best(m, at, kind, NO_FORK, -m->constants[FLOOR]);
+    const hypothesis h = begin_from_best(m, at, place, fork, score);
     take_for(m, at, &h, kind);
     if (kind == FORCE && h.covariance[n * width + n] <= 0.0) {
         h.covariance[n * width + n] = *m->force * *m->force;
@@ -232,6 +233,12 @@ static void renew(const model *m, const state *at, long kind)
         const double std = m->constants[COLOUR_SIZE];
         h.covariance[(n + 1 + j) * (width + 1)] = m->R[j * p + j] * std * std;
     }
+}
+
+/* Begin a standing hypothesis. */
+static void renew(const model *m, const state *at, long kind)
+{
+    begin_kind(m, at, kind, kind, NO_FORK, -m->constants[FLOOR]);
 }
 
 /* Consider all hypotheses that differ from the design for a while, and begin those that sleep; but
@@ -600,38 +607,59 @@ static int has_passed(const state *at, double interval, double since)
     return floor(*at->age / interval) > floor((*at->age - since) / interval);
 }
 
-/* Suppose, if the best hypothesis takes the sensors' noise for another than designed, and so learns
- * less from it, that the arm's parameters are what another one knows more precisely: each in turn,
- * but those that take the arm itself for another. */
-static void suppose_taught(const model *m, const state *at)
+/* Suppose that arm and sensors are of another kind than the best hypothesis takes them for. */
+static void suppose_kind(const model *m, const state *at, long kind)
 {
-    const double interval = m->constants[TRIAL];
-    const long k = m->s.k, turn = (long)fmod(floor(*at->age / interval), STANDING);
-    const hypothesis best = best_of(m, at), teacher = hypothesis_of(m, at, turn);
-    const double score = *best.score - 0.5 * m->constants[FLOOR];
-    if (*at->best < LOUD || *at->best == DRIFT || *at->best >= STANDING || turn == *at->best
-        || turn == FORCE || turn == IMPERFECT || !has_passed(at, interval, *at->since)
-        || *teacher.live == 0 || *teacher.significant == 0) {
-        return;
-    }
-    for (long a = 0; a < k; a++) {
-        if (teacher.gamma[a * (k + 1)] > best.gamma[a * (k + 1)]) {
-            return;
-        }
-    }
+    const double score = *best_of(m, at).score - 0.5 * m->constants[FLOOR];
     const long place = place_for(m, at, score);
+    if (place >= 0) {
+        begin_kind(m, at, place, kind, OTHERWISE, score);
+    }
+}
+
+/* Suppose that the arm's parameters are what another hypothesis knows more precisely. */
+static void suppose_parameters(const model *m, const state *at, const hypothesis *teacher)
+{
+    const long k = m->s.k;
+    const hypothesis best = best_of(m, at);
+    const double score = *best.score - 0.5 * m->constants[FLOOR];
+    int is_better = *teacher->live != 0 && *teacher->significant != 0;
+    for (long a = 0; a < k; a++) {
+        is_better = is_better && teacher->gamma[a * (k + 1)] <= best.gamma[a * (k + 1)];
+    }
+    const long place = is_better ? place_for(m, at, score) : -1;
     if (place < 0) {
         return;
     }
-    const hypothesis h = begin_from_best(m, at, place, TAUGHT, score);
+    const hypothesis h = begin_from_best(m, at, place, OTHERWISE, score);
     for (long a = 0; a < k; a++) {
         const double *sensitivity = h.upsilon + a * m->s.width;
-        add_scaled(h.x, teacher.theta[a] - h.theta[a], sensitivity, states_in_use(m, &h));
-        h.theta[a] = h.anchor[a] = teacher.theta[a];
+        add_scaled(h.x, teacher->theta[a] - h.theta[a], sensitivity, states_in_use(m, &h));
+        h.theta[a] = h.anchor[a] = teacher->theta[a];
         h.pending[a] = 0.0;
     }
-    copy_matrix(teacher.gamma, k, h.gamma, k, k, k);
+    copy_matrix(teacher->gamma, k, h.gamma, k, k, k);
     *h.significant = 1;
+}
+
+/* Suppose something else than the best hypothesis, in turn: what was the likeliest explanation of
+ * the past has learnt and followed other things than the others, and so they fall behind. Of noise
+ * that is not as designed a hypothesis learns less than the others know. */
+static void suppose_otherwise(const model *m, const state *at)
+{
+    const double interval = m->constants[TRIAL];
+    const long best = *at->best, turn = (long)fmod(floor(*at->age / interval), STANDING);
+    if (*at->awake <= 0.0 || best >= STANDING || turn == best
+        || !has_passed(at, interval, *at->since)) {
+        return;
+    }
+    if (turn < TONE) {
+        suppose_kind(m, at, turn);
+    }
+    if (best >= LOUD && best != DRIFT && turn != FORCE && turn != IMPERFECT) {
+        const hypothesis teacher = hypothesis_of(m, at, turn);
+        suppose_parameters(m, at, &teacher);
+    }
 }
 
 void take_torque(const model *m, state *at, const double *u)
@@ -707,8 +735,11 @@ static void compare(const model *m, state *at)
 static void rest(const model *m, state *at)
 {
     hypothesis h;
-    long fork = STANDING;
-    if (*at->best == AS_DESIGNED && *at->awake <= 0.0 && !find_live(m, at, &fork, &h)) {
+    int is_calm = *at->best == AS_DESIGNED && *at->awake <= 0.0;
+    for (long i = STANDING; find_live(m, at, &i, &h); i++) {
+        is_calm = is_calm && *h.fork == OTHERWISE;
+    }
+    if (is_calm) {
         for (long i = 1; find_live(m, at, &i, &h); i++) {
             drop(m, &h);
         }
@@ -849,7 +880,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
             }
         }
     }
-    suppose_taught(m, at);
+    suppose_otherwise(m, at);
     rest(m, at);
 }
 

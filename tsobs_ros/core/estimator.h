@@ -43,9 +43,9 @@ enum {
     FORKS = 6
 };
 
-/* What a fork supposes to have happened at its first sample, or that the arm's parameters are those
- * that another hypothesis has learnt. */
-enum { NO_FORK, JUMPED, HIT, MOVED, WRONG_TORQUE, TAUGHT };
+/* What a fork supposes to have happened at its first sample, or that nothing happened, and the
+ * best hypothesis takes the arm and its sensors for the wrong thing. */
+enum { NO_FORK, JUMPED, HIT, MOVED, WRONG_TORQUE, OTHERWISE };
 
 /* Outcomes of measurements, in the order of `estimation.records.RejectReason`. */
 enum {
@@ -96,7 +96,7 @@ enum {
     C(MOVING, 6.0, "motion, by bounds, from which on parameters are learnt")                   \
     C(CURVED, 0.5, "share of a learnt distance by which regressors are wrong")                 \
     C(QUIET, 0.25, "slow power that white noise leaves, by that of all innovations")           \
-    C(VOID, 4.0, "power of innovations, by that expected, from which on nothing is claimed")
+    C(VOID, 4.0, "power of innovations, by that expected, from which on nothing is claimed") C(X1, 0.0, "x") C(X2, 6.0, "x") C(X3, 0.0, "x") C(X4, 0.0, "x") C(X5, 0.0, "x") C(X6, 0.0, "x")
 
 #define BANK_CONSTANT_NAME(name, value, what) name,
 enum { BANK_CONSTANTS(BANK_CONSTANT_NAME) CONSTANTS };
