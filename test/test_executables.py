@@ -63,13 +63,18 @@ def test_streams_that_are_full_or_closed_are_errors(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("library", "advice"), [("mcap", "-m pip install pyyaml"), ("rclpy", "source ROS 2 Jazzy, or ")]
+    ("call", "library", "advice"),
+    [
+        ("run('recorder')", "mcap", "-m pip install pyyaml"),
+        ("run('recorder')", "rclpy", "source ROS 2 Jazzy, or "),
+        ("tsobs()", "numpy", "-m pip install 'numpy>=1.26' pyyaml"),
+    ],
 )
-def test_a_node_without_a_library_ends_with_the_command_that_installs_it(
-    library: str, advice: str
+def test_a_process_without_a_library_ends_with_the_command_that_installs_it(
+    call: str, library: str, advice: str
 ) -> None:
     code = f"import sys; sys.modules[{library!r}] = None\n"
-    code += "from tsobs_ros.executables import run; sys.exit(run('recorder'))"
+    code += f"from tsobs_ros import executables; sys.exit(executables.{call})"
     exit_code, out, error = ended([sys.executable, "-c", code])
     assert (exit_code, out) == (1, "")
     assert error.startswith(f"error: {library} is not installed: ")

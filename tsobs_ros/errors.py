@@ -17,7 +17,8 @@ _DESIGN = ("cvxpy-base", "clarabel", "scipy")
 _REPORT = ("matplotlib", "plotly", "tqdm", "mcap-ros2-support")
 LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "rclpy": ("ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"),
-    **dict.fromkeys(("numpy", "yaml", "msgspec", "mcap", "zstandard", "lz4"), _BASE),
+    "numpy": ("numpy>=1.26", *_BASE),
+    **dict.fromkeys(("yaml", "msgspec", "mcap", "zstandard", "lz4"), _BASE),
     **dict.fromkeys(("cvxpy", "clarabel", "scipy"), _DESIGN),
     **dict.fromkeys(("matplotlib", "plotly", "tqdm", "mcap_ros2"), _REPORT),
     "pyarrow": ("pyarrow", "mcap-ros2-support"),
@@ -110,6 +111,17 @@ def complain(problem: object) -> int:
     with suppress(OSError):  # the terminal has gone
         print(f"error: {printable(str(problem), newline)}", file=sys.stderr, flush=True)
     return 1
+
+
+def complain_of_missing(error: ModuleNotFoundError) -> int:
+    """Print what installs a missing module, and return the exit code 1.
+
+    Raises:
+        ModuleNotFoundError: It is the given error, on a module that belongs to no library.
+    """
+    if (advice := missing_library(error.name)) is None:
+        raise error
+    return complain(advice)
 
 
 def missing_library(name: str | None) -> str | None:

@@ -22,7 +22,7 @@ if _PROCESS in _NAMES:
 from functools import partial
 from importlib import import_module
 
-from tsobs_ros.errors import complain, missing_library
+from tsobs_ros.errors import complain_of_missing
 
 # Time for the interpreter's own shutdown, which may still destroy a participant.
 _FINALISE_TIMEOUT = 5.0
@@ -42,10 +42,7 @@ def run(name: str) -> int:
         runtime = import_module("tsobs_ros.nodes.runtime")
         runtime.check_arguments(module, sys.argv)
     except ModuleNotFoundError as error:
-        advice = missing_library(error.name)
-        if advice is None:
-            raise
-        return complain(advice)
+        return complain_of_missing(error)
     exit_code: int = runtime.run(module.create)
     ignore_signals()
     runtime.limit_time_left(_FINALISE_TIMEOUT)
@@ -58,6 +55,8 @@ def tsobs() -> int:
     _keep_standard_streams()
     try:
         exit_code: int = import_module("tsobs_ros.cli.main").main()
+    except ModuleNotFoundError as error:  # of what every command imports
+        exit_code = complain_of_missing(error)
     except KeyboardInterrupt:  # a second one, while the first was reported
         exit_code = 1
     finally:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from tsobs_ros import __version__
 from tsobs_ros.cli import bag, campaign, compare, demo, design, estimate, export, fit, report, watch
 from tsobs_ros.cli.common import note
-from tsobs_ros.errors import TsobsError, complain, missing_library, printable
+from tsobs_ros.errors import TsobsError, complain, complain_of_missing, printable
 from tsobs_ros.stop import interrupt
 
 _COMMANDS = (demo, fit, design, estimate, compare, campaign, export, report, watch, bag)
@@ -42,10 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except TsobsError as error:
         complain(error)
     except ModuleNotFoundError as error:
-        advice = missing_library(error.name)
-        if advice is None:
-            raise
-        complain(advice)
+        complain_of_missing(error)
     except UnicodeEncodeError as error:  # of a file's name, which may be any bytes
         complain(f"expected names in UTF-8: {error}")
     except KeyboardInterrupt:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from player.bags import regular, texts, write_bag
+from std_srvs.srv import Trigger
 
 from tsobs_ros.bag import BagReader
 from tsobs_ros.errors import BagReadError
@@ -23,12 +24,18 @@ def test_it_ends_with_the_bag_and_follows_remappings(
     bag = write_bag(tmp_path / "bag", [*regular(50, 1.0), *regular(50, 1.0, "/b")])
     listener.listen("/new", "/b")
     listener.listen_to_clock()
+    waiting = {"wait_for_subscribers": 2, "wait_timeout": 0.0, "start_paused": True}
     process = ros_process(
         "player",
         params_file=config_path("player.yaml"),
-        parameters={"bag": str(bag), "clock": 100.0, "wait_for_subscribers": 2},
+        parameters={"bag": str(bag), "clock": 100.0, **waiting},
         remap={"/a": "/new", "__node": "tape"},
     )
+    # A subscription that the player knows may not know the player yet, and gets only what is kept:
+    # of /clock ten stamps. So time stands still until it is heard. The answer does not matter.
+    resume = listener.node.create_client(Trigger, "/tape/resume")
+    ros.spin_until(lambda: listener.clock and resume.service_is_ready(), 30.0, "the pause")
+    resume.call_async(Trigger.Request())
     ros.spin_until(lambda: len(listener.heard) >= 100, 30.0, "all messages")
     finished = process.finish()
 
