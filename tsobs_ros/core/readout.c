@@ -36,15 +36,24 @@ static void weigh_all(const model *m, const state *at, double *weights)
     }
 }
 
-/* Return what a state's bounds rest on, and whether they are claimed to hold. */
-static int64_t basis_of(const model *m, const hypothesis *best, double *claimed)
+/* Return what arm and sensors are taken for: what the likeliest hypothesis does, once the design is
+ * so unlikely beside it that something else would be supposed. */
+static int64_t kind_of(const model *m, const state *at)
 {
+    const hypothesis designed = hypothesis_of(m, at, AS_DESIGNED);
+    return *designed.score < -0.5 * m->constants[FLOOR] ? *best_of(m, at).kind : AS_DESIGNED;
+}
+
+/* Return what a state's bounds rest on, and whether they are claimed to hold. */
+static int64_t basis_of(const model *m, const state *at, double *claimed)
+{
+    const hypothesis of = best_of(m, at), *best = &of;
     const double most = m->constants[VOID];
     *claimed = *best->nis <= most && slowness_of(m, best, *best->slow_power) <= 4.0 * most;
     if (*claimed == 0.0) {
         return BASIS_CONTRADICTED;
     }
-    if (*best->kind != AS_DESIGNED) {
+    if (kind_of(m, at) != AS_DESIGNED) {
         return BASIS_HYPOTHESIS;
     }
     if (*best->certified == 0) {
@@ -177,14 +186,14 @@ int read_out(const model *m, const state *at, const estimate *said, work *scratc
             m, at, PARAMETER, i, 0.0, 1.0, said->parameters + i, said->parameter_bound + i,
             scratch);
     }
-    *said->basis = (double)basis_of(m, &best, said->claimed);
+    *said->basis = (double)basis_of(m, at, said->claimed);
     *said->noise_scale = scale_of(at);
     *said->coloured_power = *best.colour;
     total += *said->noise_scale + *said->coloured_power;
     *said->learning = m->s.k == 0                              ? LEARNING_NONE
                       : *best.learning >= *m->adaptation_start ? LEARNING_ACTIVE
                                                                    : LEARNING_STARTING;
-    *said->hypothesis = (double)*best.kind;
+    *said->hypothesis = (double)kind_of(m, at);
     *said->parameters_valid
         = m->s.k > 0 && *best.kind == AS_DESIGNED && is_excited(m, &best, scratch->small);
     *said->in_domain = 1.0;
