@@ -95,7 +95,7 @@ enum {
     C(POWER_TIME, 2.5, "time constant of their power [s]")                                     \
     C(MOVING, 6.0, "motion, by bounds, from which on parameters are learnt")                   \
     C(CURVED, 0.5, "share of a learnt distance by which regressors are wrong")                 \
-    C(QUIET, 0.25, "slow power that white noise leaves, by that of all innovations")           \
+    C(QUIET, 0.22, "slow power that white noise leaves, by that of all innovations")           \
     C(VOID, 4.0, "power of innovations, by that expected, from which on nothing is claimed") C(X1, 0.0, "x") C(X2, 6.0, "x") C(X3, 0.0, "x") C(X4, 0.0, "x") C(X5, 0.0, "x") C(X6, 0.0, "x")
 
 #define BANK_CONSTANT_NAME(name, value, what) name,

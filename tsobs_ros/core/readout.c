@@ -19,7 +19,7 @@ static double growth_of(const model *m, const hypothesis *h)
 {
     const double slowness = slowness_of(m, h, *h->slow_power);
     const double lasting = slowness_of(m, h, *h->lasting), most = 1.5 * m->constants[VOID];
-    return clip(maximum(slowness, 0.75 * lasting * lasting), 1.0, most);
+    return clip(maximum(slowness, 0.6 * lasting * lasting), 1.0, most);
 }
 
 /* Write the weights of the hypotheses, 0 of those that do not count. */
@@ -49,7 +49,7 @@ static int64_t basis_of(const model *m, const state *at, double *claimed)
 {
     const hypothesis of = best_of(m, at), *best = &of;
     const double most = m->constants[VOID];
-    *claimed = *best->nis <= most && slowness_of(m, best, *best->slow_power) <= 4.0 * most;
+    *claimed = *best->nis <= most && slowness_of(m, best, *best->slow_power) <= 4.5 * most;
     if (*claimed == 0.0) {
         return BASIS_CONTRADICTED;
     }
