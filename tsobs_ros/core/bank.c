@@ -685,6 +685,20 @@ void take_torque(const model *m, state *at, const double *u)
     *at->torque_age = 0.0;
 }
 
+/* Tell the hypothesis of an imperfect arm that sensors have jumped, as another one found: it is no
+ * matter of its own, and by how much it finds for itself. */
+static void tell_of_jump(const model *m, const state *at, const hypothesis *h)
+{
+    const hypothesis other = hypothesis_of(m, at, IMPERFECT);
+    for (long i = 0; i < m->s.p && *other.live != 0; i++) {
+        const double *map = m->disturbance_map + i * m->s.width;
+        const double off = dot(map, h->x, m->s.n) - dot(map, other.x, m->s.n);
+        for (long a = 0; a < m->s.n; a++) {
+            other.covariance[a * (m->s.width + 1)] += map[a] != 0.0 ? off * off : 0.0;
+        }
+    }
+}
+
 /* Let the best fork take its parent's place once it is sure, and let the others end. */
 static void select_forks(const model *m, state *at)
 {
@@ -699,6 +713,9 @@ static void select_forks(const model *m, state *at)
                 *at->hits += *h.fork == HIT;
                 *at->losses += *h.fork == MOVED;
                 *at->wrong_torques += *h.fork == WRONG_TORQUE;
+                if (*h.fork == JUMPED) {
+                    tell_of_jump(m, at, &h);
+                }
                 *h.fork = NO_FORK;
                 memcpy(parent.live, h.live, hypothesis_size(&m->s) * sizeof(double));
                 drop(m, &h);

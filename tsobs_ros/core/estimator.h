@@ -96,7 +96,7 @@ enum {
     C(MOVING, 6.0, "motion, by bounds, from which on parameters are learnt")                   \
     C(CURVED, 0.5, "share of a learnt distance by which regressors are wrong")                 \
     C(QUIET, 0.22, "slow power that white noise leaves, by that of all innovations")           \
-    C(VOID, 4.0, "power of innovations, by that expected, from which on nothing is claimed") C(X1, 0.0, "x") C(X2, 6.0, "x") C(X3, 0.0, "x") C(X4, 0.0, "x") C(X5, 0.0, "x") C(X6, 0.0, "x")
+    C(VOID, 4.0, "power of innovations, by that expected, from which on nothing is claimed")
 
 #define BANK_CONSTANT_NAME(name, value, what) name,
 enum { BANK_CONSTANTS(BANK_CONSTANT_NAME) CONSTANTS };
