@@ -41,6 +41,9 @@ LEARNING = {
 }
 """How parameters are learnt, by fields of a model record."""
 
+_FIRST_PASS = 1.0
+"""The first pass is over after so long [s]: the estimate settles, and regressors are most wrong."""
+
 GAIN_MODES = ("certified", "riccati")
 """Which gain corrects the estimate once it has settled."""
 
@@ -175,7 +178,9 @@ class Estimator:
         one["theta_deviation"] = std
         for name, value in (LEARNING | options).items():
             one[name] = value
-        one["initial"]["hypotheses"][0]["gamma"] = np.diag(one["theta_deviation"] ** 2)
+        first = one["initial"]["hypotheses"][0]
+        first["gamma"] = np.diag(one["theta_deviation"] ** 2)
+        first["pass_age"] = max(0.0, one["pass_time"] - _FIRST_PASS)
 
     def new_record(self, name: str) -> Record:
         """Return a "work", scratch for a thread of its own, or a "correction", zeros."""
