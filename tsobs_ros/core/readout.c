@@ -106,8 +106,16 @@ static double value_of(
                           : value + dot(m->disturbance_direct + place * m->s.p, at->sample, m->s.p);
 }
 
+/* Return whether a fork is undecided of which the estimate may be far off, as hardly anything is
+ * known of the arm after a hit, or where it is put: it widens the bound, but moves no estimate. */
+static int is_undecided(const model *m, const state *at, const hypothesis *h)
+{
+    const hypothesis parent = hypothesis_of(m, at, *h->kind);
+    return (*h->fork == HIT || *h->fork == MOVED) && counts(m, &parent);
+}
+
 /* Write the mean of a quantity over the hypotheses and its bound in a unit, by the mean of the
- * variances and the variance of the means; return their sum. least: its 1-sigma by the certificate.
+ * variances and the mean square of the distances from it; return their sum. least: its 1-sigma by the certificate.
  * Slow innovations do not widen the bound of an unknown torque: it is what explains them. What was
  * learnt of parameters over a distance is wrong by a share of it: regressors move with x^. */
 static double read_one(
@@ -115,7 +123,7 @@ static double read_one(
     double *bound, work *scratch)
 {
     const long k = m->s.k;
-    double mean = 0.0, mean_square = 0.0, within = 0.0;
+    double total = 0.0, mean = 0.0, mean_of_all = 0.0, mean_square = 0.0, within = 0.0;
     for (long j = 0; j < m->s.hypotheses; j++) {
         const double weight = scratch->weights[j];
         double variance, shift = 0.0, curved = 0.0, prior = 0.0;
@@ -142,11 +150,16 @@ static double read_one(
         const double grown = maximum(minimum(growth * growth * added, prior), added);
         const double std
             = sqrt(growth * growth * (own * own) + (grown + shift * shift + curved * curved));
-        mean += weight * said;
+        if (!is_undecided(m, at, &h)) {
+            total += weight;
+            mean += weight * said;
+        }
+        mean_of_all += weight * said;
         mean_square += weight * said * said;
         within += weight * std * std;
     }
-    const double between = mean_square - mean * mean;
+    mean = total > 0.0 ? mean / total : mean_of_all;
+    const double between = mean_square - mean * (2.0 * mean_of_all - mean);
     *value = unit * mean;
     *bound = fabs(unit) * sqrt(within + (between > 0.0 ? between : 0.0));
     return *value + *bound;
