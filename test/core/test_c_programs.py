@@ -105,7 +105,7 @@ def log_of(design: Design) -> tuple[Array, Array, Array]:
     angle[500:, 0] += 0.2
     angle[[310, 311]] = np.nan
     torque[[40, 90]] += 30.0, np.inf
-    torque[800:850] -= 5.0
+    torque[800:900] -= 15.0
     order = np.arange(len(keep))
     order[[20, 30]], order[[430, 431]], order[50] = order[[30, 20]], order[[431, 430]], 49
     return time[order], angle[order], torque[order]

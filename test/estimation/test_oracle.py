@@ -18,7 +18,7 @@ from tsobs_ros.core import native
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
-from tsobs_ros.estimation.records import Hypothesis
+from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.prediction import Record
@@ -238,7 +238,7 @@ def test_some_hypotheses_trust_the_model_less(kind: Hypothesis, power: float) ->
 
 @pytest.mark.parametrize(
     ("slowness", "lasting", "growth"),
-    [(0.9, 1.0, 1.0), (2.0, 1.0, 2.0), (2.0, 2.0, 3.0), (2.0, 3.0, 6.0), (9.0, 2.0, 6.0)],
+    [(0.9, 1.0, 1.0), (2.0, 1.0, 2.0), (2.0, 2.0, 2.4), (2.0, 3.0, 5.4), (9.0, 2.0, 6.0)],
 )
 def test_slow_innovations_widen_bounds(slowness: float, lasting: float, growth: float) -> None:
     observer = make_estimator(load_design(config_path(SHIPPED_DESIGN)), SOON)
@@ -251,3 +251,35 @@ def test_slow_innovations_widen_bounds(slowness: float, lasting: float, growth: 
     for name in ("state_bound", "disturbance_bound", "parameter_bound"):
         bounds = [np.asarray(getattr(observer.readout(one), name)) for one in (calm, slow)]
         check(bounds[1], growth * bounds[0], name)
+
+
+def beside(kind: int, fork: int, design_behind: float) -> tuple[Estimator, Record]:
+    """Return a state whose best hypothesis is a kind, or a fork, that is 10 rad from the design."""
+    observer = make_estimator(load_design(config_path(SHIPPED_DESIGN)), SOON)
+    state = observer.initial()
+    place, all_ = len(Hypothesis) + 1 if fork else kind, state["hypotheses"][0]
+    all_["age"][0], all_["settling"][0] = 9.0, 0.0
+    all_[place] = all_[0]
+    all_["kind"][place], all_["fork"][place], state["best"] = kind, fork, place
+    all_["x"][place, 0] += 10.0
+    all_["score"][0] = -design_behind
+    return observer, state
+
+
+@pytest.mark.parametrize(("fork", "shift"), [(1, 5.0), (2, 0.0), (3, 0.0), (5, 5.0)])
+def test_a_hit_that_is_undecided_widens_the_bound_only(fork: int, shift: float) -> None:
+    observer, state = beside(Hypothesis.AS_DESIGNED, fork, 0.0)
+    row, variance = observer.readout(state), likeliest(state)["covariance"][0, 0]
+    check(row.state[0], shift, "estimate")
+    mean_square = 0.5 * (shift**2 + (10.0 - shift) ** 2)  # of the distances from it
+    check(row.state_bound[0], math.sqrt(variance + mean_square), "bound")
+
+
+@pytest.mark.parametrize(("behind", "named"), [(5.9, False), (6.1, True)])
+def test_another_hypothesis_is_named_once_the_design_is_unlikely(
+    behind: float, named: bool
+) -> None:
+    observer, state = beside(Hypothesis.IMPERFECT, 0, behind)
+    row = observer.readout(state)
+    assert row.hypothesis == (Hypothesis.IMPERFECT if named else Hypothesis.AS_DESIGNED)
+    assert row.basis == (Basis.HYPOTHESIS if named else Basis.COVARIANCE)
