@@ -611,7 +611,7 @@ static int has_passed(const state *at, double interval, double since)
 static void suppose_kind(const model *m, const state *at, long kind)
 {
     const double score = *best_of(m, at).score - 0.5 * m->constants[FLOOR];
-    const long place = place_for(m, at, score);
+    const long place = place_for(m, at, -INFINITY);
     if (place >= 0) {
         begin_kind(m, at, place, kind, OTHERWISE, score);
     }
@@ -627,7 +627,7 @@ static void suppose_parameters(const model *m, const state *at, const hypothesis
     for (long a = 0; a < k; a++) {
         is_better = is_better && teacher->gamma[a * (k + 1)] <= best.gamma[a * (k + 1)];
     }
-    const long place = is_better ? place_for(m, at, score) : -1;
+    const long place = is_better ? place_for(m, at, -INFINITY) : -1;
     if (place < 0) {
         return;
     }
