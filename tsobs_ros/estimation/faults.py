@@ -3,7 +3,7 @@
 """The faults of sensors: missing, stuck, oscillating, drifting, biased or noisy.
 
 They are in what the estimator remembers: the time since a sensor's last value, repetitions of its
-value, the likeliest hypothesis, the size of its noise, and the estimated disturbance. A kind and a
+value, the hypothesis, the size of its noise, and the estimated disturbance. A kind and a
 level must last to be reported.
 """
 
@@ -128,7 +128,7 @@ class FaultMonitor:
     def _seen(self, estimate: Estimate, state: Record) -> Iterator[Fault]:
         """Yield the faults as they look at the moment."""
         best = likeliest(state)
-        parts, supposed = best["x"][self._states + 1 :], _SUPPOSED.get(best["kind"])
+        parts, supposed = best["x"][self._states + 1 :], _SUPPOSED.get(estimate.hypothesis)
         suspect = best["output"]
         if supposed in (FaultKind.DRIFT, FaultKind.NOISE):
             suspect = np.argmax(np.abs(parts[: len(self._stds)]) / self._stds)

@@ -79,7 +79,7 @@ class Learning(Code):
 
 
 class Hypothesis(Code):
-    """What the estimate takes the arm and its sensor for; bad unless they are as designed."""
+    """What arm and sensor are taken for, once the design is 400 times less likely; bad then."""
 
     AS_DESIGNED = 0, "arm and sensor behave as designed"
     FORCE = (
