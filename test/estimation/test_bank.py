@@ -413,3 +413,15 @@ def test_what_fell_behind_is_supposed_again() -> None:
     """A motor that rubs beneath a wrong stiffness is found by forks only."""
     got = course("learning", simulated(SCENARIOS["stiff_friction"], 0, 60))
     assert got.is_honest(20 * RATE)
+
+
+def test_a_kind_that_differs_in_nothing_is_never_supposed() -> None:
+    tracker, run = make_tracker(DESIGNS["learning"], ObserverSettings()), simulated(TAKEN_FOR[1][0])
+    tracker.estimator.model["force"], kinds = 0.0, set()
+    for begin in range(0, COUNT, 20):
+        part = np.arange(begin, begin + 20)
+        tracker.follow(
+            NANOSECONDS + 5_000_000 * part, run.measurements[0][part], run.torques[0][part]
+        )
+        kinds |= {*tracker.state["hypotheses"]["kind"][0, awake(tracker)].tolist()}
+    assert {*range(Hypothesis.TONE)} - kinds == {Hypothesis.FORCE}

@@ -63,7 +63,7 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "44914e9338059095",
+    "supervised arm": "17aee809eb3a823a",
     "pendulum": "fdf198b0f6e36c5e",
     "proportional": "3bed2344d081223c",
     "proportional-integral": "6e7e29fca59d261d",

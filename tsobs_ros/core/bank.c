@@ -200,8 +200,8 @@ static void clear_auxiliary(const model *m, const hypothesis *h, long first, lon
     }
 }
 
-/* Take arm and sensors for something else: what was a part of the sensors is the disturbance's
- * again, but a torque that is unknown in a gap is so whatever they are taken for. */
+/* Take arm and sensors for something else: parts of the sensors are forgotten, as the disturbance has
+ * to explain them again, but a torque is unknown in a gap whatever they are taken for. */
 static void take_for(const model *m, const state *at, const hypothesis *h, int64_t kind)
 {
     *h->kind = kind;
@@ -241,21 +241,27 @@ static void renew(const model *m, const state *at, long kind)
     begin_kind(m, at, kind, kind, NO_FORK, -m->constants[FLOOR]);
 }
 
-/* Consider all hypotheses that differ from the design for a while, and begin those that sleep; but
- * tones begin once they are heard. */
-static void wake(const model *m, state *at)
+/* Return whether a kind is considered: one that differs from the design in nothing is not, and tones
+ * begin once they are heard. */
+static int is_considered(const model *m, long kind)
 {
     const double *c = m->constants;
     const double differences[TONE] = {
         1.0, *m->force, c[IMPERFECTION] - 1.0, c[NOISE_FACTOR] - 1.0, c[COLOUR_SIZE],
         c[DRIFT_SIZE],
     };
+    return kind < TONE && differences[kind] > 0.0;
+}
+
+/* Consider all hypotheses for a while, and begin those that sleep. */
+static void wake(const model *m, state *at)
+{
     for (long kind = 0; kind < TONE; kind++) {
-        if (*hypothesis_of(m, at, kind).live == 0 && differences[kind] > 0.0) {
+        if (*hypothesis_of(m, at, kind).live == 0 && is_considered(m, kind)) {
             renew(m, at, kind);
         }
     }
-    *at->awake = c[AWAKE];
+    *at->awake = m->constants[AWAKE];
 }
 
 /* --- the sensors --- */
@@ -601,7 +607,7 @@ static void suppose_wrong_torque(const model *m, const state *at, const double *
     }
 }
 
-/* Return whether a time of the state's age that is a multiple of an interval has passed since. */
+/* Return whether the state's age has crossed a multiple of an interval in the time `since`. */
 static int has_passed(const state *at, double interval, double since)
 {
     return floor(*at->age / interval) > floor((*at->age - since) / interval);
@@ -635,16 +641,19 @@ static void suppose_parameters(const model *m, const state *at, const hypothesis
     for (long a = 0; a < k; a++) {
         const double *sensitivity = h.upsilon + a * m->s.width;
         add_scaled(h.x, teacher->theta[a] - h.theta[a], sensitivity, states_in_use(m, &h));
-        h.theta[a] = h.anchor[a] = teacher->theta[a];
+        h.theta[a] = teacher->theta[a];
+        h.anchor[a] = teacher->anchor[a];
         h.pending[a] = 0.0;
     }
     copy_matrix(teacher->gamma, k, h.gamma, k, k, k);
+    *h.pass_age = *teacher->pass_age;
     *h.significant = 1;
 }
 
-/* Suppose something else than the best hypothesis, in turn: what was the likeliest explanation of
- * the past has learnt and followed other things than the others, and so they fall behind. Of noise
- * that is not as designed a hypothesis learns less than the others know. */
+/* Once per trial, suppose that arm and sensors are of another kind, each in turn: only the best
+ * hypothesis forks at events, so that one which is true now may have lost the arm or a jump for good.
+ * Of noise that is not as designed less is learnt: then suppose the parameters, too, that another
+ * one knows better. */
 static void suppose_otherwise(const model *m, const state *at)
 {
     const double interval = m->constants[TRIAL];
@@ -653,7 +662,7 @@ static void suppose_otherwise(const model *m, const state *at)
         || !has_passed(at, interval, *at->since)) {
         return;
     }
-    if (turn < TONE) {
+    if (is_considered(m, turn)) {
         suppose_kind(m, at, turn);
     }
     if (best >= LOUD && best != DRIFT && turn != FORCE && turn != IMPERFECT) {
@@ -685,8 +694,8 @@ void take_torque(const model *m, state *at, const double *u)
     *at->torque_age = 0.0;
 }
 
-/* Tell the hypothesis of an imperfect arm that sensors have jumped, as another one found: it is no
- * matter of its own, and by how much it finds for itself. */
+/* A sensor has jumped, as a fork found. Open the disturbance of IMPERFECT by the distance to the
+ * fork's, so that it finds the jump for itself: the arm's state and parameters are its own. */
 static void tell_of_jump(const model *m, const state *at, const hypothesis *h)
 {
     const hypothesis other = hypothesis_of(m, at, IMPERFECT);

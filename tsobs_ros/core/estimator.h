@@ -43,8 +43,8 @@ enum {
     FORKS = 6
 };
 
-/* What a fork supposes to have happened at its first sample, or that nothing happened, and the
- * best hypothesis takes the arm and its sensors for the wrong thing. */
+/* What a fork supposes: an event at its first sample, or otherwise, another kind or other parameters
+ * than the best hypothesis has. */
 enum { NO_FORK, JUMPED, HIT, MOVED, WRONG_TORQUE, OTHERWISE };
 
 /* Outcomes of measurements, in the order of `estimation.records.RejectReason`. */
@@ -267,7 +267,8 @@ LAYOUT_DECLARE(estimate, ESTIMATE_FIELDS, estimator_sizes)
     F(MATRIX, small, s->k, s->k)                     \
     F(VECTOR, share, s->k, 1)                        \
     F(VECTOR, functional, s->width, 1)               \
-    F(VECTOR, weights, s->hypotheses, 1)
+    F(VECTOR, weights, s->hypotheses, 1)             \
+    F(VECTOR, decided, s->hypotheses, 1)
 LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
 
 /* A model; from `scale` on in physical units. */

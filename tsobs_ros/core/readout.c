@@ -22,22 +22,35 @@ static double growth_of(const model *m, const hypothesis *h)
     return clip(maximum(slowness, 0.6 * lasting * lasting), 1.0, most);
 }
 
-/* Write the weights of the hypotheses, 0 of those that do not count. */
-static void weigh_all(const model *m, const state *at, double *weights)
+/* Return whether a fork supposes a hit or a moved arm, and its parent still counts. Hardly anything
+ * is known of the arm in it at first: it widens the bound, but does not move the estimate. */
+static int is_undecided(const model *m, const state *at, const hypothesis *h)
 {
-    double total = 0.0;
+    const hypothesis parent = hypothesis_of(m, at, *h->kind);
+    return (*h->fork == HIT || *h->fork == MOVED) && counts(m, &parent);
+}
+
+/* Write the weights of the hypotheses, 0 of those that do not count, and their weights in the
+ * estimate, `decided`, which are 0 of undecided forks, too. */
+static void weigh_all(const model *m, const state *at, work *scratch)
+{
+    double total = 0.0, decided = 0.0; /* the latter has the parents of those that are undecided */
     for (long i = 0; i < m->s.hypotheses; i++) {
         const hypothesis h = hypothesis_of(m, at, i);
-        weights[i] = counts(m, &h) ? exponential(minimum(*h.score, 0.0)) : 0.0;
-        total += weights[i];
+        const double weight = counts(m, &h) ? exponential(minimum(*h.score, 0.0)) : 0.0;
+        scratch->weights[i] = weight;
+        scratch->decided[i] = weight > 0.0 && !is_undecided(m, at, &h) ? weight : 0.0;
+        total += weight;
+        decided += scratch->decided[i];
     }
     for (long i = 0; i < m->s.hypotheses; i++) {
-        weights[i] /= total;
+        scratch->weights[i] /= total;
+        scratch->decided[i] /= decided;
     }
 }
 
-/* Return what arm and sensors are taken for: what the likeliest hypothesis does, once the design is
- * so unlikely beside it that something else would be supposed. */
+/* Return the kind that is named: the likeliest one's, once the design is less likely by half a floor,
+ * as something else than the likeliest is supposed at; before that, the design. */
 static int64_t kind_of(const model *m, const state *at)
 {
     const hypothesis designed = hypothesis_of(m, at, AS_DESIGNED);
@@ -106,24 +119,16 @@ static double value_of(
                           : value + dot(m->disturbance_direct + place * m->s.p, at->sample, m->s.p);
 }
 
-/* Return whether a fork is undecided of which the estimate may be far off, as hardly anything is
- * known of the arm after a hit, or where it is put: it widens the bound, but moves no estimate. */
-static int is_undecided(const model *m, const state *at, const hypothesis *h)
-{
-    const hypothesis parent = hypothesis_of(m, at, *h->kind);
-    return (*h->fork == HIT || *h->fork == MOVED) && counts(m, &parent);
-}
-
-/* Write the mean of a quantity over the hypotheses and its bound in a unit, by the mean of the
- * variances and the mean square of the distances from it; return their sum. least: its 1-sigma by the certificate.
- * Slow innovations do not widen the bound of an unknown torque: it is what explains them. What was
+/* Write the mean of a quantity over the hypotheses that are decided, and its bound: the root of the
+ * mean, over all, of variance plus squared distance from it. Return their sum. least: its 1-sigma by
+ * the certificate. Slow innovations do not widen the bound of an unknown torque: it is what explains them. What was
  * learnt of parameters over a distance is wrong by a share of it: regressors move with x^. */
 static double read_one(
     const model *m, const state *at, int what, long place, double least, double unit, double *value,
     double *bound, work *scratch)
 {
     const long k = m->s.k;
-    double total = 0.0, mean = 0.0, mean_of_all = 0.0, mean_square = 0.0, within = 0.0;
+    double mean = 0.0, mean_of_all = 0.0, mean_square = 0.0, within = 0.0;
     for (long j = 0; j < m->s.hypotheses; j++) {
         const double weight = scratch->weights[j];
         double variance, shift = 0.0, curved = 0.0, prior = 0.0;
@@ -150,15 +155,11 @@ static double read_one(
         const double grown = maximum(minimum(growth * growth * added, prior), added);
         const double std
             = sqrt(growth * growth * (own * own) + (grown + shift * shift + curved * curved));
-        if (!is_undecided(m, at, &h)) {
-            total += weight;
-            mean += weight * said;
-        }
+        mean += scratch->decided[j] * said;
         mean_of_all += weight * said;
         mean_square += weight * said * said;
         within += weight * std * std;
     }
-    mean = total > 0.0 ? mean / total : mean_of_all;
     const double between = mean_square - mean * (2.0 * mean_of_all - mean);
     *value = unit * mean;
     *bound = fabs(unit) * sqrt(within + (between > 0.0 ? between : 0.0));
@@ -169,7 +170,7 @@ int read_out(const model *m, const state *at, const estimate *said, work *scratc
 {
     const hypothesis best = best_of(m, at);
     double total = 0.0;
-    weigh_all(m, at, scratch->weights);
+    weigh_all(m, at, scratch);
     for (long i = 0; i < m->s.plant; i++) {
         total += read_one(
             m, at, STATE, i, m->state_std[i], m->scale[i], said->state + i, said->state_bound + i,
@@ -182,9 +183,9 @@ int read_out(const model *m, const state *at, const estimate *said, work *scratc
         said->disturbance_rate[i] = 0.0;
         for (long j = 0; j < m->s.hypotheses; j++) {
             const double *x = hypothesis_of(m, at, j).x;
-            if (scratch->weights[j] > 0.0) {
+            if (scratch->decided[j] > 0.0) {
                 said->disturbance_rate[i]
-                    += scratch->weights[j] * dot(m->rate_map + i * m->s.width, x, m->s.n);
+                    += scratch->decided[j] * dot(m->rate_map + i * m->s.width, x, m->s.n);
             }
         }
         total += said->disturbance_rate[i];
