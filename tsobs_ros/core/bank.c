@@ -7,7 +7,8 @@
  * scores. A sample that the best one takes for an outlier may be that, or the first of something
  * new: then forks of the best one suppose that the sensor jumped, that the arm was hit, or that it
  * was put elsewhere. At a torque that stands out one supposes that it never acted. The samples that
- * follow decide: the best fork takes its parent's place.
+ * follow decide: the best fork takes its parent's place. Once per trial a fork supposes that the best
+ * one is wrong about what the arm and its sensors are.
  *
  * While nothing contradicts the design, it is alone, and the others sleep.
  */
@@ -200,8 +201,8 @@ static void clear_auxiliary(const model *m, const hypothesis *h, long first, lon
     }
 }
 
-/* Take arm and sensors for something else: parts of the sensors are forgotten, as the disturbance has
- * to explain them again, but a torque is unknown in a gap whatever they are taken for. */
+/* Take arm and sensors for something else: parts of the sensors are forgotten, as the disturbance
+ * has to explain them again, but a torque is unknown in a gap whatever they are taken for. */
 static void take_for(const model *m, const state *at, const hypothesis *h, int64_t kind)
 {
     *h->kind = kind;
@@ -241,8 +242,8 @@ static void renew(const model *m, const state *at, long kind)
     begin_kind(m, at, kind, kind, NO_FORK, -m->constants[FLOOR]);
 }
 
-/* Return whether a kind is considered: one that differs from the design in nothing is not, and tones
- * begin once they are heard. */
+/* Return whether a kind is considered: one that differs from the design in nothing is not, and
+ * tones begin once they are heard. */
 static int is_considered(const model *m, long kind)
 {
     const double *c = m->constants;
@@ -613,22 +614,12 @@ static int has_passed(const state *at, double interval, double since)
     return floor(*at->age / interval) > floor((*at->age - since) / interval);
 }
 
-/* Suppose that arm and sensors are of another kind than the best hypothesis takes them for. */
-static void suppose_kind(const model *m, const state *at, long kind)
-{
-    const double score = *best_of(m, at).score - 0.5 * m->constants[FLOOR];
-    const long place = place_for(m, at, -INFINITY);
-    if (place >= 0) {
-        begin_kind(m, at, place, kind, OTHERWISE, score);
-    }
-}
-
 /* Suppose that the arm's parameters are what another hypothesis knows more precisely. */
-static void suppose_parameters(const model *m, const state *at, const hypothesis *teacher)
+static void suppose_parameters(
+    const model *m, const state *at, const hypothesis *teacher, double score)
 {
     const long k = m->s.k;
     const hypothesis best = best_of(m, at);
-    const double score = *best.score - 0.5 * m->constants[FLOOR];
     int is_better = *teacher->live != 0 && *teacher->significant != 0;
     for (long a = 0; a < k; a++) {
         is_better = is_better && teacher->gamma[a * (k + 1)] <= best.gamma[a * (k + 1)];
@@ -651,23 +642,25 @@ static void suppose_parameters(const model *m, const state *at, const hypothesis
 }
 
 /* Once per trial, suppose that arm and sensors are of another kind, each in turn: only the best
- * hypothesis forks at events, so that one which is true now may have lost the arm or a jump for good.
- * Of noise that is not as designed less is learnt: then suppose the parameters, too, that another
- * one knows better. */
+ * hypothesis forks at events, so that one which is true now may have lost the arm or a jump for
+ * good. Of noise that is not as designed less is learnt: then suppose the parameters, too, that
+ * another one knows better. */
 static void suppose_otherwise(const model *m, const state *at)
 {
     const double interval = m->constants[TRIAL];
     const long best = *at->best, turn = (long)fmod(floor(*at->age / interval), STANDING);
+    const double score = *best_of(m, at).score - 0.5 * m->constants[FLOOR];
     if (*at->awake <= 0.0 || best >= STANDING || turn == best
         || !has_passed(at, interval, *at->since)) {
         return;
     }
-    if (is_considered(m, turn)) {
-        suppose_kind(m, at, turn);
+    const long place = place_for(m, at, -INFINITY); /* a free one */
+    if (is_considered(m, turn) && place >= 0) {
+        begin_kind(m, at, place, turn, OTHERWISE, score);
     }
     if (best >= LOUD && best != DRIFT && turn != FORCE && turn != IMPERFECT) {
         const hypothesis teacher = hypothesis_of(m, at, turn);
-        suppose_parameters(m, at, &teacher);
+        suppose_parameters(m, at, &teacher, score);
     }
 }
 

@@ -43,8 +43,8 @@ enum {
     FORKS = 6
 };
 
-/* What a fork supposes: an event at its first sample, or otherwise, another kind or other parameters
- * than the best hypothesis has. */
+/* What a fork supposes: an event at its first sample, or otherwise, another kind or other
+ * parameters than the best hypothesis has. */
 enum { NO_FORK, JUMPED, HIT, MOVED, WRONG_TORQUE, OTHERWISE };
 
 /* Outcomes of measurements, in the order of `estimation.records.RejectReason`. */
@@ -73,7 +73,8 @@ enum {
     C(TORQUE_PRICE, 1.5, "prior of a wrong torque where one stands out [nat]")                 \
     C(SUDDEN, 3.5, "innovation at which a sensor may have jumped, and motion that a torque "   \
                    "makes when it may be wrong [sigma]")                                       \
-    C(TRIAL, 1.0, "age at which the best fork takes its parent's place [s]")                   \
+    C(TRIAL, 1.0, "age at which the best fork takes its parent's place, and interval of "      \
+                  "those without an event [s]")                                                \
     C(NOISE_FACTOR, 16.0, "variance of loud noise, by the design's")                           \
     C(IMPERFECTION, 100.0, "process noise of an imperfect model, by the design's")             \
     C(FORCE_SHARE, 0.02, "1 sigma of the unknown torque, by the reference torque")             \

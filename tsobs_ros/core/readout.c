@@ -49,24 +49,23 @@ static void weigh_all(const model *m, const state *at, work *scratch)
     }
 }
 
-/* Return the kind that is named: the likeliest one's, once the design is less likely by half a floor,
+/* Return the kind to be named: the likeliest one's, once the design is less likely by half a floor,
  * as something else than the likeliest is supposed at; before that, the design. */
-static int64_t kind_of(const model *m, const state *at)
+static int64_t named_kind(const model *m, const state *at)
 {
     const hypothesis designed = hypothesis_of(m, at, AS_DESIGNED);
     return *designed.score < -0.5 * m->constants[FLOOR] ? *best_of(m, at).kind : AS_DESIGNED;
 }
 
-/* Return what a state's bounds rest on, and whether they are claimed to hold. */
-static int64_t basis_of(const model *m, const state *at, double *claimed)
+/* Return what a state's bounds rest on if a kind is named, and whether they are claimed to hold. */
+static int64_t basis_of(const model *m, const hypothesis *best, int64_t named, double *claimed)
 {
-    const hypothesis of = best_of(m, at), *best = &of;
     const double most = m->constants[VOID];
     *claimed = *best->nis <= most && slowness_of(m, best, *best->slow_power) <= 4.5 * most;
     if (*claimed == 0.0) {
         return BASIS_CONTRADICTED;
     }
-    if (kind_of(m, at) != AS_DESIGNED) {
+    if (named != AS_DESIGNED) {
         return BASIS_HYPOTHESIS;
     }
     if (*best->certified == 0) {
@@ -119,10 +118,11 @@ static double value_of(
                           : value + dot(m->disturbance_direct + place * m->s.p, at->sample, m->s.p);
 }
 
-/* Write the mean of a quantity over the hypotheses that are decided, and its bound: the root of the
- * mean, over all, of variance plus squared distance from it. Return their sum. least: its 1-sigma by
- * the certificate. Slow innovations do not widen the bound of an unknown torque: it is what explains them. What was
- * learnt of parameters over a distance is wrong by a share of it: regressors move with x^. */
+/* Write the mean of a quantity over the hypotheses that are decided, and its bound: the root of
+ * the mean, over all, of variance plus squared distance from it. Return their sum. least: its
+ * 1-sigma by the certificate. Slow innovations do not widen the bound of an unknown torque: it is
+ * what explains them. What was learnt of parameters over a distance is wrong by a share of it:
+ * regressors move with x^. */
 static double read_one(
     const model *m, const state *at, int what, long place, double least, double unit, double *value,
     double *bound, work *scratch)
@@ -169,6 +169,7 @@ static double read_one(
 int read_out(const model *m, const state *at, const estimate *said, work *scratch)
 {
     const hypothesis best = best_of(m, at);
+    const int64_t named = named_kind(m, at);
     double total = 0.0;
     weigh_all(m, at, scratch);
     for (long i = 0; i < m->s.plant; i++) {
@@ -200,14 +201,14 @@ int read_out(const model *m, const state *at, const estimate *said, work *scratc
             m, at, PARAMETER, i, 0.0, 1.0, said->parameters + i, said->parameter_bound + i,
             scratch);
     }
-    *said->basis = (double)basis_of(m, at, said->claimed);
+    *said->basis = (double)basis_of(m, &best, named, said->claimed);
     *said->noise_scale = scale_of(at);
     *said->coloured_power = *best.colour;
     total += *said->noise_scale + *said->coloured_power;
     *said->learning = m->s.k == 0                              ? LEARNING_NONE
                       : *best.learning >= *m->adaptation_start ? LEARNING_ACTIVE
                                                                    : LEARNING_STARTING;
-    *said->hypothesis = (double)kind_of(m, at);
+    *said->hypothesis = (double)named;
     *said->parameters_valid
         = m->s.k > 0 && *best.kind == AS_DESIGNED && is_excited(m, &best, scratch->small);
     *said->in_domain = 1.0;

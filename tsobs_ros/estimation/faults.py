@@ -3,8 +3,8 @@
 """The faults of sensors: missing, stuck, oscillating, drifting, biased or noisy.
 
 They are in what the estimator remembers: the time since a sensor's last value, repetitions of its
-value, the hypothesis, the size of its noise, and the estimated disturbance. A kind and a
-level must last to be reported.
+value, the hypothesis that is named, the size of its noise, and the estimated disturbance. A kind
+and a level must last to be reported.
 """
 
 import enum
