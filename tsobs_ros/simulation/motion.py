@@ -124,10 +124,6 @@ class Motion:
             torques: Disturbing torques, shape (runs, samples, 2); overwritten with those that an
                 undisturbed arm would need to move so.
         """
-        return self._moved(inputs)
-
-    def _moved(self, inputs: Array) -> tuple[Array, Array]:
-        """Move on over samples; return states and outputs of the core's plant."""
         shape = inputs.shape[:2]
         states = np.empty((*shape, self._sizes[0]))
         outputs = np.empty((*shape, self._sizes[3]))
@@ -155,7 +151,7 @@ class ArmMotion(Motion):
         is_loaded = np.zeros(inputs.shape)
         is_loaded[..., 0] = recurs(since, self._payload.duration or math.inf, 0.0)
         held = np.concatenate([inputs, torques, is_loaded], axis=2)
-        states, torques[:] = self._moved(held)
+        states, torques[:] = super().move(start, held, torques)
         return states, self._sensed.measured(states)
 
 

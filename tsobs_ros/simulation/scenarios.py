@@ -22,7 +22,6 @@ from tsobs_ros.simulation.signals import (
 )
 
 _PLAIN = Scenario()
-_PLACES = {Mismatch: "mismatch", Friction: "friction", Payload: "payload"}
 
 
 def arm_with(*parts: Any, **others: Any) -> Scenario:
@@ -30,10 +29,9 @@ def arm_with(*parts: Any, **others: Any) -> Scenario:
 
     A sensor and signals are the link angle's, which alone is measured.
     """
-    placed = {_PLACES[type(part)]: part for part in parts if type(part) in _PLACES}
-    sensor = next((part for part in parts if isinstance(part, Sensor)), Sensor())
-    disturbance = tuple(part for part in parts if isinstance(part, Signal))
-    output = SimulatedOutput(sensor=sensor, disturbance=disturbance)
+    signals = tuple(part for part in parts if isinstance(part, Signal))
+    placed = {part.kind: part for part in parts if part not in signals}
+    output = SimulatedOutput(sensor=placed.pop("sensor", Sensor()), disturbance=signals)
     return replace(_PLAIN, outputs=(output,), **placed, **others)
 
 
@@ -86,12 +84,9 @@ SCENARIOS: dict[str, Scenario] = {
     "drift": arm_with(_DRIFT),
     "ramp": arm_with(Ramp(0.004, 10.0)),
     "stiff": arm_with(_STIFF),
-    "stiff_bias_step": arm_with(_STIFF, _STEP),
     "soft_heavy_bias_step": arm_with(Mismatch(stiffness=-0.2, gravity_torque=0.2), _STEP),
-    "stiff_sinusoid": arm_with(_STIFF, _SINUSOID),
     "outliers": arm_with(Sensor(outlier_probability=0.01)),
     "dropouts": arm_with(_DROPOUTS),
-    "stiff_dropouts": arm_with(_STIFF, _DROPOUTS),
     # The world is not as designed, in ways that an observer has to cope with.
     "loud": arm_with(Sensor(3.0 * _SIGMA)),
     "stiff_loud_1.5": arm_with(_STIFF, _LOUDER),
@@ -99,17 +94,13 @@ SCENARIOS: dict[str, Scenario] = {
     "stiffer_loud_1.5": arm_with(Mismatch(stiffness=0.3), _LOUDER),
     "stiff_loud_2_dropouts": arm_with(_STIFF, replace(_DROPOUTS, noise_std=2.0 * _SIGMA)),
     "student": arm_with(_STUDENT),
-    "stiff_student": arm_with(_STIFF, _STUDENT),
     "stiff_bursts": arm_with(_STIFF, Sensor(burst_interval=7.0)),
     "many_outliers": arm_with(_MANY),
-    "stiff_many_outliers": arm_with(_STIFF, _MANY),
     "stiff_more_outliers": arm_with(_STIFF, _anywhere(0.1)),
     "stiff_small_outliers": arm_with(_STIFF, _anywhere(0.02, 0.5)),
     "pulses": arm_with(_PULSES),
-    "stiff_pulses": arm_with(_STIFF, _PULSES),
     "stiff_small_pulses": arm_with(_STIFF, Pulses(0.3, 5.0, 1.0, 5.0)),
     "steps": arm_with(*_STEPS),
-    "stiff_steps": arm_with(_STIFF, *_STEPS),
     "softer_heavier": arm_with(Mismatch(stiffness=-0.25, gravity_torque=0.15)),
     "coarse": arm_with(_ENCODER),
     "stiff_coarse": arm_with(_STIFF, replace(_ENCODER, noise_std=0.0)),
@@ -125,37 +116,27 @@ SCENARIOS: dict[str, Scenario] = {
     "slight_friction": arm_with(_SLIGHT),
     "friction": arm_with(_FRICTION),
     "link_friction": arm_with(Friction(link_viscous=0.1, link_coulomb=0.05)),
-    "stiff_friction": arm_with(_STIFF, _FRICTION),
     **{f"correlated_{pole}": arm_with(_correlated(pole)) for pole in (0.8, 0.9, 0.97)},
-    "stiff_correlated_0.9": arm_with(_STIFF, _correlated(0.9)),
     "late_10ms": arm_with(Sensor(latency=0.01)),
     "late_20ms": arm_with(Sensor(latency=0.02)),
     "payload": arm_with(Mismatch(link_inertia=0.2, gravity_torque=0.2)),
     # A sensor that oscillates by so many rad at so many rad/s, of which no design knows.
     **{f"tone_{name}": arm_with(_tone(*map(float, name.split("_")))) for name in _TONES},
-    "stiff_tone_0.1_3": arm_with(_STIFF, _tone(0.1, 3.0)),
-    "stiff_tone_0.1_8": arm_with(_STIFF, _tone(0.1, 8.0)),
     # Drifts, inertias, payloads and play of the gear; other rates and motions; mixtures of three.
     "wander": arm_with(_walk(1e-4)),
     "wander_3": arm_with(_walk(3e-4)),
-    "stiff_wander": arm_with(_STIFF, _walk(1e-4)),
     "light_link": arm_with(Mismatch(link_inertia=-0.1)),
     "heavy_link": arm_with(_HEAVY_LINK),
     "light_motor": arm_with(Mismatch(motor_inertia=-0.1)),
     "heavy_motor": arm_with(Mismatch(motor_inertia=0.1)),
     "late_payload": arm_with(_LOAD),
-    "stiff_late_payload": arm_with(_STIFF, _LOAD),
     "backlash_0.005": arm_with(backlash=0.005),
     "backlash_0.03": arm_with(backlash=0.03),
-    "stiff_backlash_0.03": arm_with(_STIFF, backlash=0.03),
     "quiet": arm_with(Sensor(0.5 * _SIGMA)),
     "missing": arm_with(_MISSING),
-    "stiff_missing": arm_with(_STIFF, _MISSING),
     "missing_outliers": arm_with(replace(_MANY, loss_probability=0.2)),
     "half_rate": arm_with(rate=100.0),
-    "stiff_half_rate": arm_with(_STIFF, rate=100.0),
     "near_rest": replace(_REST, inputs=(Sine(0.05),)),
-    "stiff_near_rest": replace(_REST, inputs=(Sine(0.05),), mismatch=_STIFF),
     "mix_stiff_outliers_step": arm_with(_STIFF, _MANY, _STEP),
     "mix_stiff_missing_loud": arm_with(
         Mismatch(stiffness=0.25), replace(_MISSING, noise_std=2.0 * _SIGMA)
@@ -166,6 +147,14 @@ SCENARIOS: dict[str, Scenario] = {
     "mix_inertia_wander_student": arm_with(_HEAVY_LINK, _STUDENT, _walk(1e-4)),
     "mix_payload_correlated_step": arm_with(_SMALL_LOAD, _correlated(0.9), _STEP),
 }
+SCENARIOS |= {
+    f"stiff_{name}": replace(SCENARIOS[name], mismatch=_STIFF)
+    for name in (
+        "bias_step", "sinusoid", "dropouts", "student", "many_outliers", "pulses", "steps",
+        "friction", "correlated_0.9", "tone_0.1_3", "tone_0.1_8", "wander", "late_payload",
+        "backlash_0.03", "missing", "half_rate", "near_rest",
+    )
+}  # fmt: skip
 """All by name, one minute each at 200 Hz with u = sin t unless they say otherwise; "stiff" is +20 %
 stiffness, "soft_heavy" −20 % stiffness and +20 % gravity. docs/acceptance.md describes them."""
 
