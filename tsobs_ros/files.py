@@ -42,6 +42,19 @@ def fsync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
+@contextmanager
+def naming_path(
+    path: str | os.PathLike[str], error: Callable[[str], TsobsError], what: str = "read"
+) -> Iterator[None]:
+    """Make an OSError of a block an error of a class that names the file; ours pass as they are."""
+    try:
+        yield
+    except TsobsError:
+        raise
+    except OSError as problem:
+        raise error(f"{path}: cannot {what} it: {problem.strerror or problem}") from problem
+
+
 def require_new(paths: Iterable[Path], *, force: bool) -> None:
     """Refuse to replace files, unless forced to.
 

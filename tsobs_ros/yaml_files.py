@@ -16,7 +16,7 @@ from typing import Any
 import yaml
 
 from tsobs_ros.errors import DesignFileError, TsobsError
-from tsobs_ros.files import open_regular
+from tsobs_ros.files import naming_path, open_regular
 
 MAX_BYTES = 1 << 20
 """Largest size of a file, and of a text in one."""
@@ -46,14 +46,12 @@ def read_yaml(path: str | PathLike[str], error: MakeError = DesignFileError) -> 
 
 def read_text(path: str | PathLike[str], error: MakeError = DesignFileError) -> str:
     """Return a small file's text, with its line ends as they are; as `read_yaml`."""
+    with naming_path(path, error), open_regular(Path(path)) as stream:
+        raw = stream.read(MAX_BYTES + 1)
+    if len(raw) > MAX_BYTES:
+        raise error(f"{path}: larger than {MAX_BYTES} bytes")
     try:
-        with open_regular(Path(path)) as stream:
-            raw = stream.read(MAX_BYTES + 1)
-        if len(raw) > MAX_BYTES:
-            raise error(f"{path}: larger than {MAX_BYTES} bytes")
         return raw.decode("utf-8")
-    except OSError as problem:
-        raise error(f"{path}: cannot read it: {problem.strerror or problem}") from problem
     except UnicodeDecodeError as problem:
         raise error(f"{path}: not valid YAML: {problem}") from problem
 

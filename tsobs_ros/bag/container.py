@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.core import native
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.files import open_regular
+from tsobs_ros.files import naming_path, open_regular
 
 Rows = NDArray[np.void]
 """Messages, each a row of the type `ROW`."""
@@ -226,14 +226,10 @@ def read_summary(path: Path, rank: int = 0) -> Summary:
             damaged.
     """
     try:
-        with open_regular(path) as stream:
+        with naming_path(path, BagReadError), open_regular(path) as stream:
             return _read_summary(path, rank, stream)
     except RecordError as error:
         raise BagReadError(f"{path}: the file is damaged: {error}; {RECOVER_HINT}") from error
-    except OSError as error:
-        if isinstance(error, BagReadError):
-            raise
-        raise BagReadError(f"{path}: cannot read it: {error.strerror or error}") from error
 
 
 def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:

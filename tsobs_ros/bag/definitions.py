@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tsobs_ros.errors import BagWriteError
+from tsobs_ros.files import naming_path
 
 _SEPARATOR = "=" * 80
 _TYPE_NAME = re.compile(
@@ -159,9 +160,7 @@ def _find(msgtype: str, extension: str, folders: Sequence[Path]) -> bytes:
     relative = f"{package}/{kind}/{file}.{extension}"
     for folder in folders:
         if (path := folder / relative).is_file():
-            try:
+            with naming_path(path, BagWriteError):
                 return path.read_bytes()
-            except OSError as error:
-                raise BagWriteError(f"{path}: cannot read it: {error}") from error
     searched, full = ", ".join(map(str, folders)), f"{package}/{kind}/{name}"
     raise BagWriteError(f"message type {full} is not installed: no {relative} in {searched}")

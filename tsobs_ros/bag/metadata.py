@@ -14,7 +14,7 @@ from mcap.records import Channel, Schema
 
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.errors import BagReadError, BagWriteError
-from tsobs_ros.files import write_whole
+from tsobs_ros.files import naming_path, write_whole
 from tsobs_ros.yaml_files import MAX_BYTES, load_yaml, read_yaml
 
 VERSION = 9
@@ -374,11 +374,9 @@ class BagFiles:
             raise BagReadError(f"{bag}: there is no such bag")
         if not bag.is_dir():
             return
-        try:
+        with naming_path(bag, BagReadError):
             # Not glob, which takes a folder that cannot be read for an empty one.
             present = sorted(bag.iterdir(), key=_by_number)
-        except OSError as error:
-            raise BagReadError(f"{bag}: cannot read it: {error.strerror or error}") from error
         try:
             self.metadata = read_metadata(bag)
         except BagReadError as error:

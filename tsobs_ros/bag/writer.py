@@ -28,7 +28,7 @@ from tsobs_ros.bag.metadata import (
     write_metadata,
 )
 from tsobs_ros.errors import BagWriteError
-from tsobs_ros.files import fsync_folder, written_whole
+from tsobs_ros.files import fsync_folder, naming_path, written_whole
 
 if TYPE_CHECKING:
     from tsobs_ros.bag.reader import BagReader
@@ -80,13 +80,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._failure = ""
         # Held while the disk is forced to take something, which may last for seconds.
         self._disk = Lock()
-        try:
+        if os.path.lexists(self.path):
+            raise BagWriteError(f"{self.path}: exists already, bags are not overwritten")
+        with naming_path(self.path, BagWriteError, "create"):
             self.path.mkdir(parents=True)
             fsync_folder(self.path.parent)
-        except FileExistsError as error:
-            raise BagWriteError(f"{self.path}: exists already, bags are not overwritten") from error
-        except OSError as error:
-            raise BagWriteError(f"{self.path}: cannot create it: {error}") from error
         self._start_file()
         self._write_metadata()
 
@@ -271,7 +269,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             if self._closed:
                 return
             *finished, current = self._files
-            with _reported(current.path):
+            with naming_path(current.path, BagWriteError, "write"):
                 for file in finished:
                     file.close()
                 current.sync()
@@ -286,7 +284,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             if self._closed:
                 return
             self._closed = True
-            with _reported(self._file.path), ExitStack() as stack:  # whatever fails, all is done
+            with naming_path(self._file.path, BagWriteError, "write"), ExitStack() as stack:
+                # Whatever fails, all is done.
                 stack.callback(self._write_metadata)
                 for file in self._files:
                     stack.callback(file.close)
@@ -302,7 +301,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def _start_file(self) -> None:
         path = self.path / f"{self.path.name}_{len(self._files)}.mcap"
         try:
-            with _reported(path):
+            with naming_path(path, BagWriteError, "write"):
                 file = FileWriter(path, f"tsobs_ros {__version__}", self._compression, CHUNK_SIZE)
                 file.add_metadata(self._metadata(file))
                 file.flush()
@@ -341,16 +340,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def _failed(self, error: OSError) -> BagWriteError:
         self._failure = f"{self._file.path}: cannot write it: {error}"
         return BagWriteError(self._failure)
-
-
-@contextmanager
-def _reported(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        if isinstance(error, BagWriteError):
-            raise
-        raise BagWriteError(f"{path}: cannot write it: {error}") from error
 
 
 @contextmanager

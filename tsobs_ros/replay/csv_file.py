@@ -17,6 +17,7 @@ import numpy as np
 
 from tsobs_ros.checks import Array, shown
 from tsobs_ros.errors import LogError
+from tsobs_ros.files import naming_path
 from tsobs_ros.series import NANOSECONDS, Stamps
 
 UNITS: Mapping[str, Mapping[str, float]] = {
@@ -78,9 +79,8 @@ def plain_unit(text: str) -> str:
 def naming_file(path: Path) -> Iterator[None]:
     """Make errors of reading a file `LogError`s that name it."""
     try:
-        yield
-    except OSError as error:
-        raise LogError(f"{path}: cannot read it: {error.strerror or error}") from error
+        with naming_path(path, LogError):
+            yield
     except UnicodeDecodeError as error:
         raise LogError(f"{path}: expected text in UTF-8") from error
     except LogError as error:

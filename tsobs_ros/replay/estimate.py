@@ -36,6 +36,7 @@ from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.health import judge_rate, rate_of
 from tsobs_ros.estimation.records import HEALTH, USED, RejectReason
 from tsobs_ros.estimation.tracker import TrackerRun
+from tsobs_ros.files import naming_path
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.health import Health, JointEvent, find_events, health_of
@@ -383,11 +384,8 @@ def is_log(path: Path) -> bool:
     """
     if not path.is_file() or path.suffix.lower() in _OF_BAGS:
         return False
-    try:
-        with path.open("rb") as file:
-            return file.read(len(MAGIC)) != MAGIC
-    except OSError as error:
-        raise LogError(f"{path}: cannot read it: {error}") from error
+    with naming_path(path, LogError), path.open("rb") as file:
+        return file.read(len(MAGIC)) != MAGIC
 
 
 def open_source(
