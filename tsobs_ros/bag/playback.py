@@ -107,8 +107,11 @@ class Playback:
         due = min(self._ticks.due, self._message_due())
         if due > now:
             return None
-        if now - due > MAX_LAG:
-            self._hold_back(now - due)
+        if (lag := now - due) > MAX_LAG:
+            self.held_back += 0 if self.paused else lag
+            self._began += lag
+            self._timeline.shift(lag)
+            self._ticks.shift(lag)
             due = now
         if self._ticks.due == due:
             return Event(self._ticks.take(), min(self._timeline.at(due), self._next_time()), None)
@@ -152,13 +155,6 @@ class Playback:
         self.ended, self._began = False, now
         self._timeline.anchor(self._start, now)
         self._ticks.start(now)
-
-    def _hold_back(self, lag: int) -> None:
-        if not self.paused:
-            self.held_back += lag
-        self._began += lag
-        self._timeline.shift(lag)
-        self._ticks.shift(lag)
 
 
 def read_passes(
