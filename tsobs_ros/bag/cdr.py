@@ -154,8 +154,7 @@ def decode_ticks(messages: NDArray[np.uint8]) -> NDArray[np.int64]:
         MessageError: They are none of a tick log.
     """
     count, rest = divmod(messages.shape[1] - _BEGIN, 8)
-    fits = count >= _FIXED and not rest
-    front = np.frombuffer(_tick_front(count), np.uint8) if fits else ()
-    if not fits or (messages[:, :_BEGIN] != front).any():
+    front = np.frombuffer(_tick_front(max(0, count)), np.uint8)
+    if count < _FIXED or rest or (messages[:, :_BEGIN] != front).any():
         raise MessageError("expected messages of a tick log, got others of their type")
     return np.ascontiguousarray(messages[:, _BEGIN:]).view("<i8").astype(np.int64, copy=False)

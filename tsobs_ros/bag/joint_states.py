@@ -136,11 +136,10 @@ class _Template:
 
     def pack_rows(self, stamps: Stamps, *numbers: Array) -> NDArray[np.uint8]:
         """Return many messages, a row each, of as many numbers as the lengths are."""
-        data = np.zeros((len(stamps), self._struct.size), np.uint8)
+        blank = self.pack(0, *([0.0] * length for length in self._lengths))
+        data = np.tile(np.frombuffer(blank, np.uint8), (len(stamps), 1))
         rows = self._rows(data)
-        rows["header"], rows["constant"] = np.void(LITTLE), np.void(self._constant)
         rows["sec"], rows["nanosec"] = np.divmod(stamps, NANOSECONDS)
-        rows["v"], rows["e"] = self._lengths[1:]
         rows["position"], rows["velocity"], rows["effort"] = numbers
         return data
 
