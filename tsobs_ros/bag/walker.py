@@ -304,21 +304,15 @@ class FileWalker:
         for begin, block in self._blocks(at, RECORD.size - 1):
             for match in _CANDIDATE.finditer(block):
                 place = begin + match.start()
-                if block[match.start()] == Opcode.CHUNK:
-                    if self._is_chunk(place):
-                        return place
-                elif self._bare_channels:
-                    with suppress(RecordError):
+                with suppress(RecordError):
+                    if block[match.start()] == Opcode.CHUNK:
+                        *_, size = self._own_head(self._bytes(place, CHUNK_HEAD_SIZE))
+                        if not self.has_end or place + size <= self._end:
+                            return place
+                    elif self._bare_channels:
                         self._read(place)
                         return place
         return self._end
-
-    def _is_chunk(self, at: int) -> bool:
-        with suppress(RecordError):
-            return at + self._own_head(self._bytes(at, CHUNK_HEAD_SIZE))[2] <= (
-                self._end if self.has_end else 2**64
-            )
-        return False
 
     @cached_property
     def _carries_files(self) -> bool:
