@@ -68,10 +68,9 @@ class FileWriter:
         self.message_count = 0
         self.is_finished = False
         self._start, self._end = _NO_TIME, 0
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
+        self._schemas: dict[tuple[str, str, str], Schema] = {}
+        self._channels: list[Channel] = []
         self.ids: dict[str, int] = {}
-        self._schema_ids: dict[tuple[str, str, str], int] = {}
         # The records of the chunk in progress, their size, and whether messages are among them.
         self._records: list[bytes] = []
         self._size, self._has_messages = 0, False
@@ -103,18 +102,17 @@ class FileWriter:
         definition = topic.definition
         assert definition is not None
         key = topic.type, definition.encoding, definition.text
-        if (schema_id := self._schema_ids.get(key)) is None:
-            schema_id = self._schema_ids[key] = len(self.schemas) + 1
-            data = definition.text.encode()
-            self.schemas[schema_id] = Schema(schema_id, data, definition.encoding, topic.type)
-            self._add(_packed(self.schemas[schema_id]))
+        if key not in self._schemas:
+            schema = len(self._schemas) + 1, definition.text.encode(), definition.encoding
+            self._schemas[key] = Schema(*schema, topic.type)
+            self._add(_packed(self._schemas[key]))
         metadata = {
             "offered_qos_profiles": profiles_to_yaml(topic.qos_profiles),
             "topic_type_hash": topic.type_hash,
         }
-        id_ = self.ids[topic.name] = len(self.channels) + 1
-        self.channels[id_] = Channel(id_, topic.name, "cdr", metadata, schema_id)
-        self._add(_packed(self.channels[id_]))
+        id_ = self.ids[topic.name] = len(self._channels) + 1
+        self._channels.append(Channel(id_, topic.name, "cdr", metadata, self._schemas[key].id))
+        self._add(_packed(self._channels[-1]))
 
     def add_message(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
         """Append a message; times are in ns since the epoch."""
@@ -171,18 +169,18 @@ class FileWriter:
         self._stream.write(_packed(DataEnd(0)))
         counts = Statistics(
             attachment_count=0,
-            channel_count=len(self.channels),
+            channel_count=len(self._channels),
             channel_message_counts=dict(self._counts),
             chunk_count=len(self._chunks),
             message_count=self.message_count,
             message_end_time=self._end,
             message_start_time=self._start if self.message_count else 0,
             metadata_count=len(self._metadata),
-            schema_count=len(self.schemas),
+            schema_count=len(self._schemas),
         )
         groups: dict[Opcode, Iterable[McapRecord]] = {
-            Opcode.SCHEMA: self.schemas.values(),
-            Opcode.CHANNEL: self.channels.values(),
+            Opcode.SCHEMA: self._schemas.values(),
+            Opcode.CHANNEL: self._channels,
             Opcode.STATISTICS: [counts],
             Opcode.CHUNK_INDEX: self._chunks,
             Opcode.ATTACHMENT_INDEX: [],
@@ -207,7 +205,7 @@ class FileWriter:
         if not self._stream.closed:
             # Of a recording of many files only counts are kept.
             self._compress = bytes
-            for held in (self._chunks, self.schemas, self.channels, self._schema_ids):
+            for held in (self._chunks, self._schemas, self._channels):
                 held.clear()
             with self._stream:
                 os.fsync(self._stream.fileno())
