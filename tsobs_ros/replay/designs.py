@@ -1,24 +1,14 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The designs of a recorded observer, and the choice between them and those that are named."""
+"""What a recorded observer ran: its designs and parameters, as far as a bag has them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
-from pathlib import Path
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import CdrReader
 from tsobs_ros.bag.reader import BagReader
-from tsobs_ros.design.file import (
-    PublishedDesign,
-    Value,
-    checksum,
-    identity,
-    load_design,
-    read_record,
-)
-from tsobs_ros.design.record import Design
+from tsobs_ros.design.file import PublishedDesign, Value, read_record
 from tsobs_ros.errors import BagReadError, DesignFileError, MessageError, TsobsError
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.settings import changed, settings_of
@@ -81,76 +71,6 @@ def recorded_observers(reader: BagReader) -> dict[str, RecordedObserver]:
                 found[topic.removesuffix(end)] = _of_records(reader, topic)
             except (MessageError, DesignFileError) as error:
                 raise BagReadError(f"{reader.path}: {topic}: {error}") from error
-    return found
-
-
-def choose_designs(
-    bag: str | Path,
-    ran: RecordedObserver,
-    joints: Sequence[str],
-    given: Sequence[str] = (),
-    others_allowed: bool = False,
-) -> dict[str, tuple[Design, ...]]:
-    """Return the designs to estimate with by the names of their files, each with one per joint.
-
-    Args:
-        given: Files that the user names, each for all joints, or `JOINT=FILE` for one of them; if
-            empty, those that the observer ran, else the one that is shipped.
-        others_allowed: Whether the files that are given may be others than those that it ran.
-
-    Raises:
-        DesignFileError: A file is no design, or not the one that the observer ran.
-        BagReadError: The bag's own design is none.
-    """
-    own = dict(argument.split("=", 1) for argument in given if "=" in argument)
-    shared = [argument for argument in given if "=" not in argument]
-    for joint in own.keys() - set(joints):
-        known = ", ".join(joints)
-        raise DesignFileError(f"--design {joint}={own[joint]}: no such joint; joints: {known}")
-    if own and len(shared) > 1:
-        raise DesignFileError(
-            f"--design: expected one file for the joints without their own, got {', '.join(shared)}"
-        )
-
-    load = cache(load_design)
-
-    def design_of(joint: str, path: str | None) -> Design:
-        ran_designs = ran.designs.get(joint, ())
-        if path is not None:
-            design = load(path)
-            for each in ran_designs:
-                if not (others_allowed or each.sha256 == checksum(design)):
-                    raise DesignFileError(
-                        f"--design {path} (SHA-256 {identity(design)}): the observer of {bag} ran "
-                        f"{each} for {joint}; leave --design out to use that one, or add "
-                        "--other-design to use this one all the same"
-                    )
-            return design
-        if not ran.designs:
-            return load()
-        if not ran_designs:
-            raise DesignFileError(
-                f"{bag}: its observer ran no design for {joint}, but for {', '.join(ran.designs)}; "
-                f"name one with --design {joint}=FILE"
-            )
-        if len(ran_designs) > 1:
-            raise DesignFileError(
-                f"{bag}: its observer ran {' and then '.join(map(str, ran_designs))} for {joint}; "
-                "name one with --design FILE --other-design"
-            )
-        try:
-            return load(f"{ran_designs[0].file:.200}", ran_designs[0].text)
-        except DesignFileError as error:
-            raise BagReadError(f"{bag}: {ran.source}: {error}") from error
-
-    if own or not shared:
-        rest = shared[0] if shared else None
-        return {"own": tuple(design_of(joint, own.get(joint, rest)) for joint in joints)}
-    found: dict[str, tuple[Design, ...]] = {}
-    for path in shared:
-        stem = Path(path).name.split(".")[0].replace("-", "_").replace(" ", "_")
-        name = stem if stem not in found else f"{stem}_{len(found) + 1}"
-        found[name] = tuple(design_of(joint, path) for joint in joints)
     return found
 
 

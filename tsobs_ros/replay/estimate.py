@@ -31,7 +31,7 @@ from tsobs_ros.bag.writer import BagWriter, whole_bag
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.file import record_text
 from tsobs_ros.design.record import Design
-from tsobs_ros.errors import LogError, ModelError
+from tsobs_ros.errors import BagReadError, LogError, ModelError
 from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.health import judge_rate, rate_of
 from tsobs_ros.estimation.records import HEALTH, USED, RejectReason
@@ -42,7 +42,7 @@ from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.health import Health, JointEvent, find_events, health_of
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.places import ESTIMATES, EstimateEncoder, places_of
-from tsobs_ros.replay.source import ARM_QUANTITIES, BagSource, Records
+from tsobs_ros.replay.source import BagSource, Records
 from tsobs_ros.replay.windows import COMPARED, WINDOW, Agreement, Window, Windows, digests
 from tsobs_ros.series import Series, SeriesSpool, Spool
 from tsobs_ros.settings import values_of
@@ -403,12 +403,8 @@ def open_source(
     Raises:
         BagReadError: The bag cannot be read, or does not have the measurements.
         LogError: The log cannot be read.
-        ModelError: There is no such quantity to hold out.
     """
     path, zero = Path(path), assume_zero_torque
-    if held_out and (quantity := held_out.partition("=")[0]) not in ARM_QUANTITIES:
-        known = ", ".join(ARM_QUANTITIES)
-        raise ModelError(f"held out: expected one of {known}, got {quantity!r}")
     if is_log(path):
         return LogSource(
             path, columns, units, joints, assume_zero_torque=bool(zero), held_out=held_out
@@ -462,8 +458,10 @@ def run_observers(
             # Before all copies, so that designs come first among the messages of their time.
             for run in runs:
                 run.begin(writer, known)
-            if recorded:
-                source.copy(writer)
+            try:
+                writer.copy_topics(source.reader, [topic.name for topic in recorded])
+            except BagReadError as error:
+                source.damaged(error)
         for part in windows:
             work = partial(Run.run, window=part, encode=writer is not None)
             made = list(chain.from_iterable(pool.map(work, runs)))

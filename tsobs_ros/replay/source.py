@@ -3,6 +3,7 @@
 """Recorded measurements of some joints, in the order of recording, and the bags that hold them."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from functools import cache
 from itertools import islice, pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -16,13 +17,13 @@ from tsobs_ros.bag.cdr import TICK_LOG
 from tsobs_ros.bag.joint_states import JOINT_STATE, joint_names
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagReader, until_damage
-from tsobs_ros.bag.writer import BagWriter
+from tsobs_ros.design.file import checksum, identity, load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import AnyRequest, ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals
-from tsobs_ros.errors import BagReadError, MessageError, ModelError
+from tsobs_ros.errors import BagReadError, DesignFileError, MessageError, ModelError
 from tsobs_ros.estimation.records import USED
-from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observers
+from tsobs_ros.replay.designs import RecordedObserver, recorded_observers
 from tsobs_ros.replay.samples import MISSING, MeasurementReader
 from tsobs_ros.series import NANOSECONDS, Spool, Stamps
 
@@ -194,7 +195,9 @@ class BagSource:
         quantity, _, place = (self.held_out or "").partition("=")
         arms = [request for request in requests if isinstance(request, ArmRequest)]
         problem = ""
-        if len(arms) < len(requests):
+        if quantity not in ARM_QUANTITIES:
+            problem = f"expected one of {', '.join(ARM_QUANTITIES)}, got {quantity!r}"
+        elif len(arms) < len(requests):
             problem = "expected the design of an arm, got one of a T-S system"
         elif any(quantity in arm.output_names for arm in arms):
             problem = f"{quantity} is what the observer measures"
@@ -216,10 +219,69 @@ class BagSource:
     def choose_designs(
         self, given: Sequence[str] = (), *, others_allowed: bool = False
     ) -> dict[str, tuple[Design, ...]]:
-        """Return the designs to estimate with, as `replay.designs.choose_designs`."""
-        found = choose_designs(self.path, self.ran, self.joints, given, others_allowed)
-        requests = [design.request for designs in found.values() for design in designs]
-        if self.take_for_system(requests):
+        """Return the designs to estimate with by the names of their files, each with one per joint.
+
+        Args:
+            given: Files that the user names, each for all joints, or `JOINT=FILE` for one of them;
+                if empty, those that the observer ran, else the one that is shipped.
+            others_allowed: Whether the files that are given may be others than those that it ran.
+
+        Raises:
+            DesignFileError: A file is no design, or not the one that the observer ran.
+            BagReadError: The bag's own design is none.
+        """
+        own = dict(argument.split("=", 1) for argument in given if "=" in argument)
+        shared = [argument for argument in given if "=" not in argument]
+        for joint in own.keys() - set(self.joints):
+            known = ", ".join(self.joints)
+            raise DesignFileError(f"--design {joint}={own[joint]}: no such joint; joints: {known}")
+        if own and len(shared) > 1:
+            raise DesignFileError(
+                "--design: expected one file for the joints without their own, got "
+                f"{', '.join(shared)}"
+            )
+        bag, ran, load = self.path, self.ran, cache(load_design)
+
+        def design_of(joint: str, path: str | None) -> Design:
+            recorded = ran.designs.get(joint, ())
+            if path is not None:
+                design = load(path)
+                for each in recorded:
+                    if not (others_allowed or each.sha256 == checksum(design)):
+                        raise DesignFileError(
+                            f"--design {path} (SHA-256 {identity(design)}): the observer of {bag} "
+                            f"ran {each} for {joint}; leave --design out to use that one, or add "
+                            "--other-design to use this one all the same"
+                        )
+                return design
+            if not ran.designs:
+                return load()
+            if not recorded:
+                raise DesignFileError(
+                    f"{bag}: its observer ran no design for {joint}, but for "
+                    f"{', '.join(ran.designs)}; name one with --design {joint}=FILE"
+                )
+            if len(recorded) > 1:
+                raise DesignFileError(
+                    f"{bag}: its observer ran {' and then '.join(map(str, recorded))} for "
+                    f"{joint}; name one with --design FILE --other-design"
+                )
+            try:
+                return load(f"{recorded[0].file:.200}", recorded[0].text)
+            except DesignFileError as error:
+                raise BagReadError(f"{bag}: {ran.source}: {error}") from error
+
+        files: dict[str, str | None] = {"own": shared[0] if shared else None}
+        if shared and not own:
+            files = {}
+            for path in shared:
+                stem = Path(path).name.split(".")[0].replace("-", "_").replace(" ", "_")
+                files[stem if stem not in files else f"{stem}_{len(files) + 1}"] = path
+        found = {
+            name: tuple(design_of(joint, own.get(joint, path)) for joint in self.joints)
+            for name, path in files.items()
+        }
+        if self.take_for_system([one.request for designs in found.values() for one in designs]):
             found = {name: designs[:1] for name, designs in found.items()}
         return found
 
@@ -245,13 +307,6 @@ class BagSource:
         """Topics that belong with estimates: measurements, and the truth of a simulation."""
         names = {self.topic, *self.truth.values()}
         return tuple(topic for name, topic in self.reader.topics.items() if name in names)
-
-    def copy(self, writer: BagWriter) -> None:
-        """Copy the messages of `topics` into a bag that has these, up to any damage."""
-        try:
-            writer.copy_topics(self.reader, [topic.name for topic in self.topics])
-        except BagReadError as error:
-            self.damaged(error)
 
     def damaged(self, error: BagReadError) -> None:
         """Note damage that has ended reading."""
