@@ -30,8 +30,7 @@ from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation import plant
-from tsobs_ros.simulation.motion import Friction
-from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, Trajectories
+from tsobs_ros.simulation.plant import Friction, Scenario, SimulatedOutput, Trajectories
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import BiasStep

@@ -25,8 +25,7 @@ from tsobs_ros.plants import scenario_of
 from tsobs_ros.replay.health import PROVED
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.settings import changed
-from tsobs_ros.simulation.motion import Friction, Payload
-from tsobs_ros.simulation.plant import Plant
+from tsobs_ros.simulation.plant import Friction, Payload, Plant
 from tsobs_ros.simulation.signals import KINDS, Signal, parse_kinds
 
 if TYPE_CHECKING:
@@ -167,7 +166,7 @@ def simulate(
             the true T–S system.
         initial_state: True state at the start (rad, rad/s of an arm); by default about what
             `Scenario` has, 0 for a T–S system.
-        friction: Of the true arm, such as {"motor_viscous": 0.1}; see `simulation.motion`.
+        friction: Of the true arm, such as {"motor_viscous": 0.1}; see `simulation.plant`.
         torque_disturbance: Torques on "motor" and "link" in addition to the drive's [N m], each as
             `disturbance`.
         payload: What the link carries from `start` on for `duration` [s], 0 for ever: `mass` [kg]

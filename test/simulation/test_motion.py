@@ -17,8 +17,7 @@ from tsobs_ros.model.arm import ElasticJointArm, TorquePath
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.resources import config_path
-from tsobs_ros.simulation.motion import Friction
-from tsobs_ros.simulation.plant import Plant, Scenario, SystemScenario
+from tsobs_ros.simulation.plant import Friction, Plant, Scenario, SystemScenario
 from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import BiasStep, Constant, Sine
 

@@ -17,9 +17,10 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.simulation.motion import Friction, Payload
 from tsobs_ros.simulation.plant import (
+    Friction,
     Mismatch,
+    Payload,
     Plant,
     PlantScenario,
     Scenario,

@@ -20,8 +20,7 @@ from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode, encode, naming
 from tsobs_ros.settings import changed
-from tsobs_ros.simulation.motion import Friction, Payload
-from tsobs_ros.simulation.plant import Mismatch
+from tsobs_ros.simulation.plant import Friction, Mismatch, Payload
 from tsobs_ros.yaml_files import read_yaml, yaml_text
 
 FORMAT, VERSION = "tsobs_ros campaign", 1

@@ -16,8 +16,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import EFFORT_ERROR, TORQUES, scenario_of
 from tsobs_ros.schema import decode, within
-from tsobs_ros.simulation.motion import Friction
-from tsobs_ros.simulation.plant import Mismatch, Scenario
+from tsobs_ros.simulation.plant import Friction, Mismatch, Scenario
 from tsobs_ros.simulation.sensor import sensor_numbers
 from tsobs_ros.simulation.signals import (
     EXCITATIONS,

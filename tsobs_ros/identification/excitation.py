@@ -38,8 +38,7 @@ from tsobs_ros.identification.joint import (
 from tsobs_ros.identification.likelihood import WORKERS, Likelihood, Recording
 from tsobs_ros.model.arm import QUANTITIES
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.simulation.motion import ArmMotion, Friction
-from tsobs_ros.simulation.plant import Scenario
+from tsobs_ros.simulation.plant import ArmMotion, Friction, Scenario
 
 _MARGIN, _ANGLE_SHARE = 0.15, 0.9
 """Share of the limits of angle and velocity that the arms that are tried leave free, and largest

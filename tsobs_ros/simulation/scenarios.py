@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from tsobs_ros.simulation.motion import Friction, Payload
-from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario, Trajectories
+from tsobs_ros.simulation.plant import Friction, Mismatch, Payload, Plant, Scenario, Trajectories
 from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import (
     BiasStep,

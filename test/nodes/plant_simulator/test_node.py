@@ -13,8 +13,7 @@ from rosgraph_msgs.msg import Clock
 from staging import start, to_stamp
 
 from tsobs_ros.errors import ParameterError
-from tsobs_ros.simulation.motion import Friction, Payload
-from tsobs_ros.simulation.plant import SimulatedOutput
+from tsobs_ros.simulation.plant import Friction, Payload, SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import Constant, Pulses, Ramp
 

@@ -21,8 +21,7 @@ from tsobs_ros.nodes.parameters import JointParameters
 from tsobs_ros.plants import EFFORT_ERROR, TORQUES, request_in, scenario_of
 from tsobs_ros.replay.csv_file import read_torques
 from tsobs_ros.settings import live_setting, setting, values_of
-from tsobs_ros.simulation.motion import Friction, Payload
-from tsobs_ros.simulation.plant import Mismatch, Scenario, SystemScenario
+from tsobs_ros.simulation.plant import Friction, Mismatch, Payload, Scenario, SystemScenario
 from tsobs_ros.simulation.sensor import Sensor, sensor_numbers
 from tsobs_ros.simulation.signals import (
     EXCITATIONS,
