@@ -25,11 +25,11 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
 from tsobs_ros.bag.container import RECORD
+from tsobs_ros.bag.damaged import FileWalker
 from tsobs_ros.bag.metadata import read_metadata
 from tsobs_ros.bag.recovery import Recovery, recover
 from tsobs_ros.bag.summary import summarise
 from tsobs_ros.bag.verification import verify
-from tsobs_ros.bag.walker import FileWalker
 from tsobs_ros.errors import BagReadError, BagWriteError
 
 BOMB = zstandard.compress(bytes(2**28))

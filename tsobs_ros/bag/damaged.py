@@ -1,20 +1,355 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that may be damaged: the topics and messages their files still hold, and what is lost."""
+"""MCAP files that may be damaged anywhere: what they still hold, and what is lost between that.
 
+Three things are certain. The checksum of a chunk covers its records. The head of a chunk states its
+size twice. And a file that was cut off is intact up to the cut. So a chunk is taken if its checksum
+holds, and after bytes that are no record the next chunk is searched for. A file that ends with a
+footer was not cut off.
+
+But messages may carry MCAP files themselves, and a disk may hold chunks of other files. So of a
+file with a sound summary only the chunks that it states are its own. In others a chunk that comes
+again is dropped, and nothing is searched for if there are marks of further files.
+"""
+
+import os
+import re
+import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import IO, NamedTuple
 
 import numpy as np
-from mcap.records import Channel, Header, McapRecord, Metadata, Schema
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Header, McapRecord, Metadata, Schema
 
-from tsobs_ros.bag.container import Records, by_channel
+from tsobs_ros.bag.container import (
+    CHUNK_HEAD_SIZE,
+    END_SIZE,
+    INDEX_HEAD,
+    MAGIC,
+    MAX_SIZE,
+    MAX_SUMMARY_SIZE,
+    MESSAGE,
+    RECORD,
+    RecordError,
+    Records,
+    Summary,
+    by_channel,
+    chunk_head,
+    find_footer,
+    parse_record,
+    parse_summary,
+    read_chunk,
+    split_records,
+)
 from tsobs_ros.bag.metadata import EMPTY_START_NS, BagMetadata, Descriptions, TopicInfo
-from tsobs_ros.bag.walker import Damage, FileWalker, Part, Progress
 from tsobs_ros.files import open_regular
 from tsobs_ros.yaml_files import MAX_BYTES, load_yaml
+
+Progress = Callable[[int], object]
+"""Called with the number of bytes that were read since the last call."""
+
+_MAX_OTHER_SIZE = 2**24
+_MAX_DAMAGES = 10_000
+_BLOCK_SIZE = 2**20
+# A message or a chunk of less than 256 MiB; looking ahead finds those that overlap, too.
+_CANDIDATE = re.compile(rb"(?=[\x05\x06].{3}[\0-\x0f]\0{4})", re.DOTALL)
+_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+_UNPARSED = (Opcode.MESSAGE, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT)
+
+
+class Part(NamedTuple):
+    """A part of a file: the record at byte `at`, or a run of messages outside of chunks.
+
+    Attributes:
+        at: Its first byte in the file.
+        size: Its size in the file, bytes.
+        record: None for messages, indexes and unknown records.
+        content: The messages, schemas and channels that were read of it.
+        is_checked: Whether a checksum covers them.
+    """
+
+    at: int
+    size: int
+    record: McapRecord | None = None
+    content: Records | None = None
+    is_checked: bool = False
+
+    def described(self) -> Iterator[McapRecord | None]:
+        """Yield the record, or those between messages, each once; None for a malformed one."""
+        if self.content is None:
+            yield from [self.record] if self.record is not None else []
+            return
+        for description in dict.fromkeys(self.content.descriptions()):
+            try:
+                yield parse_record(description)
+            except RecordError:
+                yield None
+
+
+@dataclass
+class Damage:
+    """A part of a file that is lost: its first byte, its size in bytes, and what is wrong."""
+
+    offset: int
+    size: int
+    reason: str
+
+    def __str__(self) -> str:
+        """Return one line for people."""
+        return f"bytes {self.offset} to {self.offset + self.size}: {self.reason}"
+
+
+class FileWalker:
+    """The parts of one file, in their order.
+
+    Chunks may decompress to 1 GiB and 100 bytes for each byte of the file, and have 524,288 records
+    and one for each six bytes: else a file of some kilobytes can be hours of work.
+
+    `size` bytes are read, as the file may be growing. `is_trusted` lifts these limits.
+
+    Attributes:
+        damage: The parts that are lost, as far as the file has been read.
+        summary: The summary at the end of the file, if a checksum covers it.
+        has_end: Whether the file ends with a footer.
+    """
+
+    def __init__(self, stream: IO[bytes], size: int, *, is_trusted: bool = False) -> None:
+        self.damage: list[Damage] = []
+        self.summary: Summary | None = None
+        self.has_end = False
+        self._descriptor, self._size = stream.fileno(), size
+        self._bytes_left = 2**64 if is_trusted else 2**30 + 100 * size
+        self._records_left = 2**64 if is_trusted else 2**19 + size // 6
+        self._vain_left = 64 * size + 2**30
+        # The end of what is walked through: zeros, the footer or a sound summary follow.
+        self._end = self._end_without_zeros()
+        # Times and size of the chunks that the summary states and that have not come yet.
+        self._stated: Counter[tuple[int, int, int]] = Counter()
+        self._seen: set[tuple[int, int, int, int]] = set()
+        # A file without chunks describes its channels before its messages.
+        self._bare_channels: set[int] = set()
+        self._has_chunks = False
+        self._read_end()
+
+    def _read_end(self) -> None:
+        footer = find_footer(self._bytes(self._end - END_SIZE, END_SIZE))
+        if footer is None:
+            return
+        self.has_end, self._end, start = True, self._end - END_SIZE, footer.summary_start
+        if footer.summary_crc and 0 < start <= self._end <= start + MAX_SUMMARY_SIZE:
+            with suppress(RecordError):
+                self.summary = parse_summary(self._bytes(start, self._end - start), footer)
+                self._end = start
+                self._stated.update((s.start, s.end, s.size) for s in self.summary.spans)
+
+    def parts(self, progress: Progress = lambda _: None) -> Iterator[Part]:
+        """Yield what is intact; `progress` is called with the number of bytes got through."""
+        at = len(MAGIC) if self._bytes(0, len(MAGIC)) == MAGIC else 0
+        progress(at)
+        while at < self._end:
+            try:
+                part = self._read(at)
+            except RecordError as error:
+                following = self._lose(at, str(error))
+            else:
+                following = at + part.size
+                yield part
+            progress(following - at)
+            at = following
+        if at < self._size and not self.has_end:
+            self._lose(at, "nothing but zeros to the end", self._size)
+        progress(self._size - at)
+
+    def _lose(self, at: int, reason: str, following: int | None = None) -> int:
+        """Take account of damage, and return what follows: by default, the next record."""
+        following = self._search(at + 1) if following is None else following
+        last = self.damage[-1] if self.damage else None
+        if last and (last.offset + last.size == at or len(self.damage) >= _MAX_DAMAGES):
+            last.size += following - at
+        else:
+            self.damage.append(Damage(at, following - at, reason))
+        return following
+
+    def _read(self, at: int) -> Part:
+        """Return the part that begins at an offset.
+
+        Raises:
+            RecordError: There is none, or one after which the next has to be searched for.
+        """
+        head = self._bytes(at, CHUNK_HEAD_SIZE)
+        if len(head) < RECORD.size:
+            raise RecordError("a record is cut off")
+        opcode, length = RECORD.unpack_from(head)
+        if opcode == Opcode.CHUNK:
+            return self._read_chunk(at, head)
+        part = Part(at, RECORD.size + length)
+        end = at + part.size
+        if end > self._end or (length > MAX_SIZE and opcode != Opcode.ATTACHMENT):
+            raise RecordError("not a record, or one that is cut off")
+        if opcode == Opcode.MESSAGE and int.from_bytes(head[9:11], "little") in self._bare_channels:
+            return self._read_run(part)
+        # Only the record that follows confirms the length of those that are not parsed. Metadata
+        # that has lost bytes may take them from the chunk that follows.
+        is_parsed = opcode < 0x80 and opcode not in _UNPARSED and length <= _MAX_OTHER_SIZE
+        record = parse_record(self._bytes(at, part.size)) if is_parsed else None
+        if opcode == Opcode.MESSAGE or (
+            (record is None or isinstance(record, Metadata)) and not self._starts_record(end)
+        ):
+            raise RecordError("not a record")
+        # Behind damage it may be one of a chunk whose head is lost, and whose checksum with it.
+        if isinstance(record, Channel) and not (self._has_chunks or self.damage):
+            self._bare_channels.add(record.id)
+        return part._replace(record=record)
+
+    def _read_chunk(self, at: int, head: bytes) -> Part:
+        chunk, data_at, size = self._own_head(head)
+        self._has_chunks = True
+        key, end = (chunk.message_start_time, chunk.message_end_time, size), at + size
+        chunk.data = self._bytes(at + data_at, size - data_at)
+        part, is_checked = Part(at, size, chunk), chunk.uncompressed_crc != 0
+        try:
+            if end > self._size:
+                raise RecordError("the file ends inside of a chunk")
+            content = self._content(chunk)
+            # If a chunk without a checksum has lost bytes, this shows behind it.
+            if not (is_checked or self._starts_record(end)):
+                raise RecordError("the chunk has no checksum, and no record follows it")
+        except RecordError as error:
+            if end > self._end or not self._starts_record(end):
+                # A chunk that has lost bytes reaches into what follows it: search inside of it,
+                # unless so many do that the file was made to take the time for it.
+                self._vain_left -= len(chunk.data) + chunk.uncompressed_size % MAX_SIZE
+                raise
+            self._lose(at, str(error), end)
+            return part
+        if self.summary is not None:
+            self._stated[key] -= 1
+        elif (again := (*key, zlib.crc32(content.data))) in self._seen:
+            self._lose(at, "a chunk that was there already", end)
+            return part
+        else:
+            self._seen.add(again)
+        return part._replace(content=content, is_checked=is_checked)
+
+    def _own_head(self, head: bytes) -> tuple[Chunk, int, int]:
+        """Return what `chunk_head` does of a chunk of the file itself."""
+        chunk, data_at, size = chunk_head(head)
+        key = chunk.message_start_time, chunk.message_end_time, size
+        if self.summary is not None and self._stated[key] <= 0:
+            raise RecordError("a chunk that the index of the file does not state")
+        return chunk, data_at, size
+
+    def _content(self, chunk: Chunk) -> Records:
+        """Return what a chunk holds."""
+        self._bytes_left -= min(chunk.uncompressed_size, MAX_SIZE) if chunk.compression else 0
+        if self._bytes_left >= 0:
+            content = read_chunk(chunk)
+            self._records_left -= len(content.rows)
+            for count, description in enumerate(content.descriptions()):
+                # They take ten times as long as messages.
+                is_known = description[0] in _IN_CHUNKS or description[0] >= 0x80
+                if not is_known or 10 * count > self._records_left:
+                    raise RecordError("the chunk holds bytes that are no record, or too many")
+        if min(self._bytes_left, self._records_left) < 0:
+            raise RecordError(
+                "the chunks decompress to too much for a file of this size; --trusted reads them"
+            )
+        times = content.rows["log_time"].view("u8")
+        if not chunk.uncompressed_crc and len(times):
+            first, last = int(times.min()), int(times.max())
+            if first < chunk.message_start_time or last > chunk.message_end_time:
+                raise RecordError("the chunk holds bytes that are no record of its times")
+        return content
+
+    def _read_run(self, first: Part) -> Part:
+        """Return a message outside of chunks and those behind it."""
+        block = self._bytes(first.at, max(first.size, _BLOCK_SIZE))[: self._end - first.at]
+        ends = [0]
+        while ends[-1] + MESSAGE.size <= len(block):
+            opcode, length, channel, _, _, _ = MESSAGE.unpack_from(block, ends[-1])
+            following = ends[-1] + RECORD.size + length
+            is_message = opcode == Opcode.MESSAGE and channel in self._bare_channels
+            if not is_message or length < MESSAGE.size - RECORD.size or following > len(block):
+                break
+            ends.append(following)
+        if not self._starts_record(first.at + ends[-1]):
+            ends.pop()
+        if len(ends) < 2:
+            raise RecordError("not a record")
+        return first._replace(size=ends[-1], content=split_records(block[: ends[-1]]))
+
+    def _starts_record(self, at: int) -> bool:
+        """Whether there may be a record, even one that is cut off, or the end."""
+        head = self._bytes(at, CHUNK_HEAD_SIZE)
+        if at >= self._end or len(head) < INDEX_HEAD.size:
+            return True
+        opcode, length, channel, size = INDEX_HEAD.unpack_from(head)
+        if opcode == Opcode.CHUNK:
+            with suppress(RecordError):
+                chunk_head(head)
+                return True
+            return False
+        if length > self._end - at - RECORD.size:
+            return 0 < opcode <= max(Opcode) and length <= MAX_SIZE and not self.has_end
+        if opcode == Opcode.MESSAGE_INDEX:
+            return bool(size == length - INDEX_HEAD.size + RECORD.size)
+        if opcode == Opcode.MESSAGE:
+            return channel in self._bare_channels
+        return bool(opcode == Opcode.ATTACHMENT or (opcode > 0 and length <= _MAX_OTHER_SIZE))
+
+    def _search(self, at: int) -> int:
+        """Return where the next chunk, or message outside of chunks, is; else the end."""
+        if self._vain_left < 0 or (self.summary is None and self._carries_files):
+            return self._end
+        for begin, block in self._blocks(at, RECORD.size - 1):
+            for match in _CANDIDATE.finditer(block):
+                place = begin + match.start()
+                with suppress(RecordError):
+                    if block[match.start()] == Opcode.CHUNK:
+                        *_, size = self._own_head(self._bytes(place, CHUNK_HEAD_SIZE))
+                        if not self.has_end or place + size <= self._end:
+                            return place
+                    elif self._bare_channels:
+                        self._read(place)
+                        return place
+        return self._end
+
+    @cached_property
+    def _carries_files(self) -> bool:
+        """Whether there are the marks of other files in it, such as messages may carry."""
+        return any(MAGIC in block for _, block in self._blocks(1, len(MAGIC) - 1))
+
+    def _blocks(self, at: int, overlap: int) -> Iterator[tuple[int, bytes]]:
+        """Yield parts of the file that get larger, without the holes of a sparse file."""
+        step = 2**12
+        while at < self._end:
+            with suppress(OSError):  # there may be nothing but a hole
+                at = max(at, os.lseek(self._descriptor, at, os.SEEK_DATA))
+            yield at, self._bytes(at, min(step + overlap, self._end - at))
+            at, step = at + step, min(2 * step, _BLOCK_SIZE)
+
+    def _bytes(self, at: int, size: int) -> bytes:
+        return os.pread(self._descriptor, max(0, min(size, self._size - at)), max(0, at))
+
+    def _end_without_zeros(self) -> int:
+        """Return where the zeros start with which the file ends: pages lost in a power cut."""
+        descriptor, end = self._descriptor, 0
+        with suppress(OSError):  # no data follows; a sparse file may end in a hole of any size
+            while end < self._size:
+                end = os.lseek(descriptor, os.lseek(descriptor, end, os.SEEK_DATA), os.SEEK_HOLE)
+        end = min(end, self._size)
+        while end > 0:
+            start = max(0, end - _BLOCK_SIZE)
+            if kept := len(self._bytes(start, end - start).rstrip(b"\0")):
+                return start + kept
+            end = start
+        return 0
 
 
 class DamagedFile:

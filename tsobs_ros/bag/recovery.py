@@ -8,9 +8,8 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from tsobs_ros.bag.damaged import DamagedFile
+from tsobs_ros.bag.damaged import DamagedFile, Progress
 from tsobs_ros.bag.metadata import BagFiles, TopicInfo
-from tsobs_ros.bag.walker import Progress
 from tsobs_ros.bag.writer import whole_bag
 from tsobs_ros.errors import BagReadError, BagWriteError, printable
 

@@ -27,9 +27,8 @@ from tsobs_ros.bag.container import (
     message_indexes,
     read_summary,
 )
-from tsobs_ros.bag.damaged import DamagedFile
+from tsobs_ros.bag.damaged import DamagedFile, Part, Progress
 from tsobs_ros.bag.metadata import FILE_NAME, BagFiles, BagMetadata, FileMetadata, TopicInfo
-from tsobs_ros.bag.walker import Part, Progress
 from tsobs_ros.errors import printable
 from tsobs_ros.files import open_regular
 
