@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 CHUNK_SIZE = 786_432
 
-_MESSAGE_FIELDS = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
-_MESSAGE_FIELDS += [("log_time", "<u8"), ("publish_time", "<u8")]
+# Of a message in front of its times.
+_HEAD_SIZE = MESSAGE.size - 16
 
 
 class BagWriter(AbstractContextManager["BagWriter"]):
@@ -174,13 +174,13 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         for one in filter(lambda one: len(one.data), series):
             self._require(one.topic, one.log_times, one.publish_times)
             count, size = one.data.shape
-            made.append(np.zeros(count, np.dtype([*_MESSAGE_FIELDS, ("data", "u1", (size,))])))
-            made[-1]["opcode"], made[-1]["length"] = (
-                Opcode.MESSAGE,
-                MESSAGE.size - RECORD.size + size,
-            )
-            made[-1]["channel"], made[-1]["data"] = self._file.ids[one.topic], one.data
+            front = Opcode.MESSAGE, MESSAGE.size - RECORD.size + size, self._file.ids[one.topic]
+            times = [("log_time", "<u8"), ("publish_time", "<u8")]
+            fields = [("head", f"V{_HEAD_SIZE}"), *times, ("data", "u1", (size,))]
+            made.append(np.zeros(count, fields))
+            made[-1]["head"] = np.void(MESSAGE.pack(*front, 0, 0, 0)[:_HEAD_SIZE])
             made[-1]["log_time"], made[-1]["publish_time"] = one.log_times, one.publish_times
+            made[-1]["data"] = one.data
         if not made:
             return
         order = np.argsort(np.concatenate([rows["log_time"] for rows in made]), kind="stable")
