@@ -160,11 +160,9 @@ class Run:
         """Add its topics to a new bag, JointStates of a definition, and write what it runs."""
         for name in self._encoder.topics:
             writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)
-        for end, type_, qos in (
-            (topics.DESIGN, STRING, QosProfile(durability="transient_local", depth=1)),
-            (topics.TICKS, TICK_LOG, QosProfile()),
-        ):
-            writer.add_topic(self._prefix + end, type_, [qos])
+        latched = QosProfile(durability="transient_local", depth=1)
+        writer.add_topic(self._prefix + topics.DESIGN, STRING, [latched])
+        writer.add_topic(self._prefix + topics.TICKS, TICK_LOG, [QosProfile()])
         observer, source = self.observer, self._source
         parameters = values_of(observer.settings)
         text = record_text(source.topic, source.joints, observer.designs, parameters)

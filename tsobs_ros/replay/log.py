@@ -123,8 +123,7 @@ class LogSource(BagSource):
             for key in given:
                 if key not in known:
                     raise LogError(f"{option}: expected some of {', '.join(shown)}, got {key!r}")
-        columns = {one: self._column(one) for one in signals}
-        found = {one: column for one, column in columns.items() if column is not None}
+        found = {one: column for one in signals if (column := self._column(one)) is not None}
         driven = {one.joint for one in found if one.quantity == "torque"}
         for one in signals:
             is_silent = one.joint in driven or self._assume_zero_torque
