@@ -52,10 +52,6 @@ def _held(angle: float) -> Scenario:
     return replace(_REST, initial_state=tuple(start), inputs=(Constant(torque),))
 
 
-def _tone(size: float, frequency: float) -> Sinusoid:
-    return Sinusoid(size, frequency, 2.0)
-
-
 def _walk(density: float) -> GaussMarkov:
     """Return a drift that is a random walk over a minute, by its density [rad²/s]."""
     time = 1000.0
@@ -64,13 +60,11 @@ def _walk(density: float) -> GaussMarkov:
 
 _REST = arm_with(initial_state=(0.0,) * 4, initial_spread=(0.0,) * 4)
 _STIFF, _HEAVY_LINK = Mismatch(stiffness=0.2), Mismatch(link_inertia=0.1)
-_DROPOUTS, _MISSING = Sensor(dropout_interval=10.0), Sensor(loss_probability=0.2)
 _SIGMA = Sensor().noise_std
 _LOUDER, _LOUD, _STUDENT = Sensor(1.5 * _SIGMA), Sensor(2.0 * _SIGMA), Sensor(noise_degrees=3)
 _ENCODER = Sensor(resolution=2.0 * math.pi / 1024)
 _MANY = _anywhere(0.05)
 _SLIGHT, _FRICTION = Friction(0.0, 0.0, 0.1, 0.05), Friction(0.0, 0.0, 0.3, 0.15)
-_LOAD, _SMALL_LOAD = Payload(0.2, 2.0, 30.0), Payload(0.1, 1.0, 25.0)
 _STEP, _DRIFT, _SINUSOID = BiasStep(0.1, 30.0), GaussMarkov(0.1, 20.0), Sinusoid(0.2, 3.0, 2.0)
 _STEPS = (Pulses(0.15, 4.0, 4.0, 16.0), Pulses(-0.15, 12.0, 4.0, 16.0))
 _PULSES = Pulses(0.5, 8.0, 1.5, 8.0)
@@ -85,13 +79,13 @@ SCENARIOS: dict[str, Scenario] = {
     "stiff": arm_with(_STIFF),
     "soft_heavy_bias_step": arm_with(Mismatch(stiffness=-0.2, gravity_torque=0.2), _STEP),
     "outliers": arm_with(Sensor(outlier_probability=0.01)),
-    "dropouts": arm_with(_DROPOUTS),
+    "dropouts": arm_with(Sensor(dropout_interval=10.0)),
     # The world is not as designed, in ways that an observer has to cope with.
     "loud": arm_with(Sensor(3.0 * _SIGMA)),
     "stiff_loud_1.5": arm_with(_STIFF, _LOUDER),
     "stiff_loud_2": arm_with(_STIFF, _LOUD),
     "stiffer_loud_1.5": arm_with(Mismatch(stiffness=0.3), _LOUDER),
-    "stiff_loud_2_dropouts": arm_with(_STIFF, replace(_DROPOUTS, noise_std=2.0 * _SIGMA)),
+    "stiff_loud_2_dropouts": arm_with(_STIFF, Sensor(2.0 * _SIGMA, dropout_interval=10.0)),
     "student": arm_with(_STUDENT),
     "stiff_bursts": arm_with(_STIFF, Sensor(burst_interval=7.0)),
     "many_outliers": arm_with(_MANY),
@@ -120,7 +114,10 @@ SCENARIOS: dict[str, Scenario] = {
     "late_20ms": arm_with(Sensor(latency=0.02)),
     "payload": arm_with(Mismatch(link_inertia=0.2, gravity_torque=0.2)),
     # A sensor that oscillates by so many rad at so many rad/s, of which no design knows.
-    **{f"tone_{name}": arm_with(_tone(*map(float, name.split("_")))) for name in _TONES},
+    **{
+        f"tone_{name}": arm_with(Sinusoid(*map(float, name.split("_")), start=2.0))
+        for name in _TONES
+    },
     # Drifts, inertias, payloads and play of the gear; other rates and motions; mixtures of three.
     "wander": arm_with(_walk(1e-4)),
     "wander_3": arm_with(_walk(3e-4)),
@@ -128,23 +125,25 @@ SCENARIOS: dict[str, Scenario] = {
     "heavy_link": arm_with(_HEAVY_LINK),
     "light_motor": arm_with(Mismatch(motor_inertia=-0.1)),
     "heavy_motor": arm_with(Mismatch(motor_inertia=0.1)),
-    "late_payload": arm_with(_LOAD),
+    "late_payload": arm_with(Payload(0.2, 2.0, 30.0)),
     "backlash_0.005": arm_with(backlash=0.005),
     "backlash_0.03": arm_with(backlash=0.03),
     "quiet": arm_with(Sensor(0.5 * _SIGMA)),
-    "missing": arm_with(_MISSING),
+    "missing": arm_with(Sensor(loss_probability=0.2)),
     "missing_outliers": arm_with(replace(_MANY, loss_probability=0.2)),
     "half_rate": arm_with(rate=100.0),
     "near_rest": replace(_REST, inputs=(Sine(0.05),)),
     "mix_stiff_outliers_step": arm_with(_STIFF, _MANY, _STEP),
     "mix_stiff_missing_loud": arm_with(
-        Mismatch(stiffness=0.25), replace(_MISSING, noise_std=2.0 * _SIGMA)
+        Mismatch(stiffness=0.25), Sensor(2.0 * _SIGMA, loss_probability=0.2)
     ),
     "mix_stiff_pulses_outliers": arm_with(_STIFF, _MANY, _PULSES),
-    "mix_heavy_tone_outliers": arm_with(Mismatch(gravity_torque=0.15), _MANY, _tone(0.1, 3.0)),
+    "mix_heavy_tone_outliers": arm_with(
+        Mismatch(gravity_torque=0.15), _MANY, Sinusoid(0.1, 3.0, 2.0)
+    ),
     "mix_friction_loud_steps": arm_with(_SLIGHT, _LOUD, *_STEPS),
     "mix_inertia_wander_student": arm_with(_HEAVY_LINK, _STUDENT, _walk(1e-4)),
-    "mix_payload_correlated_step": arm_with(_SMALL_LOAD, _correlated(0.9), _STEP),
+    "mix_payload_correlated_step": arm_with(Payload(0.1, 1.0, 25.0), _correlated(0.9), _STEP),
 }
 SCENARIOS |= {
     f"stiff_{name}": replace(SCENARIOS[name], mismatch=_STIFF)
