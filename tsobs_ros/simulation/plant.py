@@ -426,15 +426,14 @@ class Plant:
         self._seeds = runs = np.atleast_1d(np.asarray(seeds, np.object_)).tolist()
         if not runs or min(runs) < 0:
             raise ModelError(f"seeds: expected integers of at least 0, at least one, got {seeds!r}")
-        self.scenario, self.index = scenario, 0
+        self.index = 0
         self._motion, rate = scenario.motion(runs), scenario.rate
-        self._outputs = [
-            Output(runs, rate, number, each) for number, each in enumerate(scenario.outputs)
-        ]
+        self._outputs = [Output(runs, rate, number) for number in range(len(scenario.outputs))]
         *self._torques, self._error = (
-            Disturbance(runs, rate, Source.TORQUE, number, signals)
-            for number, signals in enumerate((*scenario.torque_disturbance, scenario.torque_error))
+            Disturbance(runs, rate, Source.TORQUE, number)
+            for number in range(len(scenario.torque_disturbance) + 1)
         )
+        self.exchange(scenario)
         self._held = np.zeros((len(runs), len(self._outputs)))
         self._path = TorqueDelay(scenario.torque, rate)
         # The error of a report takes the same path in estimators.

@@ -100,20 +100,15 @@ class SimulatedOutput:
 
 
 class Disturbance:
-    """The disturbance of an output or a torque by its number, in every run of a batch."""
+    """The disturbance of an output or a torque by its number, in every run of a batch.
 
-    def __init__(
-        self,
-        seeds: Sequence[int],
-        rate: float,
-        source: Source,
-        number: int,
-        signals: Sequence[Signal],
-    ) -> None:
+    Its signals come by `exchange`, also the first ones.
+    """
+
+    def __init__(self, seeds: Sequence[int], rate: float, source: Source, number: int) -> None:
         self._seeds, self._rate, self._source, self._number = seeds, rate, source, number
         self._signals: tuple[Signal, ...] | None = None
         self._generation = 0
-        self.exchange(signals, 0)
 
     def exchange(self, signals: Sequence[Signal], index: int) -> None:
         """Have other signals, whose time counts from a sample on, unless they are the same."""
@@ -158,12 +153,10 @@ class Disturbance:
 
 
 class Output:
-    """An output by its number, with its sensor and its disturbance, in every run of a batch."""
+    """An output by its number, in every run of a batch; what it is comes by `exchange`."""
 
-    def __init__(
-        self, seeds: Sequence[int], rate: float, number: int, asked: SimulatedOutput
-    ) -> None:
-        self._disturbance = Disturbance(seeds, rate, Source.DISTURBANCE, number, asked.disturbance)
+    def __init__(self, seeds: Sequence[int], rate: float, number: int) -> None:
+        self._disturbance = Disturbance(seeds, rate, Source.DISTURBANCE, number)
         self._seeds, self._rate, self._number = seeds, rate, number
         self._sensor, self._past = Sensor(), Past(0)
         self._normal = RandomStream(seeds, Source.MEASUREMENT, number)
@@ -171,7 +164,6 @@ class Output:
         # Of Student's t, with as many numbers a sample as its degrees of freedom.
         self._tail: RandomStream | None = None
         self._last = np.zeros(len(seeds))
-        self.exchange(asked, 0)
 
     def exchange(self, asked: SimulatedOutput, index: int) -> None:
         """Have another sensor and disturbance; see `Disturbance.exchange`.
