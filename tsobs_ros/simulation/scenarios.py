@@ -68,7 +68,7 @@ _SLIGHT, _FRICTION = Friction(0.0, 0.0, 0.1, 0.05), Friction(0.0, 0.0, 0.3, 0.15
 _STEP, _DRIFT, _SINUSOID = BiasStep(0.1, 30.0), GaussMarkov(0.1, 20.0), Sinusoid(0.2, 3.0, 2.0)
 _STEPS = (Pulses(0.15, 4.0, 4.0, 16.0), Pulses(-0.15, 12.0, 4.0, 16.0))
 _PULSES = Pulses(0.5, 8.0, 1.5, 8.0)
-_TONES = ["0.03_3", "0.03_8", "0.1_1", "0.1_3", "0.1_8", "0.1_12", "0.3_1", "0.3_3", "0.3_12"]
+_TONES = {0.03: (3.0, 8.0), 0.1: (1.0, 3.0, 8.0, 12.0), 0.3: (1.0, 3.0, 12.0)}
 
 SCENARIOS: dict[str, Scenario] = {
     "noise": _PLAIN,
@@ -115,8 +115,9 @@ SCENARIOS: dict[str, Scenario] = {
     "payload": arm_with(Mismatch(link_inertia=0.2, gravity_torque=0.2)),
     # A sensor that oscillates by so many rad at so many rad/s, of which no design knows.
     **{
-        f"tone_{name}": arm_with(Sinusoid(*map(float, name.split("_")), start=2.0))
-        for name in _TONES
+        f"tone_{size}_{frequency:g}": arm_with(Sinusoid(size, frequency, 2.0))
+        for size, frequencies in _TONES.items()
+        for frequency in frequencies
     },
     # Drifts, inertias, payloads and play of the gear; other rates and motions; mixtures of three.
     "wander": arm_with(_walk(1e-4)),
