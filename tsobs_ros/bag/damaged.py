@@ -135,18 +135,13 @@ class FileWalker:
         # A file without chunks describes its channels before its messages.
         self._bare_channels: set[int] = set()
         self._has_chunks = False
-        self._read_end()
-
-    def _read_end(self) -> None:
-        footer = find_footer(self._bytes(self._end - END_SIZE, END_SIZE))
-        if footer is None:
-            return
-        self.has_end, self._end, start = True, self._end - END_SIZE, footer.summary_start
-        if footer.summary_crc and 0 < start <= self._end <= start + MAX_SUMMARY_SIZE:
-            with suppress(RecordError):
-                self.summary = parse_summary(self._bytes(start, self._end - start), footer)
-                self._end = start
-                self._stated.update((s.start, s.end, s.size) for s in self.summary.spans)
+        if (footer := find_footer(self._bytes(self._end - END_SIZE, END_SIZE))) is not None:
+            self.has_end, self._end, start = True, self._end - END_SIZE, footer.summary_start
+            if footer.summary_crc and 0 < start <= self._end <= start + MAX_SUMMARY_SIZE:
+                with suppress(RecordError):
+                    self.summary = parse_summary(self._bytes(start, self._end - start), footer)
+                    self._end = start
+                    self._stated.update((s.start, s.end, s.size) for s in self.summary.spans)
 
     def parts(self, progress: Progress = lambda _: None) -> Iterator[Part]:
         """Yield what is intact; `progress` is called with the number of bytes got through."""
