@@ -190,32 +190,6 @@ class ArmMotion(Motion):
         return states, self._sensed.measured(states)
 
 
-class SystemMotion(Motion):
-    """T–S systems: ẋ = Σ hᵢ(z)((Aᵢ + ΔAᵢ)x + (Bᵢ + ΔBᵢ)u), y = Σ hᵢ(z) Cᵢx."""
-
-    def __init__(self, scenario: "SystemScenario", seeds: Sequence[int]) -> None:
-        model, start = scenario.model, np.asarray(scenario.initial_state)
-        shapes, parameters = model.rule_base.coded
-        n, m, outputs = model.state_count, model.input_count, model.rule_outputs
-        super().__init__(
-            seeds,
-            scenario.rate,
-            np.repeat([start], len(seeds), axis=0),
-            scenario.process_noise,
-            (m, model.schedule.shape[1], outputs.shape[1], *shapes.shape),
-            rates=scenario.true_rates.reshape(-1, n + m),
-            outputs=outputs.reshape(-1, n),
-            shapes=shapes.ravel(),
-            parameters=parameters.reshape(-1, 4),
-            premise=np.hstack([model.premise, np.zeros((len(model.premise), m)), model.schedule]),
-        )
-        self.fed_back = tuple(
-            (m + place, number, outputs[0, number])
-            for place, number in enumerate(scenario.fed_back)
-            if number is not None
-        )
-
-
 def _arm_numbers(scenario: "Scenario", more_inertia: float, more_torque: float) -> list[float]:
     """Return the numbers of the true arm with a payload, as the compiled core has them."""
     true, friction = scenario.true_arm, scenario.friction
@@ -344,7 +318,7 @@ class Scenario(PlantScenario):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SystemScenario(PlantScenario):
-    """A T–S system. Units are the model's.
+    """A T–S system, ẋ = Σ hᵢ(z)((Aᵢ + ΔAᵢ)x + (Bᵢ + ΔBᵢ)u), y = Σ hᵢ(z) Cᵢx, in the model's units.
 
     Attributes:
         model: The nominal system, the one an estimator knows.
@@ -375,7 +349,27 @@ class SystemScenario(PlantScenario):
                 )
 
     def motion(self, seeds: Sequence[int]) -> Motion:
-        return SystemMotion(self, seeds)
+        model, start = self.model, np.asarray(self.initial_state)
+        shapes, parameters = model.rule_base.coded
+        n, m, outputs = model.state_count, model.input_count, model.rule_outputs
+        motion = Motion(
+            seeds,
+            self.rate,
+            np.repeat([start], len(seeds), axis=0),
+            self.process_noise,
+            (m, model.schedule.shape[1], outputs.shape[1], *shapes.shape),
+            rates=self.true_rates.reshape(-1, n + m),
+            outputs=outputs.reshape(-1, n),
+            shapes=shapes.ravel(),
+            parameters=parameters.reshape(-1, 4),
+            premise=np.hstack([model.premise, np.zeros((len(model.premise), m)), model.schedule]),
+        )
+        motion.fed_back = tuple(
+            (m + place, number, outputs[0, number])
+            for place, number in enumerate(self.fed_back)
+            if number is not None
+        )
+        return motion
 
 
 class Trajectories(NamedTuple):
