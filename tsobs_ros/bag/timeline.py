@@ -2,9 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time that is paced, paused and held back: of a bag being played, and of a simulated plant."""
 
-import math
-from fractions import Fraction
-
 NEVER = 2**62
 """The deadline of what does not come [ns]."""
 
@@ -15,25 +12,27 @@ class Timeline:
     def __init__(self, time: int, rate: float = 1.0) -> None:
         self.paused = True
         self._time, self._steady = time, 0
-        self._rate = Fraction(rate)
+        self._rate = rate.as_integer_ratio()
 
     def at(self, steady: int) -> int:
         """Return the bag time at a steady time that is not before the anchor."""
         if self.paused or steady <= self._steady:
             return self._time
-        return self._time + math.floor((steady - self._steady) * self._rate)
+        numerator, denominator = self._rate
+        return self._time + (steady - self._steady) * numerator // denominator
 
     def due(self, time: int) -> int:
         """Return the first steady time at which a running timeline has reached a bag time."""
         if self.paused:
             return NEVER
-        return self._steady + math.ceil((time - self._time) / self._rate)
+        numerator, denominator = self._rate
+        return self._steady - (self._time - time) * denominator // numerator
 
     def anchor(self, time: int, steady: int, rate: float | None = None) -> None:
         """Be at a bag time at a steady time, and change the rate from there on if one is given."""
         self._time, self._steady = time, steady
         if rate is not None:
-            self._rate = Fraction(rate)
+            self._rate = rate.as_integer_ratio()
 
     def shift(self, amount: int) -> None:
         """Let everything be later by an amount of steady time [ns]."""
@@ -48,20 +47,21 @@ class Ticks:
     """
 
     def __init__(self, rate: float) -> None:
-        self._rate = Fraction(rate)
+        self._rate = rate.as_integer_ratio()
         self.due = NEVER
 
     def start(self, steady: int) -> None:
         """Be due now, and from now on at the rate."""
         self._origin, self._index = steady, 0
-        if self._rate:
+        if self._rate[0]:
             self.due = steady
 
     def take(self) -> int:
         """Return the deadline and go on to the next one."""
         due = self.due
         self._index += 1
-        self.due = self._origin + math.floor(self._index * 1_000_000_000 / self._rate)
+        numerator, denominator = self._rate
+        self.due = self._origin + self._index * 1_000_000_000 * denominator // numerator
         return due
 
     def shift(self, amount: int) -> None:
