@@ -281,12 +281,12 @@ class BagReader:
         self.require(names)
         found: list[BagMessage] = []
         for name in names:
-            last, numbers = list[BagMessage](), self._numbers([name])
+            last = list[BagMessage]()
             spans = [s for s in self.spans if s.start < time_ns and name in self.topics_of(s)]
             for span in sorted(spans, key=attrgetter("end", "rank", "offset"), reverse=True):
                 if len(last) == depth and last[0].log_time >= span.end:
                     break
-                rows, data = self._load(span, numbers, 0, time_ns)
+                rows, data = self._load(span, self._numbers([name]), 0, time_ns)
                 both = [*self._messages([name], rows[-depth:], {0: data}), *last]
                 last = sorted(both, key=itemgetter(3))[-depth:]
             found += last
