@@ -218,6 +218,7 @@ static void open_all(const model *m, const hypothesis *h)
     copy_matrix(first.covariance, width, h->covariance, width, n, n);
     copy_matrix(first.gamma, k, h->gamma, k, k, k);
     copy_matrix(first.upsilon, width, h->upsilon, width, k, n);
+    *h->by_noise = 0.0;
 }
 
 /* Begin a hypothesis of a kind, which otherwise is a copy of the best one. */
@@ -638,6 +639,7 @@ static void suppose_parameters(
     }
     copy_matrix(teacher->gamma, k, h.gamma, k, k, k);
     *h.pass_age = *teacher->pass_age;
+    *h.by_noise = *teacher->by_noise;
     *h.significant = 1;
 }
 
@@ -768,18 +770,17 @@ static void rest(const model *m, state *at)
     }
 }
 
-/* Follow whether the plant has moved by more than its bounds in the last seconds. At rest,
- * regressors follow the noise of the estimate: what they show is false. */
+/* Follow how still the plant was in the last seconds: the share of its motion that noise of the
+ * estimate makes, in the state that moves most. */
 static void follow_motion(const model *m, state *at, const hypothesis *h)
 {
     const double share = *h->learning >= *m->adaptation_start ? share_of(*m->period, 2.0) : 1.0;
-    *at->moving = 0;
+    *at->stillness = 1.0;
     for (long i = 0; i < m->s.plant; i++) {
-        const double off = h->x[i] - at->centre[i];
-        const double least = m->constants[MOVING] * scale_of(at) * m->state_std[i];
+        const double off = h->x[i] - at->centre[i], noise = scale_of(at) * m->state_std[i];
         at->centre[i] += share * off;
         at->spread[i] = (1.0 - share) * (at->spread[i] + share * off * off);
-        *at->moving |= at->spread[i] > least * least;
+        *at->stillness = minimum(*at->stillness, noise * noise / at->spread[i]);
     }
 }
 

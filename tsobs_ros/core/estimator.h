@@ -94,7 +94,6 @@ enum {
     C(AWAKE, 5.0, "time from the last sign to sleep, and memory of tones [s]")                  \
     C(SLOW_TIME, 0.4, "time constant of slow innovations [s]")                                 \
     C(POWER_TIME, 2.5, "time constant of their power [s]")                                     \
-    C(MOVING, 6.0, "motion, by bounds, from which on parameters are learnt")                   \
     C(CURVED, 0.5, "share of a learnt distance by which regressors are wrong")                 \
     C(QUIET, 0.22, "slow power that white noise leaves, by that of all innovations")           \
     C(VOID, 4.0, "power of innovations, by that expected, from which on nothing is claimed")
@@ -166,6 +165,7 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(MATRIX, gamma, s->k, s->k) /* covariance of their errors */                     \
     F(MATRIX, upsilon, s->k, s->width) /* dx/dtheta, by rows */                       \
     F(MATRIX, gram, s->k, s->k)  /* measure of excitation */                          \
+    F(NUMBER, by_noise, 1, 1)    /* 1 sigma of what noise made of them, by the first */  \
     F(NUMBER, learning, 1, 1)    /* time they have been learnt for [s] */             \
     F(VECTOR, pending, s->k, 1)  /* change of theta that is not used yet */           \
     F(COUNT, significant, 1, 1)  /* whether it ever was significant */                \
@@ -197,7 +197,7 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(NUMBER, age, 1, 1)           /* time since the start [s] */                              \
     F(VECTOR, centre, s->plant, 1) /* mean of the plant's states over some seconds */          \
     F(VECTOR, spread, s->plant, 1) /* and their variance */                                    \
-    F(COUNT, moving, 1, 1)         /* whether these move enough to learn from */               \
+    F(NUMBER, stillness, 1, 1)     /* share of that which noise makes, where it is least */    \
     F(COUNT, outliers, 1, 1)       /* counts of what was found */                              \
     F(COUNT, jumps, 1, 1)                                                                      \
     F(COUNT, hits, 1, 1)                                                                       \

@@ -181,10 +181,11 @@ static double inflation_of(const model *m, const hypothesis *h)
     return inflation * (maximum(*h->nis, 1.0) * ((1.0 + alike) / (1.0 - alike)));
 }
 
-/* Correct the parameters' covariance and the pending change of them by one output. */
+/* Correct the parameters' covariance and the pending change of them by one output. At rest,
+ * regressors are the noise of the estimate: what they show is as likely false. */
 static void adapt_by(
-    const model *m, hypothesis *h, const double *omega, const outlook *of, double inflation,
-    double *cross)
+    const model *m, const state *at, hypothesis *h, const double *omega, const outlook *of,
+    double inflation, double *cross)
 {
     const long k = m->s.k;
     double variance = of->known * inflation, left = of->innovation - dot(omega, h->pending, k);
@@ -194,6 +195,8 @@ static void adapt_by(
     variance += dot(omega, cross, k);
     for (long a = 0; a < k; a++) {
         const double moved = h->theta[a] + h->pending[a] + cross[a] / variance * left;
+        const double learnt = cross[a] * cross[a] / (variance * h->gamma[a * (k + 1)]);
+        *h->by_noise += learnt / (double)k * (*at->stillness - *h->by_noise);
         for (long b = 0; b <= a; b++) {
             h->gamma[a * k + b] -= cross[a] * cross[b] / variance;
             h->gamma[b * k + a] = h->gamma[a * k + b];
@@ -268,32 +271,35 @@ double correct_by(
     }
     correct_regressors(m, h, omega, effect->gain, of.known);
     if (adapt) {
-        adapt_by(m, h, omega, &of, inflation, effect->cross);
+        adapt_by(m, at, h, omega, &of, inflation, effect->cross);
     }
     return of.likelihood;
 }
 
 /* Begin another pass of learning: what the last one moved is wrong by a share of it, as its
- * regressors were. */
-static void begin_pass(const model *m, hypothesis *h)
+ * regressors were; and what it learnt of noise is learnt again once the plant moves more. */
+static void begin_pass(const model *m, const state *at, hypothesis *h)
 {
     const long k = m->s.k;
+    const double noise = minimum(*h->by_noise, *at->stillness);
+    const double doubt = *h->by_noise * *h->by_noise - noise * noise;
     if (*h->pass_age <= *m->pass_time) {
         return;
     }
     *h->pass_age = 0.0;
+    *h->by_noise = noise;
     for (long a = 0; a < k; a++) {
         const double wrong = m->constants[CURVED] * (h->theta[a] - h->anchor[a]);
         const double most = m->theta_deviation[a] * m->theta_deviation[a];
         double *variance = h->gamma + a * k + a;
-        *variance = minimum(*variance + wrong * wrong, most);
+        *variance = minimum(*variance + wrong * wrong + doubt * most, most);
         h->anchor[a] = h->theta[a];
     }
 }
 
 double correct_hypothesis(const model *m, const state *at, hypothesis *h, correction *effect)
 {
-    const int adapt = m->s.k > 0 && *at->moving != 0 && *h->learning >= *m->adaptation_start;
+    const int adapt = m->s.k > 0 && *h->learning >= *m->adaptation_start;
     double said = 0.0;
     int64_t used = 0;
     for (long i = 0; i < m->s.p; i++) {
@@ -315,7 +321,7 @@ double correct_hypothesis(const model *m, const state *at, hypothesis *h, correc
     *h->corrected = 1;
     if (adapt) {
         use_pending(m, h, effect);
-        begin_pass(m, h);
+        begin_pass(m, at, h);
     }
     return said;
 }
