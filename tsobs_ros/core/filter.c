@@ -195,7 +195,8 @@ static void adapt_by(
     variance += dot(omega, cross, k);
     for (long a = 0; a < k; a++) {
         const double moved = h->theta[a] + h->pending[a] + cross[a] / variance * left;
-        const double learnt = cross[a] * cross[a] / (variance * h->gamma[a * (k + 1)]);
+        const double all = variance * h->gamma[a * (k + 1)];
+        const double learnt = all > 0.0 ? cross[a] * cross[a] / all : 0.0;
         *h->by_noise += learnt / (double)k * (*at->stillness - *h->by_noise);
         for (long b = 0; b <= a; b++) {
             h->gamma[a * k + b] -= cross[a] * cross[b] / variance;
