@@ -798,11 +798,13 @@ static void report(const model *m, const hypothesis *best, correction *effect)
     }
 }
 
-/* Return whether it is time to suppose a jump without a sign: four times per trial, in noise that is
- * so loud that a jump which the design takes for an outlier is not even sudden. */
+/* Return whether it is time to suppose a jump without a sign, unless the design has been the best
+ * for long: four times per trial, in noise that is so loud that a jump which the design takes for
+ * an outlier is not even sudden. */
 static int is_due(const model *m, const state *at, long output)
 {
-    return *at->awake > 0.0 && noise_of(m, at, output) > *m->gate / m->constants[SUDDEN]
+    return (*at->awake > 0.0 || *at->best != AS_DESIGNED)
+           && noise_of(m, at, output) > *m->gate / m->constants[SUDDEN]
            && has_passed(at, 0.25 * m->constants[TRIAL], *sensor_of(m, at, output).since);
 }
 
