@@ -3,6 +3,7 @@
 """What happens to a joint and its sensor, what it is taken for, and what is published then."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
@@ -98,17 +99,19 @@ def awake(tracker: Tracker) -> list[int]:
     return np.flatnonzero(tracker.state["hypotheses"]["live"][0]).tolist()
 
 
+def awake_in_parts(tracker: Tracker, run: Trajectories, length: int) -> Iterator[list[int]]:
+    """Track a run in parts of so many samples; yield which hypotheses are considered after each."""
+    for begin in range(0, COUNT, length):
+        part = np.arange(begin, begin + length)
+        stamps = NANOSECONDS + 5_000_000 * part
+        tracker.follow(stamps, run.measurements[0][part], run.torques[0][part])
+        yield awake(tracker)
+
+
 @both
 def test_of_an_arm_as_designed_nothing_else_is_considered_for_long(name: str) -> None:
-    tracker, run, awake_in = make_tracker(DESIGNS[name], ObserverSettings()), simulated(), 0
-    for begin in range(0, COUNT, 50):
-        part, stamps = (
-            slice(begin, begin + 50),
-            NANOSECONDS + 5_000_000 * np.arange(begin, begin + 50),
-        )
-        tracker.follow(stamps, run.measurements[0][part], run.torques[0][part])
-        awake_in += len(awake(tracker)) > 1
-    assert awake_in < 50
+    tracker = make_tracker(DESIGNS[name], ObserverSettings())
+    assert sum(len(live) > 1 for live in awake_in_parts(tracker, simulated(), 50)) < 50
     got = nominal(name)
     assert got.claimed.all()
     assert got.inside[RATE:].mean() > 0.99
@@ -409,6 +412,19 @@ def test_an_arm_that_is_being_learnt_is_not_taken_for_another() -> None:
     assert (got.hypothesis == Hypothesis.AS_DESIGNED).mean() > 0.95
 
 
+def test_noise_shows_of_a_stiffer_arm_what_the_bound_does_not_rely_on() -> None:
+    near = course("learning", simulated(SCENARIOS["stiff_near_rest"], 2, 60)).tracker
+    assert np.abs(likeliest(near.state)["theta"] - [0.2, 0.0]).max() < 0.05
+    rest = course("learning", simulated(replace(SCENARIOS["rest"], mismatch=STIFF), 1, 60)).tracker
+    assert rest.estimator.readout(rest.state).parameter_bound.min() > 0.2
+
+
+def test_a_small_step_is_found_in_loud_noise_though_nothing_has_happened_for_long() -> None:
+    run = simulated(SCENARIOS["mix_friction_loud_steps"], 9004, 60)
+    late = np.abs(course("learning", run).disturbance - run.disturbances[0, :, 0])[45 * RATE :]
+    assert late.mean() < 0.015
+
+
 def test_what_fell_behind_is_supposed_again() -> None:
     """A motor that rubs beneath a wrong stiffness is found by forks only."""
     got = course("learning", simulated(SCENARIOS["stiff_friction"], 0, 60))
@@ -416,12 +432,8 @@ def test_what_fell_behind_is_supposed_again() -> None:
 
 
 def test_a_kind_that_differs_in_nothing_is_never_supposed() -> None:
-    tracker, run = make_tracker(DESIGNS["learning"], ObserverSettings()), simulated(TAKEN_FOR[1][0])
+    tracker = make_tracker(DESIGNS["learning"], ObserverSettings())
     tracker.estimator.model["force"], kinds = 0.0, set()
-    for begin in range(0, COUNT, 20):
-        part = np.arange(begin, begin + 20)
-        tracker.follow(
-            NANOSECONDS + 5_000_000 * part, run.measurements[0][part], run.torques[0][part]
-        )
-        kinds |= {*tracker.state["hypotheses"]["kind"][0, awake(tracker)].tolist()}
+    for live in awake_in_parts(tracker, simulated(TAKEN_FOR[1][0]), 20):
+        kinds |= {*tracker.state["hypotheses"]["kind"][0, live].tolist()}
     assert {*range(Hypothesis.TONE)} - kinds == {Hypothesis.FORCE}

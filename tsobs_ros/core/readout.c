@@ -121,8 +121,8 @@ static double value_of(
 /* Write the mean of a quantity over the hypotheses that are decided, and its bound: the root of
  * the mean, over all, of variance plus squared distance from it. Return their sum. least: its
  * 1-sigma by the certificate. Slow innovations do not widen the bound of an unknown torque: it is
- * what explains them. What was learnt of parameters over a distance is wrong by a share of it:
- * regressors move with x^. */
+ * what explains them. What was learnt of parameters over a distance is wrong by a share of it, as
+ * regressors move with x^, and what was learnt of noise is as wrong as the first guess. */
 static double read_one(
     const model *m, const state *at, int what, long place, double least, double unit, double *value,
     double *bound, work *scratch)
@@ -150,10 +150,10 @@ static double read_one(
         }
         const double growth
             = sqrt(maximum(*h.nis, 1.0)) * (what == TORQUE ? 1.0 : growth_of(m, &h));
-        const double added = maximum(quadratic(h.gamma, k, scratch->share, k), 0.0)
-                             + *h.by_noise * *h.by_noise * prior;
+        const double added = k > 0 ? maximum(quadratic(h.gamma, k, scratch->share, k), 0.0) : 0.0;
+        const double noise = *h.by_noise * *h.by_noise * prior;
         /* Parameters are known at least as well as in the beginning. */
-        const double grown = maximum(minimum(growth * growth * added, prior), added);
+        const double grown = maximum(minimum(growth * growth * (added + noise), prior), added);
         const double std
             = sqrt(growth * growth * (own * own) + (grown + shift * shift + curved * curved));
         mean += scratch->decided[j] * said;
