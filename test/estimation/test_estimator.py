@@ -39,7 +39,7 @@ def supervised_arm() -> Estimator:
     estimator = design.observer(settle_time=0.0, adapt=True)
     estimator.learn(
         design.request.uncertainty_model, covered=design.request.certify_uncertainty,
-        initial_std=0.3, adaptation_start=0.0, significance=1e-3, pass_time=0.02, memory=0.3,
+        initial_std=0.3, significance=1e-3, pass_time=0.02, memory=0.3,
     )  # fmt: skip
     estimator.supervise(SupervisionOptions(stuck_samples=10))
     return estimator
@@ -49,7 +49,7 @@ def pendulum() -> Estimator:
     """A T–S system: angle and rate are measured, the rate with a bias, gravity is learnt."""
     design = load_design(SYSTEM)
     estimator = design.observer(settle_time=0.2, adapt=True)
-    estimator.learn(design.request.uncertainty_model, adaptation_start=0.05, significance=1e-3)
+    estimator.learn(design.request.uncertainty_model, significance=1e-3)
     return estimator
 
 

@@ -57,7 +57,7 @@ def seconds(event: Event) -> float:
 
 def test_a_start_is_reported_in_three_lines_and_then_nothing() -> None:
     play = Play(settled=0.0)
-    play.goes_on(4.0, basis=Basis.STARTING, learning=Learning.STARTING)
+    play.goes_on(4.0, basis=Basis.STARTING)
     play.goes_on(600.0)
     assert [(seconds(each), each.level, each.text) for each in play.events] == [
         (0.0, Level.OK, "TRACKING: measurements arrive on /sensor"),
@@ -84,7 +84,6 @@ def test_a_recording_which_lacks_the_silence_gives_the_same_events() -> None:
         (EventKind.BOUND, {"basis": Basis.GAP}, Basis.GAP.judged[1], False),
         (EventKind.BOUND, {"basis": Basis.OUTSIDE}, Basis.OUTSIDE.judged[1], True),
         (EventKind.HYPOTHESIS, {"hypothesis": Hypothesis.FORCE}, Hypothesis.FORCE.judged[1], False),
-        (EventKind.LEARNING, {"learning": Learning.STARTING}, Learning.STARTING.text, False),
         (EventKind.NOISE, {"noise_scale": 1.5}, "the sensor's noise is 1.5 times", False),
     ],
 )
@@ -112,7 +111,7 @@ def test_a_node_that_waits_reports_it_once_after_a_second() -> None:
         for event in log.silence(BEGIN + tick * SECOND // 10)
     ]
     assert found == [(10, "WAITING for the first measurement on /sensor")]
-    (event,) = log.update(GOOD._replace(basis=Basis.STARTING, learning=Learning.STARTING))
+    (event,) = log.update(GOOD._replace(basis=Basis.STARTING))
     assert event.text == "TRACKING: measurements arrive on /sensor"
 
 

@@ -42,7 +42,6 @@ def simulated(
 
 def test_adaptation_finds_the_true_parameter(pendulum: Design) -> None:
     theta, observer = -0.15, pendulum.observer(1.0, adapt=True)
-    observer.learn(pendulum.request.uncertainty_model, adaptation_start=1.0)
     runs = simulated(pendulum, 1, 2500, BiasStep(0.05, 0.0), theta=theta, initial_state=(0.5, 0.0))
     stamps = 10**9 + np.round(1e9 * runs.times).astype(np.int64)
     last = Tracker(observer).follow(stamps, runs.measurements[0], runs.torques[0])[-1]

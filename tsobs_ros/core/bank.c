@@ -10,7 +10,8 @@
  * follow decide: the best fork takes its parent's place. Once per trial a fork supposes that the best
  * one is wrong about what the arm and its sensors are.
  *
- * While nothing contradicts the design, it is alone, and the others sleep.
+ * While nothing contradicts the design, it is alone, and the others sleep; but they are considered
+ * at the start, which shows most of the parameters.
  */
 #include "bank.h"
 
@@ -774,13 +775,15 @@ static void rest(const model *m, state *at)
  * estimate makes, in the state that moves most. */
 static void follow_motion(const model *m, state *at, const hypothesis *h)
 {
-    const double share = *h->learning >= *m->adaptation_start ? share_of(*m->period, 2.0) : 1.0;
+    const double share = *at->age > 0.0 ? share_of(*m->period, 2.0) : 1.0;
     *at->stillness = 1.0;
     for (long i = 0; i < m->s.plant; i++) {
-        const double off = h->x[i] - at->centre[i], noise = scale_of(at) * m->state_std[i];
+        const double off = h->x[i] - at->centre[i], std = scale_of(at) * m->state_std[i];
+        const double own = *h->certified != 0 ? std * std : h->covariance[i * (m->s.width + 1)];
         at->centre[i] += share * off;
         at->spread[i] = (1.0 - share) * (at->spread[i] + share * off * off);
-        *at->stillness = minimum(*at->stillness, noise * noise / at->spread[i]);
+        at->noise[i] += share * (own - at->noise[i]);
+        *at->stillness = minimum(*at->stillness, at->noise[i] / at->spread[i]);
     }
 }
 
@@ -879,7 +882,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
         reset_if_rejecting(m, at, &h, effect);
         return;
     }
-    if (*at->age > 0.0 && (outliers || *h.slow_power > m->constants[SIGN_SLOW])) {
+    if (*at->age <= 0.0 || outliers || *h.slow_power > m->constants[SIGN_SLOW]) {
         wake(m, at);
     }
     *at->outliers += outliers;

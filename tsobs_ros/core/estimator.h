@@ -26,7 +26,7 @@ enum {
 };
 
 /* What the learning of parameters does. */
-enum { LEARNING_NONE, LEARNING_STARTING, LEARNING_ACTIVE };
+enum { LEARNING_NONE, LEARNING_ACTIVE };
 
 /* What a hypothesis takes the arm and its sensors for. The standing ones, in this order, are
  * followed by room for forks. */
@@ -166,7 +166,6 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(MATRIX, upsilon, s->k, s->width) /* dx/dtheta, by rows */                       \
     F(MATRIX, gram, s->k, s->k)  /* measure of excitation */                          \
     F(NUMBER, by_noise, 1, 1)    /* 1 sigma of what noise made of them, by the first */  \
-    F(NUMBER, learning, 1, 1)    /* time they have been learnt for [s] */             \
     F(VECTOR, pending, s->k, 1)  /* change of theta that is not used yet */           \
     F(COUNT, significant, 1, 1)  /* whether it ever was significant */                \
     F(VECTOR, anchor, s->k, 1)   /* theta when the present pass began, */             \
@@ -197,7 +196,8 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(NUMBER, age, 1, 1)           /* time since the start [s] */                              \
     F(VECTOR, centre, s->plant, 1) /* mean of the plant's states over some seconds */          \
     F(VECTOR, spread, s->plant, 1) /* and their variance */                                    \
-    F(NUMBER, stillness, 1, 1)     /* share of that which noise makes, where it is least */    \
+    F(VECTOR, noise, s->plant, 1)  /* and that of the estimate of them, */                      \
+    F(NUMBER, stillness, 1, 1)     /* whose share in the motion is the least of all */         \
     F(COUNT, outliers, 1, 1)       /* counts of what was found */                              \
     F(COUNT, jumps, 1, 1)                                                                      \
     F(COUNT, hits, 1, 1)                                                                       \
@@ -315,7 +315,6 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(NUMBER, random_walk, 1, 1)     /* growth of their variance [1/s] */                         \
     F(NUMBER, significance, 1, 1)    /* square from which on a change is used */                  \
     F(NUMBER, pass_time, 1, 1)       /* after which a pass is over [s] */                         \
-    F(NUMBER, adaptation_start, 1, 1) /* when learning begins [s] */                              \
     F(NUMBER, memory, 1, 1)          /* time constant of excitation [s] */                        \
     F(NUMBER, excitation, 1, 1)      /* from which on parameters count */                         \
     F(COUNT, covered, 1, 1)          /* whether the certificate covers them */                    \

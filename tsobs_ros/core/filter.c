@@ -206,13 +206,15 @@ static void adapt_by(
     }
 }
 
-/* Use the pending change of the parameters from when it is significant on. */
+/* Use the pending change of the parameters from when it is significant on, if the model is said to be
+ * right. */
 static void use_pending(const model *m, hypothesis *h, correction *effect)
 {
     const long k = m->s.k, used = states_in_use(m, h);
     if (*h->significant == 0) {
         solve(h->gamma, h->pending, effect->root, effect->scaled, k);
-        *h->significant = dot(h->pending, effect->scaled, k) > *m->significance;
+        *h->significant = *h->kind == IMPERFECT
+                          || dot(h->pending, effect->scaled, k) > *m->significance;
     }
     if (*h->significant != 0) {
         for (long a = 0; a < k; a++) {
@@ -300,7 +302,7 @@ static void begin_pass(const model *m, const state *at, hypothesis *h)
 
 double correct_hypothesis(const model *m, const state *at, hypothesis *h, correction *effect)
 {
-    const int adapt = m->s.k > 0 && *h->learning >= *m->adaptation_start;
+    const int adapt = m->s.k > 0;
     double said = 0.0;
     int64_t used = 0;
     for (long i = 0; i < m->s.p; i++) {
@@ -444,8 +446,7 @@ static void forget_slowly(const model *m, hypothesis *h, double duration)
 {
     const long k = m->s.k;
     const double fade = 1.0 - share_of(duration, *m->memory);
-    *h->learning += duration;
-    *h->pass_age += *h->learning >= *m->adaptation_start ? duration : 0.0;
+    *h->pass_age += duration;
     for (long i = 0; i < k * k; i++) {
         h->gram[i] *= fade;
     }

@@ -206,9 +206,7 @@ int read_out(const model *m, const state *at, const estimate *said, work *scratc
     *said->noise_scale = scale_of(at);
     *said->coloured_power = *best.colour;
     total += *said->noise_scale + *said->coloured_power;
-    *said->learning = m->s.k == 0                              ? LEARNING_NONE
-                      : *best.learning >= *m->adaptation_start ? LEARNING_ACTIVE
-                                                                   : LEARNING_STARTING;
+    *said->learning = m->s.k > 0 ? LEARNING_ACTIVE : LEARNING_NONE;
     *said->hypothesis = (double)named;
     *said->parameters_valid
         = m->s.k > 0 && *best.kind == AS_DESIGNED && is_excited(m, &best, scratch->small);

@@ -128,8 +128,8 @@ def extended_kalman(
     if uncertainty is not None and uncertainty.count:
         # θ, always valid, is learnt in one pass without curvature or limits.
         estimator.learn(
-            uncertainty, initial_std=THETA_STD, random_walk=THETA_WANDER, adaptation_start=0.0,
-            significance=0.0, pass_time=np.inf, excitation=-1.0,
+            uncertainty, initial_std=THETA_STD, random_walk=THETA_WANDER, significance=0.0,
+            pass_time=np.inf, excitation=-1.0,
         )  # fmt: skip
         estimator.model["limits"] = np.inf
         estimator.model["constants"][0, CONSTANTS["CURVED"]] = 0.0

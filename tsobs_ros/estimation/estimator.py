@@ -33,8 +33,7 @@ TORQUE_RATE = 1.0
 
 LEARNING = {
     "random_walk": 1e-6,  # growth of each θ's variance, which keeps the gain alive [1/s]
-    "adaptation_start": 2.0,  # after a (re)start [s], when innovations are one-sided no more
-    "significance": 16.0,  # θ is used from 4σ on, squared, so that a nominal arm stays nominal
+    "significance": 9.0,  # θ is used from 3σ on, squared, so that a nominal arm stays nominal
     "pass_time": 4.0,  # what was learnt along wrong regressors is learnt again after so long [s]
     "memory": 10.0,  # time constant of the measure of excitation [s]
     "excitation": 400.0,  # its smallest eigenvalue from which θ counts as valid

@@ -10,7 +10,7 @@ import enum
 from typing import Any, NamedTuple
 
 from tsobs_ros.estimation.health import Debounce, Level, Phase
-from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
+from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis
 from tsobs_ros.series import NANOSECONDS
 
 COAST_AFTER, STALE_AFTER = 0.1, 5.0
@@ -31,7 +31,6 @@ class EventKind(enum.Enum):
     STATE = "state"
     BOUND = "bound"
     NOISE = "noise"
-    LEARNING = "learning"
     HYPOTHESIS = "hypothesis"
     RATE = "rate"
     CONTACT = "contact"
@@ -49,7 +48,7 @@ class Event(NamedTuple):
 class EventLog:
     """Finds the events of one joint's estimates.
 
-    A state of bounds, noise, learning or hypothesis must last a second to be reported, but void
+    A state of bounds, noise or hypothesis must last a second to be reported, but void
     bounds are reported at once. A state that flickers is reported five times, and then every ten
     seconds with the number of its changes.
 
@@ -74,7 +73,7 @@ class EventLog:
     def __init__(self, source: str, coast_after: float, stale_after: float) -> None:
         self.coast_after = coast_after
         self._source, self._stale_after = source, stale_after
-        usual = (None, Basis.STARTING, False, Learning.STARTING, Hypothesis.AS_DESIGNED, 0, False)
+        usual = (None, Basis.STARTING, False, Hypothesis.AS_DESIGNED, 0, False)
         self.changes = {
             kind: Changes(kind, one) for kind, one in zip(EventKind, usual, strict=True)
         }
@@ -115,13 +114,11 @@ class EventLog:
         events += self.changes[EventKind.NOISE].report(stamp, self._noisy, judged, _LASTING)
         for kind, code in (
             (EventKind.BOUND, estimate.basis),
-            (EventKind.LEARNING, estimate.learning),
             (EventKind.HYPOTHESIS, estimate.hypothesis),
         ):
             void = kind is EventKind.BOUND and code.level is Level.WARN
-            if code is not Learning.NONE:
-                lasting = 0.0 if void else _LASTING
-                events += self.changes[kind].report(stamp, code, code.judged, lasting)
+            lasting = 0.0 if void else _LASTING
+            events += self.changes[kind].report(stamp, code, code.judged, lasting)
         return sorted(events, key=lambda event: event.stamp)
 
     def silence(self, now: int) -> list[Event]:

@@ -74,8 +74,7 @@ class Learning(Code):
     """What the learning of parameters does."""
 
     NONE = 0, "nothing is learnt"
-    STARTING = 1, "learning waits until the estimate has settled"
-    ACTIVE = 2, "the parameters are being learnt"
+    ACTIVE = 1, "the parameters are being learnt"
 
 
 class Hypothesis(Code):

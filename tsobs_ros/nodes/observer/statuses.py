@@ -12,7 +12,7 @@ from tsobs_ros.design.file import identity
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.estimation.events import NOISY, EventKind
 from tsobs_ros.estimation.health import LastMinute, Level, Status, lasting
-from tsobs_ros.estimation.records import Learning, RejectReason
+from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.methods import CERTIFIED
 from tsobs_ros.nodes.observer.joints import FAILURES, ObservedJoint
 
@@ -62,12 +62,7 @@ def _joint_statuses(joint: ObservedJoint, now: int) -> list[Status]:
     if estimate is not None and joint.learnt:
         learnt = zip(joint.learnt, estimate.parameters, estimate.parameter_bound, strict=True)
         values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
-        values["learning"] = estimate.learning.words
-        values |= lasting(joint.events.changes[EventKind.LEARNING].since, now)
-        message = estimate.learning.text
-        if estimate.learning is Learning.ACTIVE:
-            valid = estimate.parameters_valid
-            message = "learnt" if valid else "not yet: the motion is too poor"
+        message = "learnt" if estimate.parameters_valid else "not yet: the motion is too poor"
         statuses.append(Status("parameters", Level.OK, message, values))
     return statuses
 
