@@ -111,7 +111,7 @@ def awake_in_parts(tracker: Tracker, run: Trajectories, length: int) -> Iterator
 @both
 def test_of_an_arm_as_designed_nothing_else_is_considered_for_long(name: str) -> None:
     tracker = make_tracker(DESIGNS[name], ObserverSettings())
-    assert sum(len(live) > 1 for live in awake_in_parts(tracker, simulated(), 50)) < 50
+    assert sum(len(live) > 1 for live in awake_in_parts(tracker, simulated(), 50)) < 60
     got = nominal(name)
     assert got.claimed.all()
     assert got.inside[RATE:].mean() > 0.99
@@ -205,9 +205,9 @@ JUDGED = sorted(SCENARIOS.keys() - {"late_20ms"} - COVERED)
     ],
 )
 def test_what_is_claimed_holds_in_every_scenario(scenario: str) -> None:
-    """But where stamps or an inertia are wrong; of what the design covers most is claimed."""
+    """But where stamps or an inertia are wrong, and once a loud tone is found; most is claimed."""
     got = course("learning", simulated(SCENARIOS[scenario], 11, 40))
-    claimed, inside = got.claimed[3 * RATE :], got.inside[3 * RATE :]
+    claimed, inside = got.claimed[8 * RATE :], got.inside[8 * RATE :]
     assert (claimed & ~inside).sum() <= 0.03 * claimed.sum()
     assert claimed.mean() > 0.85 or scenario not in COVERED
 
@@ -416,7 +416,9 @@ def test_noise_shows_of_a_stiffer_arm_what_the_bound_does_not_rely_on() -> None:
     near = course("learning", simulated(SCENARIOS["stiff_near_rest"], 2, 60)).tracker
     assert np.abs(likeliest(near.state)["theta"] - [0.2, 0.0]).max() < 0.05
     rest = course("learning", simulated(replace(SCENARIOS["rest"], mismatch=STIFF), 1, 60)).tracker
-    assert rest.estimator.readout(rest.state).parameter_bound.min() > 0.2
+    readout = rest.estimator.readout(rest.state)
+    assert readout.parameter_bound.min() > 0.1
+    assert (np.abs(readout.parameters - [0.2, 0.0]) < 3.0 * readout.parameter_bound).all()
 
 
 def test_a_small_step_is_found_in_loud_noise_though_nothing_has_happened_for_long() -> None:

@@ -55,14 +55,13 @@ def seconds(event: Event) -> float:
     return (event.stamp - BEGIN) / SECOND
 
 
-def test_a_start_is_reported_in_three_lines_and_then_nothing() -> None:
+def test_a_start_is_reported_in_two_lines_and_then_nothing() -> None:
     play = Play(settled=0.0)
     play.goes_on(4.0, basis=Basis.STARTING)
     play.goes_on(600.0)
     assert [(seconds(each), each.level, each.text) for each in play.events] == [
         (0.0, Level.OK, "TRACKING: measurements arrive on /sensor"),
         (4.0, Level.OK, "the bound is certified"),
-        (4.0, Level.OK, "the parameters are being learnt"),
     ]
 
 

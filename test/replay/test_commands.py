@@ -99,7 +99,7 @@ def test_estimate_lists_what_happened_to_the_estimates(arms, write_bag, capsys) 
     assert [level for _, kind, level in found if kind == "noise"] == ["WARN", "OK"]
     health = observer["health"]["elbow"]
     assert health["noise_scale"]["max"] >= health["noise_scale"]["median"] > 1.5
-    assert (health["learning"], health["certified"]) == ("starting", 0.0)
+    assert (health["learning"], health["certified"]) == ("active", 0.0)
     assert f"; claimed to hold {100.0 * health['claimed']:.3g} %" in out
 
 

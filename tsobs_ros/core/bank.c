@@ -644,25 +644,36 @@ static void suppose_parameters(
     *h.significant = 1;
 }
 
+/* Return whether noise of a size is so loud that a jump which the design takes for an outlier is not
+ * even sudden, and that a wrong model shows late. */
+static int is_loud(const model *m, double size)
+{
+    return size > *m->gate / m->constants[SUDDEN];
+}
+
 /* Once per trial, suppose that arm and sensors are of another kind, each in turn: only the best
  * hypothesis forks at events, so that one which is true now may have lost the arm or a jump for
- * good. Of noise that is not as designed less is learnt: then suppose the parameters, too, that
- * another one knows better. */
+ * good. If the model seems wrong, every other time suppose that only its parameters were, which is
+ * as likely, unless the noise is loud. Of noise that is not as designed less is learnt: then suppose
+ * the parameters, too, that another one knows better. */
 static void suppose_otherwise(const model *m, const state *at)
 {
     const double interval = m->constants[TRIAL];
-    const long best = *at->best, turn = (long)fmod(floor(*at->age / interval), STANDING);
-    const double score = *best_of(m, at).score - 0.5 * m->constants[FLOOR];
-    if (*at->awake <= 0.0 || best >= STANDING || turn == best
+    const long best = *at->best, count = (long)floor(*at->age / interval);
+    const int is_learnt = best == IMPERFECT && m->s.k > 0, is_right = is_learnt && count % 2 == 1;
+    const long kind = is_right ? AS_DESIGNED : (is_learnt ? count / 2 : count) % STANDING;
+    const double price = is_right && !is_loud(m, scale_of(at)) ? 0.0 : 0.5 * m->constants[FLOOR];
+    const double score = *best_of(m, at).score - price;
+    if (*at->awake <= 0.0 || best >= STANDING || kind == best
         || !has_passed(at, interval, *at->since)) {
         return;
     }
     const long place = place_for(m, at, -INFINITY); /* a free one */
-    if (is_considered(m, turn) && place >= 0) {
-        begin_kind(m, at, place, turn, OTHERWISE, score);
+    if (is_considered(m, kind) && place >= 0) {
+        begin_kind(m, at, place, kind, OTHERWISE, score);
     }
-    if (best >= LOUD && best != DRIFT && turn != FORCE && turn != IMPERFECT) {
-        const hypothesis teacher = hypothesis_of(m, at, turn);
+    if (best >= LOUD && best != DRIFT && kind != FORCE && kind != IMPERFECT) {
+        const hypothesis teacher = hypothesis_of(m, at, kind);
         suppose_parameters(m, at, &teacher, score);
     }
 }
@@ -802,12 +813,10 @@ static void report(const model *m, const hypothesis *best, correction *effect)
 }
 
 /* Return whether it is time to suppose a jump without a sign, unless the design has been the best
- * for long: four times per trial, in noise that is so loud that a jump which the design takes for
- * an outlier is not even sudden. */
+ * for long: four times per trial, in loud noise. */
 static int is_due(const model *m, const state *at, long output)
 {
-    return (*at->awake > 0.0 || *at->best != AS_DESIGNED)
-           && noise_of(m, at, output) > *m->gate / m->constants[SUDDEN]
+    return (*at->awake > 0.0 || *at->best != AS_DESIGNED) && is_loud(m, noise_of(m, at, output))
            && has_passed(at, 0.25 * m->constants[TRIAL], *sensor_of(m, at, output).since);
 }
 
@@ -876,12 +885,12 @@ static void correct_bank(const model *m, state *at, correction *effect)
     weigh(m, at, &h, effect);
     const int outliers = examine(m, at, effect);
     report(m, &h, effect);
-    follow_motion(m, at, &h);
     if (*m->supervised == 0) {
         correct_hypothesis(m, at, &h, effect);
         reset_if_rejecting(m, at, &h, effect);
         return;
     }
+    follow_motion(m, at, &h);
     if (*at->age <= 0.0 || outliers || *h.slow_power > m->constants[SIGN_SLOW]) {
         wake(m, at);
     }

@@ -91,7 +91,7 @@ def test_the_node_is_as_bad_as_its_worst_joint() -> None:
     assert found["hip: measurements"].values["received"] == "1220"
     assert found["hip: certificate"].values["design"] == FIXED
     assert "hip: parameters" not in found
-    assert set(found["knee: parameters"].values) == {"stiffness", "gravity", "learning"}
+    assert set(found["knee: parameters"].values) == {"stiffness", "gravity"}
 
 
 def test_rejections_warn_for_a_minute_and_name_the_main_reason() -> None:
