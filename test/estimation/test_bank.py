@@ -194,16 +194,10 @@ COVERED = {
 
 
 JUDGED = sorted(SCENARIOS.keys() - {"late_20ms"} - COVERED)
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in JUDGED[1::2]]
 
 
-@pytest.mark.parametrize(
-    "scenario",
-    [
-        *sorted(COVERED),
-        *JUDGED[::2],
-        *(pytest.param(n, marks=pytest.mark.slow) for n in JUDGED[1::2]),
-    ],
-)
+@pytest.mark.parametrize("scenario", [*sorted(COVERED), *JUDGED[::2], *SLOW])
 def test_what_is_claimed_holds_in_every_scenario(scenario: str) -> None:
     """But where stamps or an inertia are wrong, and once a loud tone is found; most is claimed."""
     got = course("learning", simulated(SCENARIOS[scenario], 11, 40))
@@ -374,9 +368,8 @@ def test_limits_of_the_torque_come_from_the_settings_the_request_or_the_arm() ->
     tracker = make_tracker(DESIGNS["fixed"], ObserverSettings(torque_rate_limit=100.0))
     outcomes = []
     for index in range(1, 12):  # a lasting level, from when its rate is plausible on
-        given = Measurement(
-            index * 5_000_000, np.array([1e-3 * index]), np.array([3.0 * (index > 4)])
-        )
+        y, u = np.array([1e-3 * index]), np.array([3.0 * (index > 4)])
+        given = Measurement(index * 5_000_000, y, u)
         outcomes += tracker.offer(given, given.stamp).codes.tolist()
     assert outcomes == [USED] * 4 + [RejectReason.IMPLAUSIBLE_TORQUE] * 5 + [USED] * 2
 
