@@ -1,7 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Arms, encoders, rates and faults that are drawn: ours beside two gated EKFs, on none that it was
-made on.
+"""Arms, encoders, rates and faults that are drawn: ours beside two gated EKFs.
 
 Each arm gets a design of its own and one run of half a minute. Drawn are inertias, stiffness and
 dampings, process noise, the encoder's side and noise, the motion, how far parameters are off, and
@@ -11,7 +10,7 @@ motion; the rivals are those of acceptance.py.
 
 import sys
 from collections.abc import Iterator, Sequence
-from math import exp, log, sqrt
+from math import exp, inf, isfinite, log, sqrt
 from multiprocessing import Pool
 from pathlib import Path
 from typing import NamedTuple
@@ -37,6 +36,8 @@ _DURATION, _JUDGED = 30.0, 10.0
 
 _RATES = (100.0, 200.0, 250.0, 500.0, 1000.0)
 _WORSE = 1.15
+"""A ratio above this counts as worse."""
+
 _LOG_RATIO = log(100.0)
 """A ratio counts as a hundred at most in the mean, and as a hundredth at least."""
 
@@ -124,7 +125,7 @@ def drawn(seed: int) -> Case:
         inputs=(Sine(amplitude * max(0.1, abs(1.0 - (frequency / swing) ** 2)), frequency),),
         initial_state=(0.0,) * 4, initial_spread=(0.1,) * 4,
     )  # fmt: skip
-    group = fault or ("other stiffness or gravity" if learnt else "the arm as designed")
+    group = fault or ("other stiffness or gravity" if learnt else "the arm is as designed")
     return Case(request, scenario, group)
 
 
@@ -132,7 +133,8 @@ def _error(runs: Trajectories, found: Found) -> float:
     late = runs.times >= _JUDGED
     away = (found.estimates[0, late, :4] - runs.states[0, late]) / runs.states[0, late].std(axis=0)
     with np.errstate(all="ignore"):  # a filter that diverges is a result
-        return float(np.sqrt((away**2).mean(axis=0)).mean())
+        error = float(np.sqrt((away**2).mean(axis=0)).mean())
+    return error if isfinite(error) else inf
 
 
 def judged(seed: int) -> Judged:
@@ -148,7 +150,7 @@ def judged(seed: int) -> Judged:
     claims = mine.rows["claimed"][0, late] > 0.0
     return Judged(
         case.group,
-        _error(runs, mine) / float(np.nanmin(rivals)),
+        _error(runs, mine) / min(rivals),
         float(claims.mean()),
         float((claims & broken).sum() / max(claims.sum(), 1)),
     )
@@ -158,7 +160,7 @@ def _page(results: Sequence[Judged], first: int) -> Iterator[str]:
     """Yield what was found, as Markdown."""
     yield f"{len(results)} arms, seeds {first} to {first + len(results) - 1}.\n"
     yield from head("what is wrong", "arms", "ratio", f"above {_WORSE}", "claimed", "broken")
-    groups = sorted({one.group for one in results}, key=lambda group: len(group))
+    groups = sorted({one.group for one in results}, key=len)
     for group in [*groups, "all"]:
         each = [one for one in results if group in (one.group, "all")]
         ratios = np.array([one.ratio for one in each])

@@ -180,6 +180,7 @@ static hypothesis begin_from_best(
     const hypothesis h = hypothesis_of(m, at, place);
     memmove(h.live, best_of(m, at).live, hypothesis_size(&m->s) * sizeof(double));
     leave_certified(m, at, &h, BASIS_STARTING);
+    *h.cause = fork == OTHERWISE ? BASIS_COVARIANCE : *h.cause;
     *h.fork = fork;
     *h.score = score;
     *h.age = 0.0;
@@ -219,7 +220,7 @@ static void open_all(const model *m, const hypothesis *h)
     copy_matrix(first.covariance, width, h->covariance, width, n, n);
     copy_matrix(first.gamma, k, h->gamma, k, k, k);
     copy_matrix(first.upsilon, width, h->upsilon, width, k, n);
-    *h->by_noise = 0.0;
+    *h->noise_share = 0.0;
 }
 
 /* Begin a hypothesis of a kind, which otherwise is a copy of the best one. */
@@ -640,7 +641,7 @@ static void suppose_parameters(
     }
     copy_matrix(teacher->gamma, k, h.gamma, k, k, k);
     *h.pass_age = *teacher->pass_age;
-    *h.by_noise = *teacher->by_noise;
+    *h.noise_share = *teacher->noise_share;
     *h.significant = 1;
 }
 
@@ -653,26 +654,28 @@ static int is_loud(const model *m, double size)
 
 /* Once per trial, suppose that arm and sensors are of another kind, each in turn: only the best
  * hypothesis forks at events, so that one which is true now may have lost the arm or a jump for
- * good. If the model seems wrong, every other time suppose that only its parameters were, which is
- * as likely, unless the noise is loud. Of noise that is not as designed less is learnt: then suppose
- * the parameters, too, that another one knows better. */
+ * good. If the model has begun to seem wrong, every other time suppose that only its parameters
+ * were, which is as likely, unless the noise is loud. Of noise that is not as designed less is
+ * learnt: then suppose the parameters, too, that another one knows better. */
 static void suppose_otherwise(const model *m, const state *at)
 {
-    const double interval = m->constants[TRIAL];
-    const long best = *at->best, count = (long)floor(*at->age / interval);
-    const int is_learnt = best == IMPERFECT && m->s.k > 0, is_right = is_learnt && count % 2 == 1;
-    const long kind = is_right ? AS_DESIGNED : (is_learnt ? count / 2 : count) % STANDING;
-    const double price = is_right && !is_loud(m, scale_of(at)) ? 0.0 : 0.5 * m->constants[FLOOR];
-    const double score = *best_of(m, at).score - price;
-    if (*at->awake <= 0.0 || best >= STANDING || kind == best
-        || !has_passed(at, interval, *at->since)) {
+    const double *c = m->constants;
+    const hypothesis best = best_of(m, at);
+    const long place = *at->best, count = (long)floor(*at->age / c[TRIAL]);
+    const int seems_wrong = place == IMPERFECT && m->s.k > 0 && *best.age < 2.0 * c[AWAKE];
+    const int tries_design = seems_wrong && count % 2 == 1;
+    const long kind = tries_design ? AS_DESIGNED : (seems_wrong ? count / 2 : count) % STANDING;
+    const int is_likely = tries_design && !is_loud(m, scale_of(at));
+    const double score = *best.score - (is_likely ? 0.0 : 0.5 * c[FLOOR]);
+    if (*at->awake <= 0.0 || place >= STANDING || kind == place
+        || !has_passed(at, c[TRIAL], *at->since)) {
         return;
     }
-    const long place = place_for(m, at, -INFINITY); /* a free one */
-    if (is_considered(m, kind) && place >= 0) {
-        begin_kind(m, at, place, kind, OTHERWISE, score);
+    const long free = place_for(m, at, -INFINITY);
+    if (is_considered(m, kind) && free >= 0) {
+        begin_kind(m, at, free, kind, OTHERWISE, score);
     }
-    if (best >= LOUD && best != DRIFT && kind != FORCE && kind != IMPERFECT) {
+    if (place >= LOUD && place != DRIFT && kind != FORCE && kind != IMPERFECT) {
         const hypothesis teacher = hypothesis_of(m, at, kind);
         suppose_parameters(m, at, &teacher, score);
     }
@@ -793,7 +796,7 @@ static void follow_motion(const model *m, state *at, const hypothesis *h)
         const double own = *h->certified != 0 ? std * std : h->covariance[i * (m->s.width + 1)];
         at->centre[i] += share * off;
         at->spread[i] = (1.0 - share) * (at->spread[i] + share * off * off);
-        at->noise[i] += share * (own - at->noise[i]);
+        at->noise[i] += share * (maximum(own, 0.0) - at->noise[i]);
         *at->stillness = minimum(*at->stillness, at->noise[i] / at->spread[i]);
     }
 }
@@ -812,11 +815,11 @@ static void report(const model *m, const hypothesis *best, correction *effect)
     }
 }
 
-/* Return whether it is time to suppose a jump without a sign, unless the design has been the best
- * for long: four times per trial, in loud noise. */
+/* Return whether it is time to suppose a jump without a sign: in loud noise, four times per trial,
+ * while awake or while another kind than the design is the best. */
 static int is_due(const model *m, const state *at, long output)
 {
-    return (*at->awake > 0.0 || *at->best != AS_DESIGNED) && is_loud(m, noise_of(m, at, output))
+    return (*at->awake > 0.0 || *best_of(m, at).kind != AS_DESIGNED) && is_loud(m, noise_of(m, at, output))
            && has_passed(at, 0.25 * m->constants[TRIAL], *sensor_of(m, at, output).since);
 }
 
@@ -885,12 +888,12 @@ static void correct_bank(const model *m, state *at, correction *effect)
     weigh(m, at, &h, effect);
     const int outliers = examine(m, at, effect);
     report(m, &h, effect);
+    follow_motion(m, at, &h);
     if (*m->supervised == 0) {
         correct_hypothesis(m, at, &h, effect);
         reset_if_rejecting(m, at, &h, effect);
         return;
     }
-    follow_motion(m, at, &h);
     if (*at->age <= 0.0 || outliers || *h.slow_power > m->constants[SIGN_SLOW]) {
         wake(m, at);
     }

@@ -26,7 +26,7 @@ enum {
 };
 
 /* What the learning of parameters does. */
-enum { LEARNING_NONE, LEARNING_ACTIVE };
+enum { LEARNING_NONE, LEARNING_ACTIVE = 2 };
 
 /* What a hypothesis takes the arm and its sensors for. The standing ones, in this order, are
  * followed by room for forks. */
@@ -165,9 +165,9 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(MATRIX, gamma, s->k, s->k) /* covariance of their errors */                     \
     F(MATRIX, upsilon, s->k, s->width) /* dx/dtheta, by rows */                       \
     F(MATRIX, gram, s->k, s->k)  /* measure of excitation */                          \
-    F(NUMBER, by_noise, 1, 1)    /* 1 sigma of what noise made of them, by the first */  \
+    F(NUMBER, noise_share, 1, 1) /* 1 sigma of what noise made of them, by the first */ \
     F(VECTOR, pending, s->k, 1)  /* change of theta that is not used yet */           \
-    F(COUNT, significant, 1, 1)  /* whether it ever was significant */                \
+    F(COUNT, significant, 1, 1)  /* whether changes are used at once */               \
     F(VECTOR, anchor, s->k, 1)   /* theta when the present pass began, */             \
     F(NUMBER, pass_age, 1, 1)    /* and time since then [s] */                        \
     F(NUMBER, size, 1, 1)        /* 1 sigma of a tone, and */                         \
@@ -195,9 +195,9 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(NUMBER, since, 1, 1)         /* time since the last sample [s] */                        \
     F(NUMBER, age, 1, 1)           /* time since the start [s] */                              \
     F(VECTOR, centre, s->plant, 1) /* mean of the plant's states over some seconds */          \
-    F(VECTOR, spread, s->plant, 1) /* and their variance */                                    \
-    F(VECTOR, noise, s->plant, 1)  /* and that of the estimate of them, */                      \
-    F(NUMBER, stillness, 1, 1)     /* whose share in the motion is the least of all */         \
+    F(VECTOR, spread, s->plant, 1) /* their variance */                                        \
+    F(VECTOR, noise, s->plant, 1)  /* and that of the estimate's noise in it */                \
+    F(NUMBER, stillness, 1, 1)     /* least noise / spread of a state, 1 at rest */            \
     F(COUNT, outliers, 1, 1)       /* counts of what was found */                              \
     F(COUNT, jumps, 1, 1)                                                                      \
     F(COUNT, hits, 1, 1)                                                                       \

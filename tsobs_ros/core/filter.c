@@ -188,6 +188,8 @@ static void adapt_by(
     double inflation, double *cross)
 {
     const long k = m->s.k;
+    /* A filter whose regressors are taken to be right knows of no noise in them. */
+    const double stillness = m->constants[CURVED] > 0.0 ? *at->stillness : 0.0;
     double variance = of->known * inflation, left = of->innovation - dot(omega, h->pending, k);
     for (long a = 0; a < k; a++) {
         cross[a] = dot(h->gamma + a * k, omega, k);
@@ -197,7 +199,7 @@ static void adapt_by(
         const double moved = h->theta[a] + h->pending[a] + cross[a] / variance * left;
         const double all = variance * h->gamma[a * (k + 1)];
         const double learnt = all > 0.0 ? cross[a] * cross[a] / all : 0.0;
-        *h->by_noise += learnt / (double)k * (*at->stillness - *h->by_noise);
+        *h->noise_share += learnt / (double)k * (stillness - *h->noise_share);
         for (long b = 0; b <= a; b++) {
             h->gamma[a * k + b] -= cross[a] * cross[b] / variance;
             h->gamma[b * k + a] = h->gamma[a * k + b];
@@ -206,16 +208,16 @@ static void adapt_by(
     }
 }
 
-/* Use the pending change of the parameters from when it is significant on, if the model is said to be
- * right. */
+/* Use the pending change of the parameters from when it is significant on, or at once if the model is
+ * said to be wrong. */
 static void use_pending(const model *m, hypothesis *h, correction *effect)
 {
     const long k = m->s.k, used = states_in_use(m, h);
-    if (*h->significant == 0) {
+    if (*h->significant == 0 && *h->kind != IMPERFECT) {
         solve(h->gamma, h->pending, effect->root, effect->scaled, k);
-        *h->significant = *h->kind == IMPERFECT
-                          || dot(h->pending, effect->scaled, k) > *m->significance;
+        *h->significant = dot(h->pending, effect->scaled, k) > *m->significance;
     }
+    *h->significant = *h->significant != 0 || *h->kind == IMPERFECT;
     if (*h->significant != 0) {
         for (long a = 0; a < k; a++) {
             add_scaled(h->x, h->pending[a], h->upsilon + a * m->s.width, used);
@@ -284,13 +286,13 @@ double correct_by(
 static void begin_pass(const model *m, const state *at, hypothesis *h)
 {
     const long k = m->s.k;
-    const double noise = minimum(*h->by_noise, *at->stillness);
-    const double doubt = *h->by_noise * *h->by_noise - noise * noise;
+    const double noise = minimum(*h->noise_share, *at->stillness);
+    const double doubt = maximum(*h->noise_share * *h->noise_share - noise * noise, 0.0);
     if (*h->pass_age <= *m->pass_time) {
         return;
     }
     *h->pass_age = 0.0;
-    *h->by_noise = noise;
+    *h->noise_share = noise;
     for (long a = 0; a < k; a++) {
         const double wrong = m->constants[CURVED] * (h->theta[a] - h->anchor[a]);
         const double most = m->theta_deviation[a] * m->theta_deviation[a];

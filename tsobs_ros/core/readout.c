@@ -151,7 +151,7 @@ static double read_one(
         const double growth
             = sqrt(maximum(*h.nis, 1.0)) * (what == TORQUE ? 1.0 : growth_of(m, &h));
         const double added = k > 0 ? maximum(quadratic(h.gamma, k, scratch->share, k), 0.0) : 0.0;
-        const double noise = *h.by_noise * *h.by_noise * prior;
+        const double noise = *h.noise_share * *h.noise_share * prior;
         /* Parameters are known at least as well as in the beginning. */
         const double grown = maximum(minimum(growth * growth * (added + noise), prior), added);
         const double std

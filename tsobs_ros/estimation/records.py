@@ -74,7 +74,8 @@ class Learning(Code):
     """What the learning of parameters does."""
 
     NONE = 0, "nothing is learnt"
-    ACTIVE = 1, "the parameters are being learnt"
+    STARTING = 1, "learning waits until the estimate has settled"  # of version 0.7 and before
+    ACTIVE = 2, "the parameters are being learnt"
 
 
 class Hypothesis(Code):
