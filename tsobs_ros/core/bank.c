@@ -7,8 +7,8 @@
  * scores. A sample that the best one takes for an outlier may be that, or the first of something
  * new: then forks of the best one suppose that the sensor jumped, that the arm was hit, or that it
  * was put elsewhere. At a torque that stands out one supposes that it never acted. The samples that
- * follow decide: the best fork takes its parent's place. Once per trial a fork supposes that the best
- * one is wrong about what the arm and its sensors are.
+ * follow decide: the best fork takes its parent's place. Once per trial a fork supposes that the
+ * best one is wrong about what the arm and its sensors are.
  *
  * While nothing contradicts the design, it is alone, and the others sleep; but they are considered
  * at the start, which shows most of the parameters.
@@ -645,8 +645,8 @@ static void suppose_parameters(
     *h.significant = 1;
 }
 
-/* Return whether noise of a size is so loud that a jump which the design takes for an outlier is not
- * even sudden, and that a wrong model shows late. */
+/* Return whether noise of a size is so loud that a jump which the design takes for an outlier is
+ * not even sudden, and that a wrong model shows late. */
 static int is_loud(const model *m, double size)
 {
     return size > *m->gate / m->constants[SUDDEN];
@@ -661,7 +661,8 @@ static void suppose_otherwise(const model *m, const state *at)
 {
     const double *c = m->constants;
     const hypothesis best = best_of(m, at);
-    const long place = *at->best, count = (long)floor(*at->age / c[TRIAL]);
+    const long place = *at->best;
+    const long count = (long)fmod(floor(*at->age / c[TRIAL]), 2 * STANDING);
     const int seems_wrong = place == IMPERFECT && m->s.k > 0 && *best.age < 2.0 * c[AWAKE];
     const int tries_design = seems_wrong && count % 2 == 1;
     const long kind = tries_design ? AS_DESIGNED : (seems_wrong ? count / 2 : count) % STANDING;
@@ -819,7 +820,8 @@ static void report(const model *m, const hypothesis *best, correction *effect)
  * while awake or while another kind than the design is the best. */
 static int is_due(const model *m, const state *at, long output)
 {
-    return (*at->awake > 0.0 || *best_of(m, at).kind != AS_DESIGNED) && is_loud(m, noise_of(m, at, output))
+    return (*at->awake > 0.0 || *best_of(m, at).kind != AS_DESIGNED)
+           && is_loud(m, noise_of(m, at, output))
            && has_passed(at, 0.25 * m->constants[TRIAL], *sensor_of(m, at, output).since);
 }
 

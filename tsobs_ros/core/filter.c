@@ -208,8 +208,8 @@ static void adapt_by(
     }
 }
 
-/* Use the pending change of the parameters from when it is significant on, or at once if the model is
- * said to be wrong. */
+/* Use the pending change of the parameters from when it is significant on, or at once if the model
+ * is said to be wrong. */
 static void use_pending(const model *m, hypothesis *h, correction *effect)
 {
     const long k = m->s.k, used = states_in_use(m, h);
