@@ -11,7 +11,7 @@
  * best one is wrong about what the arm and its sensors are.
  *
  * While nothing contradicts the design, it is alone, and the others sleep; but they are considered
- * at the start, which shows most of the parameters.
+ * at the start, which shows most of the parameters if these are learnt.
  */
 #include "bank.h"
 
@@ -896,7 +896,9 @@ static void correct_bank(const model *m, state *at, correction *effect)
         reset_if_rejecting(m, at, &h, effect);
         return;
     }
-    if (*at->age <= 0.0 || outliers || *h.slow_power > m->constants[SIGN_SLOW]) {
+    const int is_start = *at->age <= 0.0;
+    const int has_sign = !is_start && (outliers || *h.slow_power > m->constants[SIGN_SLOW]);
+    if (has_sign || (is_start && m->s.k > 0)) {
         wake(m, at);
     }
     *at->outliers += outliers;
