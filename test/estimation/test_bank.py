@@ -110,8 +110,8 @@ def awake_in_parts(tracker: Tracker, run: Trajectories, length: int) -> Iterator
 
 @both
 def test_of_an_arm_as_designed_nothing_else_is_considered_for_long(name: str) -> None:
-    tracker = make_tracker(DESIGNS[name], ObserverSettings())
-    assert sum(len(live) > 1 for live in awake_in_parts(tracker, simulated(), 50)) < 60
+    parts = awake_in_parts(make_tracker(DESIGNS[name], ObserverSettings()), simulated(), 50)
+    assert sum(len(live) > 1 for live in parts) < (50 if name == "fixed" else 55)
     got = nominal(name)
     assert got.claimed.all()
     assert got.inside[RATE:].mean() > 0.99
@@ -199,9 +199,10 @@ SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in JUDGED[1::2]]
 
 @pytest.mark.parametrize("scenario", [*sorted(COVERED), *JUDGED[::2], *SLOW])
 def test_what_is_claimed_holds_in_every_scenario(scenario: str) -> None:
-    """But where stamps or an inertia are wrong, and once a loud tone is found; most is claimed."""
+    """But where stamps are wrong or a tone is not found yet; of the covered most is claimed."""
     got = course("learning", simulated(SCENARIOS[scenario], 11, 40))
-    claimed, inside = got.claimed[8 * RATE :], got.inside[8 * RATE :]
+    begin = (8 if scenario == "tone_0.3_1" else 3) * RATE
+    claimed, inside = got.claimed[begin:], got.inside[begin:]
     assert (claimed & ~inside).sum() <= 0.03 * claimed.sum()
     assert claimed.mean() > 0.85 or scenario not in COVERED
 
