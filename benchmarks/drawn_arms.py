@@ -12,13 +12,12 @@ import sys
 from collections.abc import Iterator, Sequence
 from math import exp, inf, isfinite, log, sqrt
 from multiprocessing import Pool
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from acceptance_runs import Found, kalman, ours
-from common import at_least, parser, use_one_thread
-from pages import end, head, row
+from common import parser, use_one_thread
+from pages import end, head, options_of, row
 
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output
@@ -70,11 +69,8 @@ def drawn(seed: int) -> Case:
         return bool(random.random() < probability)
 
     link, swing = between(0.005, 3.0), between(2.5, 8.0)  # [kg m^2], [rad/s]
-    spring, motor, damping = (
-        swing * between(1.5, 12.0),
-        link * between(0.2, 4.0),
-        between(1e-3, 0.05),
-    )
+    spring = swing * between(1.5, 12.0)
+    motor, damping = link * between(0.2, 4.0), between(1e-3, 0.05)
     arm = ElasticJointArm(
         link, motor, link * spring**2, link * swing**2, damping * link * swing,
         damping * motor * spring,
@@ -82,11 +78,8 @@ def drawn(seed: int) -> Case:
     fastest = spring * sqrt(1.0 + link / motor)
     rate = next((each for each in _RATES if each > 2.5 * fastest), _RATES[-1])
     side = "link_angle" if happens(0.67) else "motor_angle"
-    sigma, walk, biased = (
-        between(3e-4, 0.03),
-        between(1e-6, 2e-4),
-        side == "link_angle" and happens(0.7),
-    )
+    sigma, walk = between(3e-4, 0.03), between(1e-6, 2e-4)
+    biased = side == "link_angle" and happens(0.7)
     bias = DisturbanceTerm("bias", {"density": walk, "initial_std": 0.3})
     noise = ProcessNoise(*(between(1e-5, 0.1) * swing**2 / 10.0 for _ in range(2)))
     request = ArmRequest(
@@ -176,18 +169,11 @@ def _page(results: Sequence[Judged], first: int) -> Iterator[str]:
 
 def main() -> None:
     """Measure and print."""
-    made = parser(__doc__, design=False)
-    made.add_argument("--runs", type=at_least(1, int), default=240, help="number of arms")
-    made.add_argument("--first-seed", type=at_least(0, int), default=9000)
-    made.add_argument("--processes", type=at_least(1, int), default=2)
-    made.add_argument("--update", type=Path, metavar="PAGE", help="also write into a page")
-    options = made.parse_args()
-    seeds = range(options.first_seed, options.first_seed + options.runs)
-    results = []
+    options, results = options_of(parser(__doc__, design=False), (), 240), []
     with Pool(options.processes) as pool:
-        for one in pool.imap(judged, seeds):
+        for one in pool.imap(judged, options.seeds):
             results.append(one)
-            print(f"{len(results)}/{len(seeds)} {one.ratio:.2f}", file=sys.stderr, flush=True)
+            print(f"{len(results)}/{options.runs} {one.ratio:.2f}", file=sys.stderr, flush=True)
     arms = {"first_seed": options.first_seed, "arms": [one._asdict() for one in results]}
     end(options, __file__, "\n".join(_page(results, options.first_seed)), arms, [])
 

@@ -36,16 +36,17 @@ def verdicts(found: Sequence[Demand]) -> Iterator[str]:
         yield row(one.scenario, one.text, f"{one.value:.4g}", bar, verdict, median)
 
 
-def options_of(made: ArgumentParser, known: Collection[str]) -> Namespace:
-    """Return the options of a benchmark of some known scenarios, with the seeds of its runs."""
+def options_of(made: ArgumentParser, known: Collection[str], runs: int = 40) -> Namespace:
+    """Return the options of a benchmark, with the seeds of its runs of each known scenario."""
     made.add_argument(
-        "--runs", type=at_least(1, int), default=40, help="number of runs of each scenario"
+        "--runs", type=at_least(1, int), default=runs, help=f"number of runs, {runs} by default"
     )
     made.add_argument("--first-seed", type=at_least(0, int), default=9000)
     made.add_argument("--processes", type=at_least(1, int), default=2)
     made.add_argument("--update", type=Path, metavar="PAGE", help="also write into a page")
-    made.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="default: all")
-    options = made.parse_args()
+    if known:
+        made.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="default: all")
+    options = made.parse_args(namespace=Namespace(scenarios=[]))
     for name in options.scenarios:
         if name not in known:
             made.error(f"no scenario {name}; there is {', '.join(known)}")

@@ -165,6 +165,13 @@ static void open_torque(const model *m, const state *at, const hypothesis *h)
     h->covariance[m->s.n * (m->s.width + 1)] += spread * spread;
 }
 
+/* Return the variance of a hypothesis' error in a state. */
+static double variance_of(const model *m, const state *at, const hypothesis *h, long i)
+{
+    const double std = scale_of(at) * m->state_std[i];
+    return *h->certified != 0 ? std * std : maximum(h->covariance[i * (m->s.width + 1)], 0.0);
+}
+
 /* --- copies --- */
 
 /* Consider a hypothesis no longer. */
@@ -593,9 +600,7 @@ static void suppose_wrong_torque(const model *m, const state *at, const double *
         return;
     }
     const hypothesis best = best_of(m, at);
-    const double *known = *best.certified != 0 ? m->X : best.covariance;
-    const double scale = *best.certified != 0 ? scale_of(at) : 1.0;
-    const double limit = m->constants[SUDDEN] * scale * sqrt(known[speed * (m->s.width + 1)]);
+    const double limit = m->constants[SUDDEN] * sqrt(variance_of(m, at, &best, speed));
     if (!(fabs(made * f->gamma[speed * inputs]) > limit)) {
         return;
     }
@@ -660,16 +665,18 @@ static int is_loud(const model *m, double size)
 static void suppose_otherwise(const model *m, const state *at)
 {
     const double *c = m->constants;
-    const hypothesis best = best_of(m, at);
     const long place = *at->best;
+    if (*at->awake <= 0.0 || place >= STANDING || !has_passed(at, c[TRIAL], *at->since)) {
+        return;
+    }
+    const hypothesis best = best_of(m, at);
     const long count = (long)fmod(floor(*at->age / c[TRIAL]), 2 * STANDING);
     const int seems_wrong = place == IMPERFECT && m->s.k > 0 && *best.age < 2.0 * c[AWAKE];
     const int tries_design = seems_wrong && count % 2 == 1;
     const long kind = tries_design ? AS_DESIGNED : (seems_wrong ? count / 2 : count) % STANDING;
     const int is_likely = tries_design && !is_loud(m, scale_of(at));
     const double score = *best.score - (is_likely ? 0.0 : 0.5 * c[FLOOR]);
-    if (*at->awake <= 0.0 || place >= STANDING || kind == place
-        || !has_passed(at, c[TRIAL], *at->since)) {
+    if (kind == place) {
         return;
     }
     const long free = place_for(m, at, -INFINITY);
@@ -793,11 +800,10 @@ static void follow_motion(const model *m, state *at, const hypothesis *h)
     const double share = *at->age > 0.0 ? share_of(*m->period, 2.0) : 1.0;
     *at->stillness = 1.0;
     for (long i = 0; i < m->s.plant; i++) {
-        const double off = h->x[i] - at->centre[i], std = scale_of(at) * m->state_std[i];
-        const double own = *h->certified != 0 ? std * std : h->covariance[i * (m->s.width + 1)];
+        const double off = h->x[i] - at->centre[i];
         at->centre[i] += share * off;
         at->spread[i] = (1.0 - share) * (at->spread[i] + share * off * off);
-        at->noise[i] += share * (maximum(own, 0.0) - at->noise[i]);
+        at->noise[i] += share * (variance_of(m, at, h, i) - at->noise[i]);
         *at->stillness = minimum(*at->stillness, at->noise[i] / at->spread[i]);
     }
 }
@@ -896,9 +902,8 @@ static void correct_bank(const model *m, state *at, correction *effect)
         reset_if_rejecting(m, at, &h, effect);
         return;
     }
-    const int is_start = *at->age <= 0.0;
-    const int has_sign = !is_start && (outliers || *h.slow_power > m->constants[SIGN_SLOW]);
-    if (has_sign || (is_start && m->s.k > 0)) {
+    const int has_sign = outliers || *h.slow_power > m->constants[SIGN_SLOW];
+    if (*at->age > 0.0 ? has_sign : m->s.k > 0) {
         wake(m, at);
     }
     *at->outliers += outliers;

@@ -213,11 +213,11 @@ static void adapt_by(
 static void use_pending(const model *m, hypothesis *h, correction *effect)
 {
     const long k = m->s.k, used = states_in_use(m, h);
-    if (*h->significant == 0 && *h->kind != IMPERFECT) {
+    *h->significant |= *h->kind == IMPERFECT;
+    if (*h->significant == 0) {
         solve(h->gamma, h->pending, effect->root, effect->scaled, k);
         *h->significant = dot(h->pending, effect->scaled, k) > *m->significance;
     }
-    *h->significant = *h->significant != 0 || *h->kind == IMPERFECT;
     if (*h->significant != 0) {
         for (long a = 0; a < k; a++) {
             add_scaled(h->x, h->pending[a], h->upsilon + a * m->s.width, used);

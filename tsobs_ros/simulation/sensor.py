@@ -233,8 +233,10 @@ class Output:
 
 
 def _is_within(times: Array, interval: float, duration: float) -> Flags:
-    """Return whether times [s] lie in a dropout or a burst, the first after one interval if any."""
-    return recurs(times - (interval or math.inf), duration, interval)
+    """Return whether times [s] lie in a dropout or a burst, the first after one interval."""
+    if not interval > 0.0:
+        return np.zeros(len(times), np.bool_)
+    return recurs(times - interval, duration, interval)
 
 
 def _moved(now: Array, numbers: Array, period: float, time: float, std: float = 1.0) -> Array:
