@@ -14,7 +14,7 @@ from tsobs_ros.design.file import FilePath, load_request, parse_design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.simulation.plant import Mismatch, Scenario, SystemScenario, TorqueDisturbance
 from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
-from tsobs_ros.simulation.signals import NoTorque, Signal, Sine
+from tsobs_ros.simulation.signals import Signal, Sine
 from tsobs_ros.yaml_files import read_yaml
 
 TORQUES = tuple(f"{side}_torque" for side in TorqueDisturbance._fields)
@@ -109,7 +109,7 @@ def scenario_of(
     free = [excitation or Sine()] * (len(request.input_names) - scheduled)
     # What an output that is an input, too, is given disturbs its measured value.
     chosen = {name: each[-1] for name, each in given.items() if each and name not in names}
-    own["inputs"] = tuple(map(chosen.get, request.input_names, [*free, *[NoTorque()] * scheduled]))
+    own["inputs"] = tuple(map(chosen.get, request.input_names, [*free, *[Signal()] * scheduled]))
     own["outputs"] = ()
     for name, std, delay in zip(names, request.output_std.tolist(), delays, strict=True):
         numbers: dict[str, Any] = {"noise_std": std * noise_factor}

@@ -35,8 +35,8 @@ from tsobs_ros.simulation.signals import (
     BiasStep,
     GaussMarkov,
     Multisine,
-    NoTorque,
     Pulses,
+    Signal,
     Sine,
     Sinusoid,
     StuckSensor,
@@ -142,7 +142,7 @@ def test_a_run_is_the_same_bits_in_a_batch_alone_in_one_call_and_sample_by_sampl
     [
         (arm_with(GaussMarkov(0.5, 1.0)), "disturbances"),
         (
-            arm_with(GaussMarkov(), inputs=(NoTorque(),), process_noise=ProcessNoise(1e-6, 1e-6)),
+            arm_with(GaussMarkov(), inputs=(Signal(),), process_noise=ProcessNoise(1e-6, 1e-6)),
             "physical",
         ),
         (arm_with(GaussMarkov(), Sensor(0.056, outlier_probability=0.3)), "measurements"),
@@ -161,7 +161,7 @@ def test_changing_one_source_leaves_the_numbers_of_the_others(
 
 
 def test_a_command_takes_the_place_of_the_excitation() -> None:
-    commanded, plain = Plant(QUIET), Plant(replace(QUIET, inputs=(NoTorque(),)))
+    commanded, plain = Plant(QUIET), Plant(replace(QUIET, inputs=(Signal(),)))
     assert (commanded.run(20, 0.0).physical == plain.run(20).physical).all()
     assert commanded.step(2.5).torques == [2.5]
     assert commanded.step().torques == pytest.approx([np.sin(21 / 200)])
@@ -296,7 +296,7 @@ def test_torques_that_the_model_lacks_are_what_moves_the_arm_otherwise() -> None
 
 
 def test_play_frees_the_spring_within_it_and_is_a_torque_that_the_nominal_arm_lacks() -> None:
-    still = replace(QUIET, initial_state=(0.0,) * 4, inputs=(NoTorque(),), backlash=0.04)
+    still = replace(QUIET, initial_state=(0.0,) * 4, inputs=(Signal(),), backlash=0.04)
     arm = still.arm
     free, held = (
         Plant(

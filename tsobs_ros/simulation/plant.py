@@ -98,11 +98,9 @@ class Payload(Numbers, kind="payload"):
 
 
 class TorqueDisturbance(NamedTuple):
-    """Torques on an arm beside the drive's [N m]; each is held from a sample to the next.
+    """Torques on motor and link beside the drive's [N m], such as that of a contact.
 
-    Attributes:
-        motor: Components of the torque on the motor, added up.
-        link: Components of the torque on the link, such as that of a contact, added up.
+    Each is the sum of its components, held from a sample to the next.
     """
 
     motor: tuple[Signal, ...] = ()
@@ -110,20 +108,12 @@ class TorqueDisturbance(NamedTuple):
 
 
 class Motion:
-    """The plants of a batch, which differ in their states and random numbers.
+    """The plants of a batch at a rate [Hz], which differ in their states and random numbers.
 
-    Args:
-        seeds: One for each plant.
-        rate: Samples per second [Hz].
-        states: At the first sample, shape (runs, n).
-        densities: Of the white noise on derivatives of states.
-        sizes: Of the plant's record, but for n, as core/simulate.h has them.
-        **numbers: Of the record.
-
-    Attributes:
-        states: Present states, shape (runs, n).
-        fed_back: Places of the inputs that are measurements, each with the number of its output and
-            that one's row of C.
+    There is white noise of some densities on derivatives of states. `sizes`, but for n, and
+    `numbers` are those of the plant's record in core/simulate.h. `states` are the present ones,
+    shape (runs, n). `fed_back` are the places of the inputs that are measurements, each with the
+    number of its output and that one's row of C.
     """
 
     fed_back: tuple[tuple[int, int, Array], ...] = ()
@@ -152,12 +142,9 @@ class Motion:
     def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
         """Move on over samples from an index on; return states and true values of the outputs.
 
-        Args:
-            start: The index.
-            inputs: Torques of the motor, shape (runs, samples, 1); inputs and scheduled signals of
-                a T–S system.
-            torques: Disturbing torques, shape (runs, samples, 2); overwritten with those that an
-                undisturbed arm would need to move so.
+        Inputs have the shape (runs, samples, m), scheduled signals among them. The disturbing
+        torques, shape (runs, samples, 2), are overwritten with those that an undisturbed arm would
+        need to move so.
         """
         shape = inputs.shape[:2]
         states = np.empty((*shape, self._sizes[0]))
@@ -451,12 +438,11 @@ class Plant:
 
         A torque, as that of `run` without the axis of the samples, takes the excitations' place.
         """
-        given = None if torque is None else np.asarray(torque, np.float64)
-        if given is not None and given.ndim:
-            given = given[..., np.newaxis, :]
+        given = torque if torque is None or np.ndim(torque) == 0 else np.expand_dims(torque, -2)
         times, *arrays = self.run(1, given)
         return Trajectories(times[0], *(each[..., 0, :] for each in arrays))
 
+    @np.errstate(all="ignore")  # a number may be too large for a sine
     def run(self, samples: int, torque: ArrayLike | None = None) -> Trajectories:
         """Step many times and return all samples; other threads of Python can run meanwhile.
 

@@ -163,8 +163,6 @@ def simulate(
 ) -> Trajectories:
     """Run a scenario once for each seed, all runs at once; `duration` [s] replaces its own.
 
-    Everything is kept: 104 bytes per run and sample, 75 MB for 60 runs of a minute.
-
     Raises:
         ModelError: A seed or the duration is negative, or there is no seed.
     """

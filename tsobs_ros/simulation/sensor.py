@@ -161,8 +161,6 @@ class Output:
         self._sensor, self._past = Sensor(), Past(0)
         self._normal = RandomStream(seeds, Source.MEASUREMENT, number)
         self._uniform = RandomStream(seeds, Source.OUTLIER, number, uniform=True)
-        # Of Student's t, with as many numbers a sample as its degrees of freedom.
-        self._tail: RandomStream | None = None
         self._last = np.zeros(len(seeds))
 
     def exchange(self, asked: SimulatedOutput, index: int) -> None:
@@ -173,14 +171,13 @@ class Output:
         sensor = asked.sensor
         degrees, latency = sensor.noise_degrees, round(sensor.latency * self._rate)
         if degrees != self._sensor.noise_degrees:
-            tail = RandomStream(self._seeds, Source.TAIL, degrees, self._number)
-            self._tail = tail if degrees else None
+            # Of Student's t, with as many numbers a sample as its degrees of freedom.
+            self._tail = RandomStream(self._seeds, Source.TAIL, degrees, self._number)
         if latency != self._past.length:
             self._past = Past(latency)
         self._sensor = sensor
         self._disturbance.exchange(asked.disturbance, index)
 
-    @np.errstate(all="ignore")
     def measure(self, start: int, truth: Array) -> tuple[Array, Array]:
         """Return what measurements have beyond the truth, and the measurements, NaN if lost.
 
@@ -217,7 +214,7 @@ class Output:
     def _noise(self, start: int, samples: int) -> Array:
         """Return the noise in units of its 1σ."""
         sensor, last, noise = self._sensor, self._last, self._normal.take(samples)
-        if self._tail is not None:
+        if sensor.noise_degrees:
             total = np.zeros_like(noise)
             for others in np.moveaxis(self._tail.take(samples, sensor.noise_degrees), -1, 0):
                 total += others * others

@@ -43,16 +43,11 @@ class Numbers:
 
 
 @dataclass(frozen=True)
-class Signal(Numbers):
-    """A value over time. A subclass with `_at` is a signal of the user's."""
+class Signal(Numbers, kind="none"):
+    """A value over time: 0, unless a subclass, such as one of the user's, has other values."""
 
     def values(self, times: Array) -> Array:
         """Return the values at times [s], shape (samples,)."""
-        # A number may be too large for a sine.
-        with np.errstate(all="ignore"):
-            return self._at(times)
-
-    def _at(self, times: Array) -> Array:
         return np.zeros(len(times))
 
 
@@ -76,17 +71,12 @@ def signal_of(kinds: Mapping[str, type[Signal]], entry: object) -> Any:
 
 
 @dataclass(frozen=True)
-class NoTorque(Signal, kind="none"):
-    """0."""
-
-
-@dataclass(frozen=True)
 class Constant(Signal, kind="constant"):
     """u = a."""
 
     amplitude: float = live_setting(1.0, "Value", unit="N m")
 
-    def _at(self, times: Array) -> Array:
+    def values(self, times: Array) -> Array:
         return np.full(len(times), self.amplitude, np.float64)
 
 
@@ -97,7 +87,7 @@ class Sine(Signal, kind="sine"):
     amplitude: float = live_setting(1.0, "Amplitude", unit="N m")
     frequency: float = live_setting(1.0, "Frequency", unit="rad/s", minimum=0.0)
 
-    def _at(self, times: Array) -> Array:
+    def values(self, times: Array) -> Array:
         return self.amplitude * evaluate("sine", self.frequency * times)
 
 
@@ -122,7 +112,7 @@ class Multisine(Signal, kind="multisine"):
                 f"got {self.highest!r}"
             )
 
-    def _at(self, times: Array) -> Array:
+    def values(self, times: Array) -> Array:
         spacing = (self.highest - self.lowest) / max(1.0, self.tones - 1.0)
         total = np.zeros(len(times))
         for i in range(self.tones):
@@ -138,7 +128,7 @@ class Square(Signal, kind="square"):
     amplitude: float = live_setting(1.0, "Amplitude", unit="N m")
     frequency: float = live_setting(1.0, "Frequency", unit="rad/s", minimum=0.0)
 
-    def _at(self, times: Array) -> Array:
+    def values(self, times: Array) -> Array:
         is_first = (self.frequency * times / math.tau) % 1.0 < 0.5
         return self.amplitude * np.where(is_first, 1.0, -1.0)
 
@@ -152,7 +142,7 @@ class Chirp(Signal, kind="chirp"):
     highest: float = live_setting(6.0, "Frequency it ends at", unit="rad/s", minimum=0.0)
     sweep: float = live_setting(20.0, "Length of a sweep", unit="s", minimum=1e-3)
 
-    def _at(self, times: Array) -> Array:
+    def values(self, times: Array) -> Array:
         within = times % self.sweep
         half_rate = 0.5 * ((self.highest - self.lowest) / self.sweep)
         return self.amplitude * evaluate("sine", (self.lowest + half_rate * within) * within)
@@ -169,7 +159,7 @@ class BiasStep(Signal, kind="bias_step"):
     amplitude: float = live_setting(0.1, "Bias")
     start: float = _start()
 
-    def _at(self, times: Array) -> Array:
+    def values(self, times: Array) -> Array:
         return np.where(times >= self.start, self.amplitude, 0.0)
 
 
@@ -182,7 +172,7 @@ class Sinusoid(Signal, kind="sinusoid"):
     start: float = _start()
     phase: float = live_setting(0.0, "Phase at the start", unit="rad")
 
-    def _at(self, times: Array) -> Array:
+    def values(self, times: Array) -> Array:
         since = times - self.start
         values = self.amplitude * evaluate("sine", self.frequency * since + self.phase)
         return np.where(since >= 0.0, values, 0.0)
@@ -195,7 +185,7 @@ class Ramp(Signal, kind="ramp"):
     rate: float = live_setting(0.004, "Growth per second")
     start: float = _start()
 
-    def _at(self, times: Array) -> Array:
+    def values(self, times: Array) -> Array:
         return self.rate * np.maximum(0.0, times - self.start)
 
 
@@ -235,13 +225,13 @@ class Pulses(Signal, kind="pulses"):
         8.0, "Time between the beginnings of pulses; 0 for one", unit="s", minimum=0.0
     )
 
-    def _at(self, times: Array) -> Array:
+    def values(self, times: Array) -> Array:
         is_on = recurs(times - self.start, self.duration, self.interval)
         return np.where(is_on, self.amplitude, 0.0)
 
 
 EXCITATIONS: Mapping[str, type[Signal]] = {
-    each.kind: each for each in (NoTorque, Constant, Sine, Multisine, Square, Chirp)
+    each.kind: each for each in (Signal, Constant, Sine, Multisine, Square, Chirp)
 }
 """Every kind of signal of an input under its name."""
 

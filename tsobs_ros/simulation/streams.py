@@ -32,12 +32,8 @@ class Source(enum.IntEnum):
 class RandomStream:
     """Normal numbers, or uniform ones in [0, 1), of every run, in order.
 
-    Args:
-        seeds: One for each run.
-        source: What the numbers are for.
-        key: Further integers that distinguish streams of the same source; the last one is the
-            number of an output or torque, left out if it is 0.
-        uniform: Draw uniform numbers.
+    The key has further integers that distinguish streams of the same source; the last one is the
+    number of an output or torque, left out if it is 0.
     """
 
     def __init__(

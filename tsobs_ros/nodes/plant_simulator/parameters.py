@@ -23,14 +23,7 @@ from tsobs_ros.replay.csv_file import read_torques
 from tsobs_ros.settings import live_setting, setting, values_of
 from tsobs_ros.simulation.plant import Friction, Mismatch, Payload, Scenario, SystemScenario
 from tsobs_ros.simulation.sensor import Sensor, sensor_numbers
-from tsobs_ros.simulation.signals import (
-    EXCITATIONS,
-    KINDS,
-    NoTorque,
-    Signal,
-    parse_kinds,
-    signal_of,
-)
+from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Signal, parse_kinds, signal_of
 from tsobs_ros.yaml_files import load_yaml
 
 Readers = Mapping[str, Callable[[Any], Any]]
@@ -61,7 +54,7 @@ class TorqueFile(Signal, kind="file"):
             raise ModelError("file: expected a CSV file of time and torque")
         object.__setattr__(self, "_lines", read_torques(self.file))
 
-    def _at(self, times: Array) -> Array:
+    def values(self, times: Array) -> Array:
         starts, torques = self._lines
         places = np.searchsorted(starts, times + _LATE, side="right") - 1
         is_on = (places >= 0) & (times <= starts[-1] + _LATE)
@@ -209,7 +202,7 @@ class PlantSimulatorParameters(JointParameters):
         kinds = parse_kinds(self.disturbance.kind)
         faults = [values_of(self.sensor), *(getattr(self.disturbance, kind) for kind in kinds)]
         of_outputs = {name: [*faults, *signals.get(name, ())] for name in request.output_names}
-        excitation = getattr(self.excitation, self.excitation.kind, NoTorque())
+        excitation = getattr(self.excitation, self.excitation.kind, Signal())
         if isinstance(excitation, str):
             excitation = TorqueFile(excitation)
         return scenario_of(
