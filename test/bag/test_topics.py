@@ -12,7 +12,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from tsobs_ros.bag import BagReader, BagWriter
 from tsobs_ros.bag.cdr import TICK_LOG, decode_ticks, encode_tick
 from tsobs_ros.bag.definitions import find_definition
-from tsobs_ros.bag.estimate_topics import parameter_names, sides
 from tsobs_ros.bag.joint_states import (
     JOINT_STATE,
     JointStateDecoder,
@@ -108,9 +107,3 @@ def test_a_tick_is_read_as_written_and_has_the_layout_of_its_type(measured: list
 def test_messages_of_another_layout_are_refused(message: bytes) -> None:
     with pytest.raises(MessageError, match="tick log"):
         decode_ticks(as_rows(message))
-
-
-def test_names_of_sides_and_parameters_name_their_joint_unless_it_is_alone() -> None:
-    assert sides("elbow") == ("elbow_link", "elbow_motor")
-    assert parameter_names("elbow", ("k",), alone=True) == ("k",)
-    assert parameter_names("elbow", ("k",), alone=False) == ("elbow/k",)

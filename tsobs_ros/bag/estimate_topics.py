@@ -45,8 +45,3 @@ SLOW_PERIOD = 100_000_000
 def sides(joint: str) -> tuple[str, str]:
     """Return the names of a joint's link and motor in estimates."""
     return f"{joint}_link", f"{joint}_motor"
-
-
-def parameter_names(joint: str, learnt: tuple[str, ...], *, alone: bool) -> tuple[str, ...]:
-    """Return the names of a joint's parameters, which tell whose they are unless it is alone."""
-    return learnt if alone else tuple(f"{joint}/{name}" for name in learnt)

@@ -163,12 +163,10 @@ class Run:
         latched = QosProfile(durability="transient_local", depth=1)
         writer.add_topic(self._prefix + topics.DESIGN, STRING, [latched])
         writer.add_topic(self._prefix + topics.TICKS, TICK_LOG, [QosProfile()])
-        observer, source = self.observer, self._source
+        observer, source, (begin, _) = self.observer, self._source, self._source.span
         parameters = values_of(observer.settings)
         text = record_text(source.topic, source.joints, observer.designs, parameters)
-        begin, _ = source.span
-        data = encode_text(text)
-        writer.write(self._prefix + topics.DESIGN, data, begin, begin)
+        writer.write(self._prefix + topics.DESIGN, encode_text(text), begin, begin)
         for one in self.windows.live.restarts if self.windows.live else ():
             writer.write_series([one._replace(topic=self._prefix + topics.RESTARTS)])
 
@@ -424,14 +422,9 @@ def run_observers(
 ) -> list[Run]:
     """Run observers over the same measurements, and write their messages into a new bag, if any.
 
-    Args:
-        source: The measurements.
-        observers: Of designs that measure the same.
-        output: The new bag's folder.
-        rate: As for `Windows`, like `as_live` and `window`.
-        keep: Let the runs keep their estimates, in temporary files.
-        estimates_only: Leave out the measurements, and the truth of a simulation.
-        progress: Called with the number of measurements that the observers have taken since.
+    `rate`, `as_live` and `window` are those of `Windows`. Runs `keep` their estimates in temporary
+    files. `estimates_only` leaves out the measurements, and the truth of a simulation. `progress`
+    is called with the number of measurements that the observers have taken since.
 
     Raises:
         BagReadError: The bag does not have what the designs measure.

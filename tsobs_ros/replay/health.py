@@ -17,9 +17,7 @@ from tsobs_ros.series import NANOSECONDS, Series
 
 C = TypeVar("C", bound=IntEnum)
 
-BASIS, CLAIMED, LEARNING, HYPOTHESIS = map(
-    CONDITIONS.index, ("basis", "claimed", "learning", "hypothesis")
-)
+BASIS, CLAIMED, HYPOTHESIS = map(CONDITIONS.index, ("basis", "claimed", "hypothesis"))
 """Places of conditions' numbers."""
 
 PROVED = (Basis.CERTIFIED, Basis.LEARNT)
@@ -182,11 +180,8 @@ def find_events(
 ) -> list[JointEvent]:
     """Return the events that a node would have logged, in the order of their log times.
 
-    Args:
-        health: Numbers of conditions, NaN without an estimate, with log times.
-        restarted: Whether the observer was restarted before each; never if None.
-        stale_after: Age of the newest measurement for STALE [s].
-        same_clock: Whether stamps and log times are of the same clock.
+    Health is numbers of conditions, NaN without an estimate, with log times. The observer may have
+    been restarted before some of them; stamps and log times may be of the same clock.
     """
     log, found = EventLog(source, COAST_AFTER, stale_after), list[JointEvent]()
     restarted = np.zeros(len(health.stamps), bool) if restarted is None else restarted

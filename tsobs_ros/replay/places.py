@@ -54,9 +54,9 @@ def places_of(
     """
     channels = positions(signals.disturbances)
     rates = (Place(name, "velocity") for name in signals.disturbances if rated)
+    before = "" if alone else f"{joint}/"
     parameters, conditions = (
-        positions(topics.parameter_names(joint, names, alone=alone))
-        for names in (learnt, CONDITIONS)
+        positions([before + name for name in names]) for names in (learnt, CONDITIONS)
     )
     return {
         **dict.fromkeys((topics.STATES, topics.STATE_BOUNDS, topics.TRUE_STATES), signals.states),
@@ -104,15 +104,14 @@ class Layouts:
     """The layouts of messages of any of some parts, such as joints.
 
     `parts` are the places of each part's numbers; of two in the same place the later one counts.
+    `of` returns the layout of some parts by their index, each with how many of its numbers.
     """
 
     def __init__(self, parts: Sequence[Sequence[Place]]) -> None:
         self.parts = parts
-        self.of = lru_cache(_MAX_LAYOUTS)(self._make)
-
-    def _make(self, key: tuple[tuple[int, int], ...]) -> Layout:
-        """Return the layout of some parts by their index, each with how many of its numbers."""
-        return Layout([place for part, count in key for place in self.parts[part][:count]])
+        self.of = lru_cache(_MAX_LAYOUTS)(
+            lambda key: Layout([place for part, count in key for place in parts[part][:count]])
+        )
 
 
 def parts_of(topic: str, joints: Sequence[Places]) -> list[Sequence[Place]]:
@@ -126,7 +125,10 @@ def parts_of(topic: str, joints: Sequence[Places]) -> list[Sequence[Place]]:
 
 
 class EstimateEncoder:
-    """Makes the messages of one observer from arrays, byte for byte those of the node."""
+    """Makes the messages of one observer from arrays, byte for byte those of the node.
+
+    `topics` are their full names.
+    """
 
     def __init__(self, prefix: str, joints: Sequence[Places]) -> None:
         self._prefix = prefix
@@ -134,20 +136,14 @@ class EstimateEncoder:
         there = [name for name in optional if any(one[name] for one in joints)]
         self._widths = {n: [len(one[n]) for one in joints] for n in (*topics.TOPICS, *there)}
         self._layouts = {n: Layouts(list(filter(None, parts_of(n, joints)))) for n in self._widths}
-
-    @property
-    def topics(self) -> tuple[str, ...]:
-        """Full names of the topics."""
-        return tuple(self._prefix + name for name in self._layouts)
+        self.topics = tuple(prefix + name for name in self._layouts)
 
     def messages(self, topic: str, at: Any, values: Sequence[Array]) -> list[MessageSeries]:
-        """Return messages of what there is.
+        """Return the messages of a topic, as far as there are values for them.
 
-        Args:
-            topic: One of `bag.estimate_topics`.
-            at: Records with `stamps`, `log_times` and `publish_times` of m messages [ns].
-            values: Of each joint in the order of `places_of`, NaN for none, shape (m, width);
-                a joint without any may have fewer. A part's first number decides on all of it.
+        `at` has the `stamps`, `log_times` and `publish_times` of m messages [ns]. Values are each
+        joint's in the order of `places_of`, NaN for none, shape (m, width); a joint without any may
+        have fewer. A part's first number decides on all of it.
         """
         if topic not in self._layouts:
             return []

@@ -181,11 +181,8 @@ _MAX_RATE = 1e4  # ten thousand estimates for each second [Hz]
 class Windows:
     """The windows of a recording; at least one, and another one whenever time restarts.
 
-    Args:
-        source: The recording.
-        rate: Estimate at this rate [Hz]; None: at every measurement.
-        as_live: Estimate, instead of both, when the recorded observer did.
-        size: Largest number of ticks in a window.
+    Estimates are at a rate [Hz], or at every measurement if it is None; `as_live` instead of both
+    when the recorded observer made them. `size` is the largest number of ticks in a window.
 
     Attributes:
         live: What the recorded observer sent, if the ticks are those of its tick log.
