@@ -446,12 +446,9 @@ class Plant:
     def run(self, samples: int, torque: ArrayLike | None = None) -> Trajectories:
         """Step many times and return all samples; other threads of Python can run meanwhile.
 
-        Everything is kept: 104 bytes per run and sample of an arm with one output.
-
-        Args:
-            samples: Number of steps.
-            torque: Torque, or inputs of a T–S system, to apply instead of the excitations [N m]; a
-                number, shape (samples, m) or (runs, samples, m).
+        Everything is kept: 104 bytes per run and sample of an arm with one output. A torque [N m],
+        or inputs of a T–S system, takes the excitations' place: a number, shape (samples, m) or
+        (runs, samples, m).
 
         Raises:
             ModelError: The torque is not finite, or of another shape.

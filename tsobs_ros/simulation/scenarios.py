@@ -34,11 +34,6 @@ def arm_with(*parts: Any, **others: Any) -> Scenario:
     return replace(_PLAIN, outputs=(output,), **placed, **others)
 
 
-def _anywhere(probability: float, size: float = math.pi) -> Sensor:
-    """Return a sensor with outliers of any size up to a largest one."""
-    return Sensor(outlier_probability=probability, outlier_size=size, outlier_is_uniform=True)
-
-
 def _correlated(pole: float) -> Sensor:
     """Return a sensor with coloured noise of the same variance, by its pole."""
     return Sensor(noise_time_constant=-1.0 / (_PLAIN.rate * math.log(pole)))
@@ -63,7 +58,8 @@ _STIFF, _HEAVY_LINK = Mismatch(stiffness=0.2), Mismatch(link_inertia=0.1)
 _SIGMA = Sensor().noise_std
 _LOUDER, _LOUD, _STUDENT = Sensor(1.5 * _SIGMA), Sensor(2.0 * _SIGMA), Sensor(noise_degrees=3)
 _ENCODER = Sensor(resolution=2.0 * math.pi / 1024)
-_MANY = _anywhere(0.05)
+_OUTLIERS = Sensor(outlier_size=math.pi, outlier_is_uniform=True)
+_MANY = replace(_OUTLIERS, outlier_probability=0.05)
 _SLIGHT, _FRICTION = Friction(0.0, 0.0, 0.1, 0.05), Friction(0.0, 0.0, 0.3, 0.15)
 _STEP, _DRIFT, _SINUSOID = BiasStep(0.1, 30.0), GaussMarkov(0.1, 20.0), Sinusoid(0.2, 3.0, 2.0)
 _STEPS = (Pulses(0.15, 4.0, 4.0, 16.0), Pulses(-0.15, 12.0, 4.0, 16.0))
@@ -89,8 +85,10 @@ SCENARIOS: dict[str, Scenario] = {
     "student": arm_with(_STUDENT),
     "stiff_bursts": arm_with(_STIFF, Sensor(burst_interval=7.0)),
     "many_outliers": arm_with(_MANY),
-    "stiff_more_outliers": arm_with(_STIFF, _anywhere(0.1)),
-    "stiff_small_outliers": arm_with(_STIFF, _anywhere(0.02, 0.5)),
+    "stiff_more_outliers": arm_with(_STIFF, replace(_OUTLIERS, outlier_probability=0.1)),
+    "stiff_small_outliers": arm_with(
+        _STIFF, replace(_OUTLIERS, outlier_probability=0.02, outlier_size=0.5)
+    ),
     "pulses": arm_with(_PULSES),
     "stiff_small_pulses": arm_with(_STIFF, Pulses(0.3, 5.0, 1.0, 5.0)),
     "steps": arm_with(*_STEPS),

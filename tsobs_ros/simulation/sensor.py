@@ -128,10 +128,9 @@ class Disturbance:
 
     def values(self, start: int, samples: int) -> Array:
         """Move on over samples and return their values, shape (runs, samples)."""
-        times, total = self._times(start, samples), np.zeros(samples)
+        times, values = self._times(start, samples), np.zeros((len(self._seeds), samples))
         for each in self._signals or ():
-            total += each.values(times)
-        values = np.zeros((len(self._seeds), samples)) + total
+            values += each.values(times)
         for drift, stream, now in self._drifts:
             # A drift leaves zero one sample after its start.
             before = self._times(start - 1, samples)
