@@ -129,13 +129,13 @@ class ExampleRun:
         return float(np.abs(difference[self.times >= since]).max())
 
 
-def run_example(example: PaperExample, duration: float = _DURATION) -> ExampleRun:
+def run_example(example: PaperExample) -> ExampleRun:
     """Design the observer of Example 1 or 2 and run its `VARIANTS` with λ = 0 and 1."""
     design = design_adaptive_observer(example.system, example.alpha, example.xi)
     aug, system = design.augmentation, example.system
     n, p, size = system.state_count, len(aug.C), len(aug.L)
     A = system.A + np.multiply.outer(UNCERTAINTIES, example.delta_A)
-    count = round(duration / _PERIOD) + 1
+    count = round(_DURATION / _PERIOD) + 1
     # The ends and the middle of each step.
     nodes: Array = np.arange(2 * count - 1) * np.float64(0.5 * _PERIOD)
     omega, u = example.disturbance(nodes), torque(nodes)

@@ -23,12 +23,12 @@ from tsobs_ros.design.request import AnyRequest, ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals
 from tsobs_ros.errors import BagReadError, DesignFileError, MessageError, ModelError
 from tsobs_ros.estimation.records import USED
+from tsobs_ros.model.arm import QUANTITIES
 from tsobs_ros.replay.designs import RecordedObserver, recorded_observers
 from tsobs_ros.replay.samples import MISSING, MeasurementReader
 from tsobs_ros.series import NANOSECONDS, Spool, Stamps
 
 MEASUREMENTS = "joint_measurements"
-ARM_QUANTITIES = ("link_angle", "link_velocity", "motor_angle", "motor_velocity")
 UNNAMED_SYSTEM = "system"
 """Name of a T–S system that a recording does not name."""
 
@@ -77,7 +77,7 @@ class BagSource:
         joints: By default those that the live observer observed and the first messages have, else
             those of the first messages.
         assume_zero_torque: Take messages without effort as torque 0; None: as the live observer.
-        held_out: Sensor that no observer gets: one of `ARM_QUANTITIES`, which may have a place
+        held_out: Sensor that no observer gets: one of `QUANTITIES`, which may have a place
             behind it, as in `link_angle=/TOPIC`, `=/TOPIC:ENTRY` or `=:ENTRY`.
 
     Attributes:
@@ -155,7 +155,7 @@ class BagSource:
             name.startswith(f"{joint}/") for joint in self.joints for name in first
         )
         # Without a place it is the other one of a joint's two encoders.
-        self.both_sides = held_out in ARM_QUANTITIES and any(
+        self.both_sides = held_out in QUANTITIES and any(
             topics.sides(one)[1] in first for one in self.joints
         )
         if assume_zero_torque is None:
@@ -195,8 +195,8 @@ class BagSource:
         quantity, _, place = (self.held_out or "").partition("=")
         arms = [request for request in requests if isinstance(request, ArmRequest)]
         problem = ""
-        if quantity not in ARM_QUANTITIES:
-            problem = f"expected one of {', '.join(ARM_QUANTITIES)}, got {quantity!r}"
+        if quantity not in QUANTITIES:
+            problem = f"expected one of {', '.join(QUANTITIES)}, got {quantity!r}"
         elif len(arms) < len(requests):
             problem = "expected the design of an arm, got one of a T-S system"
         elif any(quantity in arm.output_names for arm in arms):

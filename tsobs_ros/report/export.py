@@ -27,8 +27,6 @@ from tsobs_ros.replay.designs import recorded_observers
 from tsobs_ros.replay.places import CONDITIONS
 from tsobs_ros.series import NANOSECONDS
 
-FORMATS = ("csv", "parquet")
-
 MAX_COLUMNS = 64
 """Arrays that are ever longer stay in one column, as lists."""
 
@@ -196,7 +194,7 @@ def export_bag(
 ) -> list[Exported]:
     """Write each topic, by default all that have messages, to a file of its name below a folder.
 
-    No file is replaced. The format is one of `FORMATS`.
+    No file is replaced. The format is "csv" or "parquet".
 
     Raises:
         BagReadError: The bag cannot be read, has no such topic, or a topic cannot be decoded.

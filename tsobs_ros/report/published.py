@@ -8,7 +8,6 @@ Files written: `example_1.png` to `example_3.png` and `paper.html`, which needs 
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -104,19 +103,18 @@ def make_paper_report(
         Table("Claims", ("claim", "verdict", "number"), judged, 3, _INTRODUCTION),
         Table("Symbols", ("symbol", "meaning"), _SYMBOLS, 2),
     ]
-    whole = Picture(_TITLE, conclusion, tuple(chain(*map(_named_rows, pictures))), (0.0, _SHOWN))
+    named = (
+        tuple(plot._replace(label=f"{picture.name}: {plot.label}") for plot in row)
+        for picture in pictures
+        for row in picture.rows
+    )
+    whole = Picture(_TITLE, conclusion, tuple(named), (0.0, _SHOWN))
     with written_whole(output, force=force) as folder:
         for picture, path in zip(pictures, figures, strict=True):
             draw_run(picture, folder / path.name)
         write_html(whole, folder / page.name, [_table(arm)], first=first)
     seconds = time.perf_counter() - started
     return data, "\n".join([*map(str, claims), "", f"3 figures and {page} ({seconds:.0f} s)"])
-
-
-def _named_rows(picture: Picture) -> Iterator[tuple[Plot, ...]]:
-    """Yield the rows of a picture, with its name in their labels."""
-    for row in picture.rows:
-        yield tuple(plot._replace(label=f"{picture.name}: {plot.label}") for plot in row)
 
 
 def _compared(
