@@ -31,8 +31,12 @@ def test_examples_are_designed_and_hold_on_rechecking(example: PaperExample) -> 
 
 
 def test_undamped_arm_is_refused_with_its_mode() -> None:
-    (_, P, _), _ = check_stability(ARM.A, NO_BOUNDS)
+    A = ARM.A
+    (_, P, Z), _ = check_stability(A, NO_BOUNDS)
     assert P is None
+    assert np.linalg.eigvalsh(Z).min() > -1e-12
+    assert np.trace(Z, axis1=1, axis2=2).sum() == pytest.approx(1.0)
+    assert np.linalg.eigvalsh((A @ Z + Z @ A.transpose(0, 2, 1)).sum(axis=0))[0] > -1e-6
     with pytest.raises(DetectabilityError) as caught:
         design_adaptive_observer(ARM, NO_BOUNDS, NO_BOUNDS)
     text = str(caught.value)

@@ -271,12 +271,10 @@ class BagSource:
             except DesignFileError as error:
                 raise BagReadError(f"{bag}: {ran.source}: {error}") from error
 
-        files: dict[str, str | None] = {"own": shared[0] if shared else None}
-        if shared and not own:
-            files = {}
-            for path in shared:
-                stem = Path(path).name.split(".")[0].replace("-", "_").replace(" ", "_")
-                files[stem if stem not in files else f"{stem}_{len(files) + 1}"] = path
+        files: dict[str, str | None] = {}
+        for path in shared or (None,):
+            stem = Path(path or "own").name.split(".")[0].replace("-", "_").replace(" ", "_")
+            files[stem if stem not in files else f"{stem}_{len(files) + 1}"] = path
         found = {
             name: tuple(design_of(joint, own.get(joint, path)) for joint in self.joints)
             for name, path in files.items()
