@@ -23,10 +23,6 @@ MIN_PASS = 10_000_000
 # The memory of a message beyond its data [bytes].
 _OVERHEAD = 300
 
-Messages = Generator[BagMessage | None]
-"""Messages of a bag in order, those that are latched where a pass starts first, and None after the
-last one of each pass; pass after pass, without end."""
-
 
 class Event(NamedTuple):
     """A message, or None for a stamp of the clock; steady and bag time at which it was due [ns]."""
@@ -164,11 +160,11 @@ def read_passes(
     start: int,
     end: int,
     read_ahead: int,
-) -> Messages:
-    """Read passes through a part of a bag; a thread reads ahead, a batch at a time.
+) -> Generator[BagMessage | None]:
+    """Read passes through a part of a bag, without end; a thread reads ahead, a batch at a time.
 
     A pass begins with so many messages of each latched topic from before its start, and ends with
-    those at its end [ns]. A single message may be larger than what is read ahead [bytes].
+    those at its end [ns] and None. A single message may be larger than what is read ahead [bytes].
 
     Raises:
         BagReadError: The bag is damaged there.

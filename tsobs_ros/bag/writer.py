@@ -254,10 +254,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             with suppress(BagWriteError):
                 self.close()
             raise
-        # Every file must make sense on its own.
-        with self._writing():
-            for topic in self._topics.values():
-                self._file.add_topic(topic)
 
     def sync(self) -> None:
         """Force what has been flushed to the disk, so that it survives a power cut.
@@ -305,6 +301,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 file = FileWriter(path, f"tsobs_ros {__version__}", self._compression, CHUNK_SIZE)
                 file.add_metadata(self._metadata(file))
                 file.flush()
+                # Every file must make sense on its own.
+                for topic in self._topics.values():
+                    file.add_topic(topic)
         except ModuleNotFoundError as error:
             text = f"the library of its compression is not installed: {error}"
             raise BagWriteError(f"{path}: {text}") from error

@@ -302,17 +302,12 @@ def _add_ticks(messages: RawMessages, ticks: Spool, checksums: Spool) -> None:
     for at, data in messages.groups:
         with suppress(MessageError):
             known |= zip(at.tolist(), decode_ticks(data), strict=True)
-    places = sorted(known)
-    rows = [known[place] for place in places]
-    found = np.zeros(len(rows), _LOGGED)
-    found["log_times"] = messages.log_times[places]
-    found["publish_times"] = messages.publish_times[places]
-    found["counts"] = [len(row) - len(_HEAD) for row in rows]
-    for number, name in enumerate(_HEAD):
-        found[name] = [row[number] for row in rows]
-    ticks.add(found)
-    for row in rows:
-        checksums.add(row[len(_HEAD) :])
+    log_times, publish_times, head = messages.log_times, messages.publish_times, len(_HEAD)
+    rows = sorted(known.items())
+    found = [(log_times[at], publish_times[at], *row[:head], len(row) - head) for at, row in rows]
+    ticks.add(np.array(found, _LOGGED))
+    for _, row in rows:
+        checksums.add(row[head:])
 
 
 def _match(wanted: Integers, there: Integers) -> NDArray[np.intp]:
