@@ -12,6 +12,7 @@ from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateEncoder
 from tsobs_ros.cli.main import main
 from tsobs_ros.methods import METHODS
+from tsobs_ros.report.bag_report import make_bag_report
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 START, PERIOD, LATENCY = 1_700_000_000_000_000_000, 5_000_000, 300_000
@@ -101,6 +102,15 @@ def test_estimate_lists_what_happened_to_the_estimates(arms, write_bag, capsys) 
     assert health["noise_scale"]["max"] >= health["noise_scale"]["median"] > 1.5
     assert (health["learning"], health["certified"]) == ("active", 0.0)
     assert f"; claimed to hold {100.0 * health['claimed']:.3g} %" in out
+
+    new = f"{command[1]}_new"
+    assert main([*command, "--output", new, "--json", "--param", "stale_after=2"]) == 0
+    (observer,) = json.loads(capsys.readouterr().out)["observers"]
+    make_bag_report(Path(new), Path(f"{new}_report"), ekf=False)
+    report = json.loads(Path(f"{new}_report", "report.json").read_text())
+    sooner = [(one["kind"], one["text"]) for one in observer["events"]]
+    assert [(one["kind"], one["text"]) for one in report["health"]["events"]] == sooner
+    assert any("for 2 s" in text for _, text in sooner)
 
 
 def test_several_designs_and_methods_have_names_of_their_own(bag: Path, capsys) -> None:

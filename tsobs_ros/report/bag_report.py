@@ -75,7 +75,9 @@ def make_bag_report(
     if recorded := run.parts.get("health"):
         health = health_of(recorded.values)
         stamped = recorded._replace(log_times=recorded.stamps)
-        events = find_events(run.joint, run.topic, stamped)
+        events = find_events(
+            run.joint, run.topic, stamped, stale_after=source.ran.settings().stale_after
+        )
         health_lines = () if health is None else health.lines()
     diagnosed = diagnose(diagnostics(source), run.origin, metrics.last)
     rival = None
