@@ -8,46 +8,10 @@ double quadratic(const double *s, long s_width, const double *a, long n)
     double total = 0.0;
     for (long i = 0; i < n; i++) {
         for (long j = 0; a[i] != 0.0 && j < n; j++) { /* most of a map is 0 */
-            total += a[i] * s[i * s_width + j] * a[j];
+            total += a[j] != 0.0 ? a[i] * s[i * s_width + j] * a[j] : 0.0;
         }
     }
     return total;
-}
-
-void multiply(
-    const double *a, const double *b, double *restrict result, long rows, long inner, long columns)
-{
-    /* Whole rows of b are added up, which makes vector instructions of the inner loop. */
-    for (long i = 0; i < rows; i++) {
-        double *restrict row = result + i * columns;
-        for (long j = 0; j < columns; j++) {
-            row[j] = 0.0;
-        }
-        for (long k = 0; k < inner; k++) {
-            const double factor = a[i * inner + k];
-            const double *restrict other = b + k * columns;
-            for (long j = 0; j < columns; j++) {
-                row[j] += factor * other[j];
-            }
-        }
-    }
-}
-
-void congruence(const double *a, double *s, const double *added, double *scratch, long n)
-{
-    double *half = scratch, *whole = half + n * n, *turned = whole + n * n;
-    for (long i = 0; i < n; i++) {
-        for (long j = 0; j < n; j++) {
-            turned[j * n + i] = a[i * n + j];
-        }
-    }
-    multiply(a, s, half, n, n, n);
-    multiply(half, turned, whole, n, n, n);
-    for (long i = 0; i < n; i++) {
-        for (long j = i; j < n; j++) {
-            s[i * n + j] = s[j * n + i] = whole[i * n + j] + added[i * n + j];
-        }
-    }
 }
 
 int is_nonnegative(double *s, long n)
@@ -76,18 +40,12 @@ int is_nonnegative(double *s, long n)
 void solve(const double *s, const double *b, double *factor, double *result, long n)
 {
     for (long j = 0; j < n; j++) { /* L and, on the diagonal, D */
-        double *at_j = factor + j * n;
-        double pivot = s[j * n + j];
-        for (long k = 0; k < j; k++) {
-            pivot -= at_j[k] * at_j[k] * factor[k * n + k];
-        }
-        at_j[j] = pivot;
-        for (long i = j + 1; i < n; i++) {
+        for (long i = j; i < n; i++) {
             double total = s[i * n + j];
             for (long k = 0; k < j; k++) {
-                total -= factor[i * n + k] * at_j[k] * factor[k * n + k];
+                total -= factor[i * n + k] * factor[j * n + k] * factor[k * n + k];
             }
-            factor[i * n + j] = total / pivot;
+            factor[i * n + j] = i == j ? total : total / factor[j * n + j];
         }
     }
     for (long i = 0; i < n; i++) {
@@ -96,10 +54,8 @@ void solve(const double *s, const double *b, double *factor, double *result, lon
             result[i] -= factor[i * n + k] * result[k];
         }
     }
-    for (long i = 0; i < n; i++) {
-        result[i] /= factor[i * n + i];
-    }
     for (long i = n - 1; i >= 0; i--) {
+        result[i] /= factor[i * n + i];
         for (long k = i + 1; k < n; k++) {
             result[i] -= factor[k * n + i] * result[k];
         }
@@ -134,8 +90,7 @@ static double first_sine(double angle)
 /* Return the cosine up to pi/4. */
 static double first_cosine(double angle)
 {
-    const double z = angle * angle;
-    const double half = 0.5 * z, value = 1.0 - half;
+    const double z = angle * angle, half = 0.5 * z, value = 1.0 - half;
     double r = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11;
     r = 2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * r);
     r = 4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * r);
@@ -179,8 +134,7 @@ double exponential(double x)
     }
     const double whole = floor(x * 1.44269504088896338700e00 + 0.5);
     const double high = x - whole * 6.93147180369123816490e-01;
-    const double low = whole * 1.90821492927058770002e-10;
-    const double r = high - low, t = r * r;
+    const double low = whole * 1.90821492927058770002e-10, r = high - low, t = r * r;
     double c = -1.65339022054652515390e-06 + t * 4.13813679705723846039e-08;
     c = 6.61375632143793436117e-05 + t * c;
     c = -2.77777777770155933842e-03 + t * c;

@@ -45,24 +45,75 @@ static inline void add_scaled(double *restrict y, double c, const double *restri
     }
 }
 
-/* Write a x for a (n, n). */
-static inline void transform(const double *a, const double *x, double *result, long n)
+/* Call a function whose last argument is a size. A compiler that knows it makes straight code of
+ * loops, which takes half the time: most models have one of these numbers of states. */
+enum { FEW = 9 };
+#define WITH_SIZE(n, call, ...)                                                     \
+    switch (n) {                                                                    \
+    case 4: call(__VA_ARGS__, 4); break; case 5: call(__VA_ARGS__, 5); break;       \
+    case 6: call(__VA_ARGS__, 6); break; case 7: call(__VA_ARGS__, 7); break;       \
+    case 8: call(__VA_ARGS__, 8); break; case FEW: call(__VA_ARGS__, FEW); break;   \
+    default: call(__VA_ARGS__, n);                                                  \
+    }
+
+/* Write the sum of rows of b, (count, columns), each by its factor; those by 0 are left out unless
+ * `all` are asked for, as most of a map is 0. */
+static inline void combine(
+    const double *factors, const double *b, long b_width, double *restrict result, int all,
+    long count, long columns)
 {
+    double few[FEW], *row = columns <= FEW ? few : result;
+    for (long j = 0; j < columns; j++) {
+        row[j] = 0.0;
+    }
+    for (long k = 0; k < count; k++) {
+        if (all || factors[k] != 0.0) {
+            add_scaled(row, factors[k], b + k * b_width, columns);
+        }
+    }
+    for (long j = 0; j < columns; j++) {
+        result[j] = row[j];
+    }
+}
+
+/* Write a b for a (rows, inner) and b (inner, columns). */
+static inline void multiply(
+    const double *a, const double *b, double *result, long rows, long inner, long columns)
+{
+    for (long i = 0; i < rows; i++) {
+        combine(a + i * inner, b, columns, result + i * columns, 1, inner, columns);
+    }
+}
+
+/* Replace s by a s a', symmetric, for a and a symmetric s (n, n), and add a symmetric matrix to its
+ * first rows and columns, (count, count). `half` (n, n) is scratch; added may be s. */
+static inline void congruence(
+    const double *a, double *s, long s_width, const double *added, long count, double *half, long n)
+{
+    double trace = 0.0;
     for (long i = 0; i < n; i++) {
-        result[i] = dot(a + i * n, x, n);
+        trace += s[i * (s_width + 1)];
+    }
+    const int all = !isfinite(trace); /* which has to show everywhere */
+    for (long i = 0; i < n; i++) {
+        combine(a + i * n, s, s_width, half + i * n, all, n, n);
+    }
+    for (long j = 0; j < n; j++) {
+        const double *row = a + j * n;
+        long first = 0;
+        while (!all && first < n && row[first] == 0.0) {
+            first++;
+        }
+        for (long i = 0; i <= j; i++) {
+            const double value = dot(row + first, half + i * n + first, n - first);
+            s[i * s_width + j] = s[j * s_width + i]
+                = j < count ? value + added[i * count + j] : value;
+        }
     }
 }
 
 /* Return a' s a for s (n, n). */
 double quadratic(const double *s, long s_width, const double *a, long n);
-
-/* Write a b for a (rows, inner) and b (inner, columns). */
-void multiply(
-    const double *a, const double *b, double *result, long rows, long inner, long columns);
-
-/* Replace s by a s a' + added, symmetric, for a (n, n), and s and added (n, n) symmetric.
- * `scratch` has 3 n^2 numbers; added may be s. */
-void congruence(const double *a, double *s, const double *added, double *scratch, long n);
 
 /* Return whether a symmetric matrix (n, n) is positive semidefinite; overwrites its upper part. */
 int is_nonnegative(double *s, long n);

@@ -574,7 +574,8 @@ static void suppose(
     open_fork(m, at, &h, fork, output, innovation);
     for (long i = 0; i < m->s.p; i++) {
         const outlook *of = outlook_of(effect, i);
-        *h.score += i == output || of->used ? correct_by(m, at, &h, i, 0, effect) : of->likelihood;
+        *h.score += i == output || of->used ? correct_by(m, at, &h, i, 0, 0, effect)
+                                                : of->likelihood;
     }
     *h.corrected = 1;
     if (!isfinite(*h.score)) {
@@ -832,9 +833,10 @@ static int is_due(const model *m, const state *at, long output)
 }
 
 /* Fork the best hypothesis where it takes a sample for an outlier; a sensor may have jumped where a
- * sample is only unlikely. */
-static void fork_best(const model *m, const state *at, correction *effect)
+ * sample is only unlikely. Return whether forks may have used the scratch of `weigh`. */
+static int fork_best(const model *m, const state *at, correction *effect)
 {
+    int forked = 0;
     for (long i = 0; i < m->s.p; i++) {
         const double innovation = effect->innovation[i];
         const double sudden = m->constants[SUDDEN]
@@ -849,12 +851,13 @@ static void fork_best(const model *m, const state *at, correction *effect)
         if (is_outlier) {
             suppose(m, at, MOVED, i, innovation, effect);
         }
-        if (is_outlier || (m->disturbed[i] != 0 && fabs(innovation) > sudden)) {
-            suppose(m, at, JUMPED, i, innovation, effect);
-        } else if (m->disturbed[i] != 0 && is_due(m, at, i)) {
-            suppose(m, at, JUMPED, i, sudden, effect);
+        const int jumps = is_outlier || (m->disturbed[i] != 0 && fabs(innovation) > sudden);
+        if (jumps || (m->disturbed[i] != 0 && is_due(m, at, i))) {
+            suppose(m, at, JUMPED, i, jumps ? innovation : sudden, effect);
+            forked = 1;
         }
     }
+    return forked;
 }
 
 /* Start the covariance of a lone hypothesis again if it leaves out most samples. */
@@ -879,8 +882,8 @@ static void use_sample(const model *m, state *at, long place, correction *effect
 {
     hypothesis h = hypothesis_of(m, at, place);
     weigh(m, at, &h, effect);
-    if (place == *at->best) {
-        fork_best(m, at, effect);
+    if (place == *at->best && fork_best(m, at, effect)) {
+        weigh(m, at, &h, effect);
     }
     if (place == AS_DESIGNED && *at->awake > 0.0) {
         listen(m, at, effect);
@@ -964,9 +967,8 @@ static int is_covered(const model *m, const hypothesis *h, double *difference)
 {
     const long n = m->s.n, width = m->s.width;
     for (long i = 0; i < n; i++) {
-        for (long j = 0; j < n; j++) {
-            difference[i * n + j] = m->X[i * width + j] - h->covariance[i * width + j];
-        }
+        memcpy(difference + i * n, m->X + i * width, (size_t)n * sizeof *difference);
+        add_scaled(difference + i * n, -1.0, h->covariance + i * width, n);
     }
     return is_nonnegative(difference, n);
 }
@@ -988,6 +990,7 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
     const double forgotten = in_gap && isfinite(age) ? *m->torque_rate * *m->torque_rate
                                                            * (2.0 * age + duration)
                                                      : 0.0;
+    course along = course_over(m, duration, forgotten, scratch);
     hypothesis h;
     *at->late = is_late;
     for (long i = 0; find_live(m, at, &i, &h); i++) {
@@ -1002,10 +1005,10 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
         if (in_gap && *at->in_gap == 0) {
             open_torque(m, at, &h);
         }
-        predict_hypothesis(m, at, &h, duration, simple, forgotten, scratch);
+        predict_hypothesis(m, at, &h, &along, simple, scratch);
         if (!simple && !between_samples && !in_gap && *m->gain_mode == GAIN_CERTIFIED
             && *h.kind == AS_DESIGNED && *h.settling <= 0.0
-            && is_covered(m, &h, scratch->square)) {
+            && is_covered(m, &h, scratch->half)) {
             *h.certified = 1;
         }
     }

@@ -94,18 +94,32 @@ void leave_certified(const model *m, const state *at, const hypothesis *h, int64
 /* Write how a hypothesis expects each output. */
 void weigh(const model *m, const state *at, const hypothesis *h, correction *effect);
 
-/* Correct by the outputs that `weigh` found in use, and learn; return the logarithm of the
- * likelihood of the sample. */
+/* Correct by the outputs that `weigh`, called just before, found in use, and learn; return the
+ * logarithm of the likelihood of the sample. */
 double correct_hypothesis(const model *m, const state *at, hypothesis *h, correction *effect);
 
-/* Correct by one output, whatever it is; return the logarithm of its likelihood. */
+/* Correct by one output, whatever it is; return the logarithm of its likelihood. is_weighed:
+ * whether `effect` has what is expected of it. */
 double correct_by(
-    const model *m, const state *at, hypothesis *h, long output, int adapt, correction *effect);
+    const model *m, const state *at, hypothesis *h, long output, int is_weighed, int adapt,
+    correction *effect);
 
-/* Predict over a time with held inputs; `forgotten`: variance that an unknown torque gains in a
- * second, 0 if the torque is known. */
+/* A time in steps: whole nominal ones, and one of another length unless that is 0; what is left
+ * after each of what decays, by its time constant, 0 if not known yet; and the variance that an
+ * unknown torque gains in a second, 0 if the torque is known. */
+typedef struct {
+    double duration, forgotten;
+    int64_t whole;
+    linear_step steps[2];
+    double left[2][TONE_TIME + 1];
+    flow_step work;
+} course;
+
+/* Return the steps of a time; their linear flow is kept in scratch. */
+course course_over(const model *m, double duration, double forgotten, work *scratch);
+
+/* Predict with held inputs. */
 void predict_hypothesis(
-    const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
-    work *scratch);
+    const model *m, const state *at, hypothesis *h, course *along, int simple, work *scratch);
 
 #endif

@@ -225,8 +225,7 @@ enum { OUTLOOK_SIZE = sizeof(outlook) / sizeof(double) };
     F(MATRIX, innovation_covariance, s->p, s->p)                                          \
     F(COUNTS, heard, s->p, 1) /* whether a sample is there, and no stuck sensor's */      \
     F(MATRIX, outlooks, s->p, OUTLOOK_SIZE)                                               \
-    F(VECTOR, row, s->width, 1) /* states to an output, */                                \
-    F(VECTOR, crossed, s->width, 1) /* whose innovation has this covariance with them */  \
+    F(MATRIX, crossed, s->p, s->width) /* covariance of innovations with the states */    \
     F(VECTOR, gain, s->width, 1) /* of an output */                                       \
     F(MATRIX, omega, s->p, s->k) /* dy/dtheta */                                          \
     F(VECTOR, cross, s->k, 1)                                                             \
@@ -260,16 +259,15 @@ LAYOUT_DECLARE(estimate, ESTIMATE_FIELDS, estimator_sizes)
 #define WORK_FIELDS(F, s)                            \
     F(VECTOR, flow, s->scratch, 1)                   \
     F(MATRIX, map, s->width, s->width)               \
-    F(MATRIX, added, s->width, s->width)             \
-    F(MATRIX, square, s->width, s->width)            \
-    F(MATRIX, squares, 3 * s->width, s->width)       \
+    F(VECTOR, added, s->width, 1)                    \
+    F(MATRIX, half, s->width, s->width)              \
     F(VECTOR, moved, s->width, 1)                    \
     F(VECTOR, inputs, s->m + 2 * s->p, 1)            \
     F(MATRIX, small, s->k, s->k)                     \
-    F(VECTOR, share, s->k, 1)                        \
     F(VECTOR, functional, s->width, 1)               \
     F(VECTOR, weights, s->hypotheses, 1)             \
-    F(VECTOR, decided, s->hypotheses, 1)
+    F(VECTOR, decided, s->hypotheses, 1)             \
+    F(MATRIX, growth, s->hypotheses, 2)
 LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
 
 /* A model; from `scale` on in physical units. */
@@ -359,13 +357,13 @@ static inline hypothesis hypothesis_of(const model *m, const state *at, long pla
  * one. */
 static inline int find_live(const model *m, const state *at, long *place, hypothesis *h)
 {
-    for (; *place < m->s.hypotheses; *place += 1) {
-        *h = hypothesis_of(m, at, *place);
-        if (*h->live != 0) {
-            return 1;
-        }
+    while (*place < m->s.hypotheses && *hypothesis_of(m, at, *place).live == 0) {
+        *place += 1;
     }
-    return 0;
+    if (*place < m->s.hypotheses) {
+        *h = hypothesis_of(m, at, *place);
+    }
+    return *place < m->s.hypotheses;
 }
 
 /* Accept the inputs of a measurement, or hold those before; the state is predicted to the

@@ -22,11 +22,6 @@ static uint64_t add_bytes(uint64_t sum, const void *bytes, size_t count)
     return sum;
 }
 
-static uint64_t sum_of_records(const exported_head *head, size_t bytes)
-{
-    return add_bytes(EMPTY, head + 1, bytes - sizeof *head);
-}
-
 #define ADD_FIELD(kind, name, rows, columns) #kind " " #name " " #rows " " #columns ","
 #define ADD_CONSTANT(name, value, what) #name ","
 
@@ -50,7 +45,7 @@ void exported_seal(void *words, size_t bytes)
     exported_head *head = words;
     head->magic = MAGIC;
     head->layout = layout_of_records();
-    head->checksum = sum_of_records(head, bytes);
+    head->checksum = add_bytes(EMPTY, head + 1, bytes - sizeof *head);
 }
 
 const char *exported_open(exported *view, const void *words, size_t bytes)
@@ -68,7 +63,8 @@ const char *exported_open(exported *view, const void *words, size_t bytes)
         return "exported by another version of tsobs_ros: export it by the one whose sources "
                "this program was built from";
     }
-    if (bytes % 8 != 0 || bytes / 8 < least || head->checksum != sum_of_records(head, bytes)) {
+    if (bytes % 8 != 0 || bytes / 8 < least
+        || head->checksum != add_bytes(EMPTY, head + 1, bytes - sizeof *head)) {
         return "incomplete or damaged";
     }
     view->model = (const double *)words + HEAD;

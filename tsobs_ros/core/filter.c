@@ -65,30 +65,36 @@ void leave_certified(const model *m, const state *at, const hypothesis *h, int64
 
 /* --- correction --- */
 
-/* Return what the filter expects of an output; write the output's row of states in use and, unless
- * the gain is the certified one, the covariance of the innovation with them, `crossed`. */
+/* Return an output of x, by its row of C and the auxiliary state that is part of it, or -1. */
+static double output_of(const double *row, const double *x, long n, long part)
+{
+    double total = 0.0;
+    for (long i = 0; i < n; i++) {
+        total += row[i] != 0.0 ? row[i] * x[i] : 0.0;
+    }
+    return part < 0 ? total : total + x[part];
+}
+
+/* Return what the filter expects of an output; write, unless the gain is the certified one, the
+ * covariance of the innovation with the states in use, `crossed`. */
 static outlook expect(
     const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
-    const long p = m->s.p, width = m->s.width;
-    const long used = states_in_use(m, h), place = part_of(m, h, i);
-    const double scale = noise_of(m, at, i);
+    const long n = m->s.n, p = m->s.p, width = m->s.width;
+    const long used = states_in_use(m, h), part = part_of(m, h, i);
+    const double scale = noise_of(m, at, i), *row = m->C + i * width;
     const double factor = *h->kind == LOUD ? m->constants[NOISE_FACTOR] : 1.0;
-    double *row = effect->row;
+    double *crossed = effect->crossed + i * width;
     outlook of = {0.0, 0.0, 0.0, 0.0, 0};
-    memcpy(row, m->C + i * width, (size_t)width * sizeof *row);
-    if (place >= 0) {
-        row[place] = 1.0;
-    }
-    of.innovation = at->y[i] - (dot(row, h->x, used) + dot(m->D + i * p, at->sample, p));
+    of.innovation = at->y[i] - (output_of(row, h->x, n, part) + dot(m->D + i * p, at->sample, p));
     if (*h->certified != 0) {
         of.known = scale * scale * m->innovation_covariance[i * p + i];
         return of;
     }
     for (long j = 0; j < used; j++) {
-        effect->crossed[j] = dot(row, h->covariance + j * width, used);
+        crossed[j] = output_of(row, h->covariance + j * width, n, part);
     }
-    of.known = dot(row, effect->crossed, used) + m->R[i * p + i] * (scale * scale * factor);
+    of.known = output_of(row, crossed, n, part) + m->R[i * p + i] * (scale * scale * factor);
     return of;
 }
 
@@ -109,12 +115,12 @@ static double price_of(const model *m, const hypothesis *h)
 static outlook look(
     const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
-    const long k = m->s.k, p = m->s.p, used = states_in_use(m, h);
+    const long k = m->s.k, p = m->s.p, width = m->s.width, part = part_of(m, h, i);
     const double scale = noise_of(m, at, i);
     double *omega = effect->omega + i * k;
     outlook of = expect(m, at, h, i, effect);
     for (long a = 0; a < k; a++) {
-        omega[a] = dot(effect->row, h->upsilon + a * m->s.width, used);
+        omega[a] = output_of(m->C + i * width, h->upsilon + a * width, m->s.n, part);
     }
     of.variance = of.known + (k > 0 ? maximum(quadratic(h->gamma, k, omega, k), 0.0) : 0.0);
     if (!effect->heard[i]) {
@@ -190,11 +196,13 @@ static void adapt_by(
     const long k = m->s.k;
     /* A filter whose regressors are taken to be right knows of no noise in them. */
     const double stillness = m->constants[CURVED] > 0.0 ? *at->stillness : 0.0;
-    double variance = of->known * inflation, left = of->innovation - dot(omega, h->pending, k);
+    double known = 0.0;
     for (long a = 0; a < k; a++) {
         cross[a] = dot(h->gamma + a * k, omega, k);
+        known += omega[a] * cross[a];
     }
-    variance += dot(omega, cross, k);
+    const double variance = of->known * inflation + known;
+    const double left = of->innovation - dot(omega, h->pending, k);
     for (long a = 0; a < k; a++) {
         const double moved = h->theta[a] + h->pending[a] + cross[a] / variance * left;
         const double all = variance * h->gamma[a * (k + 1)];
@@ -246,30 +254,27 @@ static void correct_estimate(
     const model *m, hypothesis *h, long output, const outlook *of, correction *effect)
 {
     const long width = m->s.width, used = states_in_use(m, h);
+    const double *crossed = effect->crossed + output * width;
     for (long j = 0; j < used; j++) {
         const double gain = *h->certified != 0 ? m->K[j * m->s.p + output]
-                                               : effect->crossed[j] / of->known;
+                                               : crossed[j] / of->known;
         double *row = h->covariance + j * width;
         effect->gain[j] = gain;
         h->x[j] += gain * of->innovation;
-        if (*h->certified != 0) {
-            continue;
-        }
-        for (long i = 0; i <= j; i++) {
-            row[i] -= gain * effect->crossed[i];
+        for (long i = 0; *h->certified == 0 && i <= j; i++) {
+            row[i] -= gain * crossed[i];
             h->covariance[i * width + j] = row[i];
         }
     }
 }
 
 double correct_by(
-    const model *m, const state *at, hypothesis *h, long output, int adapt, correction *effect)
+    const model *m, const state *at, hypothesis *h, long output, int is_weighed, int adapt,
+    correction *effect)
 {
     const double inflation = adapt ? inflation_of(m, h) : 1.0;
     const double *omega = effect->omega + output * m->s.k;
-    /* The certified gain is of all outputs at once; others change what is expected of the next. */
-    const outlook of
-        = *h->certified != 0 ? *outlook_of(effect, output) : look(m, at, h, output, effect);
+    const outlook of = is_weighed ? *outlook_of(effect, output) : look(m, at, h, output, effect);
     correct_estimate(m, h, output, &of, effect);
     if (*m->supervised != 0) {
         follow(m, at, h, output, &of);
@@ -314,13 +319,15 @@ double correct_hypothesis(const model *m, const state *at, hypothesis *h, correc
     if (*m->gain_mode == GAIN_OPEN || used == 0) {
         return said;
     }
+    int is_weighed = *h->certified == 0 || used == m->s.p;
     if (used < m->s.p) { /* the certified gain is for all outputs together */
         leave_certified(m, at, h, BASIS_GAP);
     }
     for (long i = 0; i < m->s.p; i++) {
         const outlook *of = outlook_of(effect, i);
         if (of->used) {
-            said += correct_by(m, at, h, i, adapt, effect) - of->likelihood;
+            said += correct_by(m, at, h, i, is_weighed, adapt, effect) - of->likelihood;
+            is_weighed = *h->certified != 0; /* other gains change what is expected of the next */
         }
     }
     *h->corrected = 1;
@@ -333,22 +340,29 @@ double correct_hypothesis(const model *m, const state *at, hypothesis *h, correc
 
 /* --- prediction --- */
 
-/* Write the auxiliary states' own motion over a step, a = D a + noise, into D and the noise's
- * covariance, matrices with rows of `stride`. */
+/* Return how much is left after a step of what decays with a time constant of the bank. */
+static double left_after(const model *m, double duration, int time, double *left)
+{
+    if (left[time] == 0.0) {
+        left[time] = exponential(-duration / m->constants[time]);
+    }
+    return left[time];
+}
+
+/* Write the auxiliary states' own motion over a step, a = D a + noise, into D, a matrix whose rows
+ * begin `stride` numbers apart, and the noise's variances. */
 static void write_own_motion(
-    const model *m, const hypothesis *h, double duration, double forgotten, long stride, double *D,
+    const model *m, const hypothesis *h, course *along, int is_rest, long stride, double *D,
     double *added)
 {
-    const double torque = exponential(-duration / m->constants[FORCE_TIME]);
+    const double duration = along->steps[is_rest].duration;
+    double *left = along->left[is_rest];
+    const double torque = left_after(m, duration, FORCE_TIME, left);
+    const double force = *h->kind == FORCE ? *m->force * *m->force : 0.0;
     D[0] = torque;
-    if (*h->kind == FORCE) {
-        added[0] = *m->force * *m->force * (1.0 - torque * torque);
-    }
-    if (forgotten > 0.0) {
-        added[0] += forgotten * duration;
-    }
+    added[0] = force * (1.0 - torque * torque) + along->forgotten * duration;
     if (*h->kind == TONE) {
-        const double decay = exponential(-duration / m->constants[TONE_TIME]);
+        const double decay = left_after(m, duration, TONE_TIME, left);
         const double frequency = h->x[m->s.n + 3], wander = halfway_from(m, frequency);
         double sin, cos;
         sine_and_cosine(frequency * duration, &sin, &cos);
@@ -356,19 +370,38 @@ static void write_own_motion(
         D[stride + 2] = decay * sin;
         D[2 * stride + 1] = -(decay * sin);
         D[3 * stride + 3] = 1.0;
-        added[stride + 1] = added[2 * stride + 2] = *h->size * *h->size * (1.0 - decay * decay);
-        added[3 * stride + 3] = wander * wander * duration / m->constants[TONE_TIME];
+        added[1] = added[2] = *h->size * *h->size * (1.0 - decay * decay);
+        added[3] = wander * wander * duration / m->constants[TONE_TIME];
     } else if (*h->kind == COLOURED_NOISE || *h->kind == DRIFT) {
         const int is_drift = *h->kind == DRIFT;
         const double size = m->constants[is_drift ? DRIFT_SIZE : COLOUR_SIZE];
-        const double time = m->constants[is_drift ? DRIFT_TIME : COLOUR_TIME];
-        const double decay = exponential(-duration / time);
+        const double decay = left_after(m, duration, is_drift ? DRIFT_TIME : COLOUR_TIME, left);
         const double noise = size * size * (1.0 - decay * decay);
         for (long j = 0; j < m->s.p; j++) {
-            const long place = (j + 1) * (stride + 1);
-            D[place] = decay;
-            added[place] = noise * m->R[j * (m->s.p + 1)];
+            D[(j + 1) * (stride + 1)] = decay;
+            added[j + 1] = noise * m->R[j * (m->s.p + 1)];
         }
+    }
+}
+
+/* Move the regressors and, unless it is `simple`, the covariance of the states in use by F. */
+static inline void move_by(
+    const model *m, const double *F, const flow_step *step, hypothesis *h, int simple,
+    work *scratch, long used)
+{
+    const long n = m->s.n, width = m->s.width;
+    double few[FEW], *moved = used <= FEW ? few : scratch->moved;
+    for (long a = 0; a < m->s.k; a++) {
+        double *row = h->upsilon + a * width;
+        for (long i = 0; i < used; i++) {
+            moved[i] = dot(F + i * used, row, used);
+        }
+        for (long i = 0; i < used; i++) {
+            row[i] = i < n ? moved[i] + step->effects[a * n + i] : moved[i];
+        }
+    }
+    if (!simple) {
+        congruence(F, h->covariance, width, step->Q, n, scratch->half, used);
     }
 }
 
@@ -377,13 +410,14 @@ static void write_own_motion(
  *
  *     F = [J g e'; 0 D],   g what the unknown torque, the first of these, pushes. */
 static void step_hypothesis(
-    const model *m, hypothesis *h, const linear_step *over, double *u, int simple,
-    double forgotten, const flow_step *step, work *scratch)
+    const model *m, hypothesis *h, course *along, int is_rest, double *u, int simple, work *scratch)
 {
+    const linear_step *over = &along->steps[is_rest];
+    const flow_step *step = &along->work;
     const long n = m->s.n, k = m->s.k, width = m->s.width;
     const long used = simple ? n : states_in_use(m, h), count = used - n;
-    const double *F = step->J, *added = step->Q;
-    double *moved = scratch->moved;
+    const double *F = count > 0 ? scratch->map : step->J;
+    double *moved = scratch->moved, *added = scratch->added, *map = scratch->map;
     if (count > 0 && m->s.m > 0) {
         u[0] += h->x[n];
     }
@@ -392,55 +426,26 @@ static void step_hypothesis(
         simple ? (k > 0 ? DERIVATIVES : NOTHING) : COVARIANCE, step);
     if (count > 0) {
         const long corner = n * (used + 1);
-        double *map = scratch->map, *noise = scratch->added;
         memset(map, 0, (size_t)(used * used) * sizeof *map);
-        memset(noise, 0, (size_t)(used * used) * sizeof *noise);
-        copy_matrix(F, n, map, used, n, n);
-        copy_matrix(added, n, noise, used, n, n);
+        memset(added, 0, (size_t)count * sizeof *added);
+        copy_matrix(step->J, n, map, used, n, n);
         for (long i = 0; i < n; i++) {
             map[i * used + n] = step->effects[k * n + i];
         }
-        write_own_motion(m, h, over->duration, forgotten, used, map + corner, noise + corner);
+        write_own_motion(m, h, along, is_rest, used, map + corner, added);
         for (long i = 0; i < count; i++) {
-            moved[i] = dot(map + corner + i * used, h->x + n, count);
+            moved[i] = output_of(map + corner + i * used, h->x + n, count, -1);
         }
         if (*h->kind == TONE) { /* by how much a faster tone would have turned further */
             map[corner + used + 3] = over->duration * moved[2];
             map[corner + 2 * used + 3] = -(over->duration * moved[1]);
         }
         memcpy(h->x + n, moved, (size_t)count * sizeof *moved);
-        F = map;
-        added = noise;
     }
-    for (long a = 0; a < k; a++) {
-        double *row = h->upsilon + a * width;
-        transform(F, row, moved, used);
-        add_scaled(moved, 1.0, step->effects + a * n, n);
-        memcpy(row, moved, (size_t)used * sizeof *row);
+    WITH_SIZE(used, move_by, m, F, step, h, simple, scratch)
+    for (long i = 0; i < count; i++) {
+        h->covariance[(n + i) * (width + 1)] += added[i];
     }
-    if (!simple) {
-        copy_matrix(h->covariance, width, scratch->square, used, used, used);
-        congruence(F, scratch->square, added, scratch->squares, used);
-        copy_matrix(scratch->square, used, h->covariance, width, used, used);
-    }
-}
-
-/* Return the number of nominal steps in a duration [s], and write the length of a last one, which
- * is 0 or up to STRETCH periods, as stamps jitter. */
-#define STRETCH 1.25
-static int64_t cut_into_steps(double duration, double period, double *rest)
-{
-    int64_t whole = (int64_t)floor(duration / period);
-    *rest = duration - (double)whole * period;
-    if (*rest < 0.0) {
-        whole -= 1;
-        *rest += period;
-    }
-    if (whole > 0 && 0.0 < *rest && *rest <= (STRETCH - 1.0) * period) {
-        whole -= 1;
-        *rest += period;
-    }
-    return whole;
 }
 
 /* Let the excitation fade and Gamma grow, but no variance beyond the initial one. */
@@ -459,30 +464,46 @@ static void forget_slowly(const model *m, hypothesis *h, double duration)
     }
 }
 
-void predict_hypothesis(
-    const model *m, const state *at, hypothesis *h, double duration, int simple, double forgotten,
-    work *scratch)
+/* Stamps jitter: the last step is up to STRETCH periods long. */
+#define STRETCH 1.25
+course course_over(const model *m, double duration, double forgotten, work *scratch)
 {
     const flow *f = &m->design_flow;
     const flow_sizes sizes = flow_sizes_of(m->flow);
-    const flow_step step = flow_step_view(&sizes, scratch->flow);
+    const double period = *m->period;
+    course along = {duration, forgotten, .work = flow_step_view(&sizes, scratch->flow)};
+    along.whole = (int64_t)floor(duration / period);
+    double rest = duration - (double)along.whole * period;
+    if (rest < 0.0 || (along.whole > 0 && 0.0 < rest && rest <= (STRETCH - 1.0) * period)) {
+        along.whole -= 1;
+        rest += period;
+    }
+    along.steps[0] = (linear_step){period, f->phi, f->gamma, f->noise};
+    if (rest > 0.0) {
+        along.steps[1] = other_step(f, rest, &along.work);
+    }
+    return along;
+}
+
+void predict_hypothesis(
+    const model *m, const state *at, hypothesis *h, course *along, int simple, work *scratch)
+{
+    const flow *f = &m->design_flow;
+    const double duration = along->duration;
     const int is_late = m->s.past > 0 && isfinite(at->past[1]);
-    double *u = scratch->inputs, rest;
-    const int64_t whole = cut_into_steps(duration, *m->period, &rest);
-    linear_step over = {*m->period, f->phi, f->gamma, f->noise};
-    for (int64_t taken = 0; taken < whole + (rest > 0.0); taken++) {
-        if (taken == whole) {
-            over = other_step(f, rest, &step);
-        }
+    double *u = scratch->inputs;
+    for (int64_t taken = 0; taken < along->whole + (along->steps[1].duration > 0.0); taken++) {
+        const int is_rest = taken == along->whole;
         memcpy(u, at->held, (size_t)m->s.m * sizeof *u);
         if (is_late) { /* the torque that reaches the motor in this step */
-            u[0] = mean_torque(m, at, (double)taken * *m->period, over.duration);
+            u[0] = mean_torque(
+                m, at, (double)taken * *m->period, along->steps[is_rest].duration);
         }
         if (*m->gain_mode == GAIN_OPEN) { /* the newest samples are signals, too */
             memcpy(u + m->s.m, at->sample, (size_t)m->s.p * sizeof *u);
             memcpy(u + m->s.m + m->s.p, at->sample, (size_t)m->s.p * sizeof *u);
         }
-        step_hypothesis(m, h, &over, u, simple, forgotten, &step, scratch);
+        step_hypothesis(m, h, along, is_rest, u, simple, scratch);
     }
     if ((*h->kind == IMPERFECT || *h->kind == TONE) && !simple) {
         /* What is left of a tone moves the arm's estimate, but its model is not that wrong. */
@@ -517,12 +538,11 @@ static const double HALF_PI = 1.5707963267948966;
 static void rub(double change, long place, long n, long width, double *x, double *P)
 {
     const double variance = P[place * width + place];
-    double root, slope;
     if (!(change > 0.0) || !(variance > 0.0)) {
         return;
     }
-    root = sqrt(x[place] * x[place] + HALF_PI * variance);
-    slope = 1.0 / (1.0 + change * HALF_PI * variance / (root * root * root));
+    const double root = sqrt(x[place] * x[place] + HALF_PI * variance);
+    const double slope = 1.0 / (1.0 + change * HALF_PI * variance / (root * root * root));
     x[place] -= copysign(fmin(change * fabs(x[place]) / root, fabs(x[place])), x[place]);
     for (long i = 0; i < n; i++) { /* twice on the diagonal */
         P[place * width + i] *= slope;
@@ -560,7 +580,8 @@ void write_innovations(
             rub(half * options->link_friction, LINK_VELOCITY, n, width, h.x, h.covariance);
             rub(half * options->motor_friction, MOTOR_VELOCITY, n, width, h.x, h.covariance);
             memcpy(at->held, log->u + k * m->s.m, (size_t)m->s.m * sizeof *at->held);
-            predict_hypothesis(m, at, &h, 2.0 * half, 0, 0.0, scratch);
+            course along = course_over(m, 2.0 * half, 0.0, scratch);
+            predict_hypothesis(m, at, &h, &along, 0, scratch);
             rub(half * options->motor_friction, MOTOR_VELOCITY, n, width, h.x, h.covariance);
             rub(half * options->link_friction, LINK_VELOCITY, n, width, h.x, h.covariance);
         }

@@ -59,7 +59,7 @@ linear_step other_step(const flow *f, double duration, const flow_step *work)
     for (; doublings > 0; doublings--) {
         multiply(phi, gamma, scratch, n, n, m);
         add_scaled(gamma, 1.0, scratch, n * m);
-        congruence(phi, noise, noise, scratch, n);
+        congruence(phi, noise, n, noise, n, scratch, n);
         multiply(phi, phi, scratch, n, n, n);
         memcpy(phi, scratch, (size_t)(n * n) * sizeof *phi);
     }
@@ -72,16 +72,16 @@ linear_step other_step(const flow *f, double duration, const flow_step *work)
  * and if so asked, the rows of effects with them, and write the kick's Jacobian less I: the rows
  * of both velocities. */
 static void kick_arm(
-    const flow *f, const double *total, double torque, double half, double *x, int wanted,
-    const flow_step *work)
+    const flow *f, const double *total, double torque, double half, double *x, int is_first,
+    int wanted, const flow_step *work, long n)
 {
-    const long n = sizes_of(f)->n, k = sizes_of(f)->k;
+    const long k = sizes_of(f)->k;
     double *rows = work->vectors, causes[CAUSES], cos;
     memcpy(causes, x, 4 * sizeof *x);
     sine_and_cosine(x[0], &causes[BY_SINE], &cos);
     /* What theta does to the known torque, it does to its unknown part. */
-    causes[BY_TORQUE] = torque + dot(f->motor_torque, x, n);
-    causes[BY_EXTERNAL] = dot(f->link_torque, x, n);
+    causes[BY_TORQUE] = torque + dot(f->motor_torque + 4, x + 4, n - 4);
+    causes[BY_EXTERNAL] = dot(f->link_torque + 4, x + 4, n - 4);
     x[1] += dot(total, causes, CAUSES);
     x[3] += dot(total + CAUSES, causes, CAUSES);
     if (wanted == NOTHING) {
@@ -90,27 +90,27 @@ static void kick_arm(
     for (long of = 0; of < 2; of++) {
         const double *by = total + of * CAUSES;
         for (long j = 0; j < n; j++) {
-            rows[of * n + j] = (j < 4 ? by[j] : 0.0) + by[BY_TORQUE] * f->motor_torque[j]
-                               + by[BY_EXTERNAL] * f->link_torque[j];
+            rows[of * n + j] = j < 4 ? by[j]
+                                     : 0.0 + by[BY_TORQUE] * f->motor_torque[j]
+                                           + by[BY_EXTERNAL] * f->link_torque[j];
         }
         rows[of * n] += by[BY_SINE] * cos;
     }
     for (long i = 0; i < k + (wanted == COVARIANCE); i++) {
+        const double *by = f->effects + 2 * i * CAUSES, *push = total + BY_TORQUE;
         double *row = work->effects + i * n;
-        const double moved[2] = {dot(rows, row, n), dot(rows + n, row, n)};
-        for (long of = 0; of < 2; of++) {
-            double *velocity = row + 1 + 2 * of;
-            *velocity += moved[of];
-            *velocity += i < k ? half * dot(f->effects + (2 * i + of) * CAUSES, causes, CAUSES)
-                               : total[of * CAUSES + BY_TORQUE];
-        }
+        const double link = is_first ? 0.0 : row[1] + dot(rows, row, n);
+        const double motor = is_first ? 0.0 : row[3] + dot(rows + n, row, n);
+        row[1] = link + (i < k ? half * dot(by, causes, CAUSES) : push[0]);
+        row[3] = motor + (i < k ? half * dot(by + CAUSES, causes, CAUSES) : push[CAUSES]);
     }
 }
 
 /* Write K M into M (n, n), for K = I + rows (2, n) of x_2 and x_4. */
 static void shear_rows(long n, const double *rows, double *changes, double *M)
 {
-    multiply(rows, M, changes, 2, n, n);
+    combine(rows, M, n, changes, 0, n, n);
+    combine(rows + n, M, n, changes + n, 0, n, n);
     add_scaled(M + n, 1.0, changes, n);
     add_scaled(M + 3 * n, 1.0, changes + n, n);
 }
@@ -122,8 +122,7 @@ static void shear(long n, const double *rows, double *changes, double *S)
     double *at_link = S + n, *at_motor = S + 3 * n;
     shear_rows(n, rows, changes, S);
     /* Of the columns only what is in these rows is not known yet, as S is symmetric. */
-    const double corner = dot(link, at_link, n);
-    const double both = dot(link, at_motor, n);
+    const double corner = dot(link, at_link, n), both = dot(link, at_motor, n);
     at_motor[3] += dot(motor, at_motor, n);
     at_link[1] += corner;
     at_motor[1] += both;
@@ -135,24 +134,21 @@ static void shear(long n, const double *rows, double *changes, double *S)
 }
 
 /* Kick both velocities by gravity and by theta, take the linear flow, and kick again. */
-static void step_arm(
-    const flow *f, const linear_step *over, double *x, const double *theta, const double *u,
-    int wanted, const flow_step *work)
+static inline void step_arm(
+    const flow *f, const linear_step *over, double *restrict x, const double *theta,
+    const double *u, int wanted, const flow_step *work, long n)
 {
-    const long n = sizes_of(f)->n, k = sizes_of(f)->k, inputs = sizes_of(f)->inputs;
+    const long k = sizes_of(f)->k, inputs = sizes_of(f)->inputs;
     const double half = 0.5 * over->duration;
-    double *link = work->vectors, *motor = link + n, *changes = motor + n, *moved = changes + 2 * n;
-    double total[2 * CAUSES] = {0.0};
+    double *link = work->vectors, *motor = link + n, *changes = motor + n;
+    double few[FEW], *moved = n <= FEW ? few : changes + 2 * n, total[2 * CAUSES] = {0.0};
     for (long place = 0; place < 2 * CAUSES; place++) {
         for (long i = 0; i < k; i++) {
             total[place] += half * (theta[i] * f->effects[i * 2 * CAUSES + place]);
         }
     }
     total[BY_SINE] -= half * *f->gravity_gain;
-    if (wanted != NOTHING) {
-        memset(work->effects, 0, (size_t)((k + 1) * n) * sizeof *work->effects);
-    }
-    kick_arm(f, total, u[0], half, x, wanted, work);
+    kick_arm(f, total, u[0], half, x, 1, wanted, work, n);
     for (long i = 0; i < n; i++) {
         moved[i] = dot(over->phi + i * n, x, n) + dot(over->gamma + i * inputs, u, inputs);
     }
@@ -160,18 +156,20 @@ static void step_arm(
     if (wanted != NOTHING) {
         for (long row = 0; row < k + (wanted == COVARIANCE); row++) {
             double *effect = work->effects + row * n;
-            transform(over->phi, effect, moved, n);
-            memcpy(effect, moved, (size_t)n * sizeof *effect);
+            const double at_link = effect[1], at_motor = effect[3]; /* the rest is 0 */
+            for (long i = 0; i < n; i++) {
+                effect[i] = 0.0 + over->phi[i * n + 1] * at_link + over->phi[i * n + 3] * at_motor
+                            + (row == k ? over->gamma[i * inputs] : 0.0);
+            }
         }
         for (long i = 0; i < n; i++) {
             const double *phi = over->phi + i * n;
-            work->effects[k * n + i] += over->gamma[i * inputs];
             for (long j = 0; j < n; j++) {
                 work->J[i * n + j] = phi[j] + (phi[1] * link[j] + phi[3] * motor[j]);
             }
         }
     }
-    kick_arm(f, total, u[0], half, x, wanted, work);
+    kick_arm(f, total, u[0], half, x, 0, wanted, work, n);
     if (wanted != NOTHING) {
         shear_rows(n, link, changes, work->J);
     }
@@ -217,12 +215,11 @@ static void enter(
         }
         for (long i = 0; i < plant; i++) {
             const long row = (rule * plant + i) * signals, all = rules * plant * signals;
-            double total;
             memcpy(entries, f->deviations + row, (size_t)signals * sizeof *entries);
             for (long p = 0; p < k; p++) {
                 add_scaled(entries, theta[p], f->directions + p * all + row, signals);
             }
-            total = dot(entries, signal, signals);
+            const double total = dot(entries, signal, signals);
             entering[i] += weight * total;
             if (jacobian != NULL) {
                 add_scaled(jacobian + i * n, weight, entries, plant);
@@ -247,17 +244,16 @@ static void linearise_system(
     double *inner = N2 + squares, *outer = inner + squares, *scratch = outer + squares;
     double *one = work->vectors, *other = one + n;
     for (long p = 0; p < k; p++) { /* effects: T Phi (d2 + N2 (T/2) Phi d1) */
-        transform(over->phi, work->direct + p * n, one, n);
-        transform(N2, one, other, n);
+        multiply(over->phi, work->direct + p * n, one, n, n, 1);
+        multiply(N2, one, other, n, n, 1);
         for (long i = 0; i < n; i++) {
             other[i] = T * (work->direct[(k + p) * n + i] + 0.5 * T * other[i]);
         }
-        transform(over->phi, other, work->effects + p * n, n);
+        multiply(over->phi, other, work->effects + p * n, n, n, 1);
     }
     memset(work->effects + k * n, 0, (size_t)n * sizeof *work->effects);
     for (long i = 0; i < squares; i++) {
-        const double one_if_diagonal = i % (n + 1) == 0 ? 1.0 : 0.0;
-        N1[i] = 0.5 * T * N1[i] + one_if_diagonal;
+        N1[i] = 0.5 * T * N1[i] + (i % (n + 1) == 0 ? 1.0 : 0.0);
         N2[i] *= T;
     }
     multiply(over->phi, N1, inner, n, n, n);
@@ -272,7 +268,7 @@ static void linearise_system(
     }
     multiply(over->phi, N2, outer, n, n, n);
     memcpy(work->Q, over->noise, (size_t)squares * sizeof *work->Q);
-    congruence(outer, work->Q, over->noise, scratch, n);
+    congruence(outer, work->Q, n, over->noise, n, scratch, n);
 }
 
 /* Take the exponential midpoint step: what enters is evaluated in the middle, which half a step
@@ -290,13 +286,13 @@ static void step_system(
         moved[i] = dot(over->phi + i * n, x, n) + forced[i];
     }
     enter(f, x, theta, u, entering, N1, work->direct, work);
-    transform(over->phi, entering, middle, n);
+    multiply(over->phi, entering, middle, n, n, 1);
     for (long i = 0; i < n; i++) {
         middle[i] = moved[i] + 0.5 * over->duration * middle[i];
     }
     enter(f, middle, theta, u, entering, N2, work->direct + k * n, work);
     add_scaled(moved, over->duration, entering, n);
-    transform(over->phi, moved, x, n);
+    multiply(over->phi, moved, x, n, n, 1);
     add_scaled(x, 1.0, forced, n);
     if (wanted != NOTHING) {
         linearise_system(f, over, N1, N2, wanted, work);
@@ -307,5 +303,9 @@ void take_step(
     const flow *f, const linear_step *over, double *x, const double *theta, const double *u,
     int wanted, const flow_step *work)
 {
-    (*f->kind == KIND_ARM ? step_arm : step_system)(f, over, x, theta, u, wanted, work);
+    if (*f->kind == KIND_ARM) {
+        WITH_SIZE(sizes_of(f)->n, step_arm, f, over, x, theta, u, wanted, work)
+    } else {
+        step_system(f, over, x, theta, u, wanted, work);
+    }
 }

@@ -30,8 +30,9 @@ static int is_undecided(const model *m, const state *at, const hypothesis *h)
     return (*h->fork == HIT || *h->fork == MOVED) && counts(m, &parent);
 }
 
-/* Write the weights of the hypotheses, 0 of those that do not count, and their weights in the
- * estimate, `decided`, which are 0 of undecided forks, too. */
+/* Write the weights of the hypotheses, 0 of those that do not count; their weights in the estimate,
+ * `decided`, which are 0 of undecided forks, too; and by how much their errors are larger than they
+ * say, those of an unknown torque, which is what explains slow innovations, and all others. */
 static void weigh_all(const model *m, const state *at, work *scratch)
 {
     double total = 0.0, decided = 0.0; /* the latter has the parents of those that are undecided */
@@ -40,6 +41,10 @@ static void weigh_all(const model *m, const state *at, work *scratch)
         const double weight = counts(m, &h) ? exponential(minimum(*h.score, 0.0)) : 0.0;
         scratch->weights[i] = weight;
         scratch->decided[i] = weight > 0.0 && !is_undecided(m, at, &h) ? weight : 0.0;
+        if (weight > 0.0) {
+            scratch->growth[2 * i] = sqrt(maximum(*h.nis, 1.0));
+            scratch->growth[2 * i + 1] = scratch->growth[2 * i] * growth_of(m, &h);
+        }
         total += weight;
         decided += scratch->decided[i];
     }
@@ -89,28 +94,21 @@ static int is_excited(const model *m, const hypothesis *h, double *gram)
 enum { STATE, PARAMETER, DISTURBANCE, TORQUE };
 
 /* Return what a hypothesis says of a quantity, a parameter or a linear function of the states in
- * use; write the variance of that by its covariance, and the derivatives by the parameters. */
+ * use; write the variance of that by its covariance, and the function, `functional`. */
 static double value_of(
     const model *m, const state *at, const hypothesis *h, int what, long place, double *variance,
-    work *scratch)
+    double *functional)
 {
     const long width = m->s.width;
     if (what == STATE || what == PARAMETER) {
-        for (long a = 0; a < m->s.k; a++) {
-            scratch->share[a] = what == STATE ? h->upsilon[a * width + place] : a == place;
-        }
         *variance = what == STATE ? h->covariance[place * (width + 1)] : 0.0;
         return what == STATE ? h->x[place] : h->theta[place];
     }
     const long used = states_in_use(m, h), part = part_of(m, h, place);
     const double *map = what == TORQUE ? m->torque_map : m->disturbance_map;
-    double *functional = scratch->functional;
     memcpy(functional, map + place * width, (size_t)width * sizeof *functional);
     if (what == DISTURBANCE && part >= 0 && *h->kind != COLOURED_NOISE) {
         functional[part] = 1.0;
-    }
-    for (long a = 0; a < m->s.k; a++) {
-        scratch->share[a] = dot(functional, h->upsilon + a * width, used);
     }
     *variance = *h->certified != 0 ? 0.0 : quadratic(h->covariance, width, functional, used);
     const double value = dot(functional, h->x, used);
@@ -118,11 +116,21 @@ static double value_of(
                           : value + dot(m->disturbance_direct + place * m->s.p, at->sample, m->s.p);
 }
 
+/* Return the derivative of a quantity by a parameter. */
+static double slope_of(
+    const model *m, const hypothesis *h, int what, long place, const double *functional, long a)
+{
+    const double *slopes = h->upsilon + a * m->s.width;
+    if (what == STATE || what == PARAMETER) {
+        return what == STATE ? slopes[place] : a == place;
+    }
+    return dot(functional, slopes, states_in_use(m, h));
+}
+
 /* Write the mean of a quantity over the hypotheses that are decided, and its bound: the root of
  * the mean, over all, of variance plus squared distance from it. Return their sum. least: its
- * 1-sigma by the certificate. Slow innovations do not widen the bound of an unknown torque: it is
- * what explains them. What was learnt of parameters over a distance is wrong by a share of it, as
- * regressors move with x^, and what was learnt of noise is as wrong as the first guess. */
+ * 1-sigma by the certificate. What was learnt of parameters over a distance is wrong by a share of
+ * it, as regressors move with x^, and what was learnt of noise is as wrong as the first guess. */
 static double read_one(
     const model *m, const state *at, int what, long place, double least, double unit, double *value,
     double *bound, work *scratch)
@@ -131,26 +139,30 @@ static double read_one(
     double mean = 0.0, mean_of_all = 0.0, mean_square = 0.0, within = 0.0;
     for (long j = 0; j < m->s.hypotheses; j++) {
         const double weight = scratch->weights[j];
-        double variance, shift = 0.0, curved = 0.0, prior = 0.0;
+        double variance, spread = 0.0, shift = 0.0, curved = 0.0, prior = 0.0;
         if (!(weight > 0.0)) {
             continue;
         }
         const hypothesis h = hypothesis_of(m, at, j);
-        const double said = value_of(m, at, &h, what, place, &variance, scratch);
+        const double said = value_of(m, at, &h, what, place, &variance, scratch->functional);
         double own = *m->gain_mode == GAIN_OPEN ? least : sqrt(variance);
         if (*h.certified != 0) {
             own = least * scale_of(at) * (*at->late != 0 ? *m->late_factor : 1.0);
         }
         for (long a = 0; a < k; a++) {
             const double moved = h.theta[a] + h.pending[a] - h.anchor[a];
-            const double first = scratch->share[a] * m->theta_deviation[a];
-            shift += scratch->share[a] * h.pending[a];
-            curved += scratch->share[a] * (m->constants[CURVED] * moved);
+            const double slope = slope_of(m, &h, what, place, scratch->functional, a);
+            const double first = slope * m->theta_deviation[a];
+            for (long b = 0; slope != 0.0 && b < k; b++) {
+                const double other = slope_of(m, &h, what, place, scratch->functional, b);
+                spread += slope * h.gamma[a * k + b] * other;
+            }
+            shift += slope * h.pending[a];
+            curved += slope * (m->constants[CURVED] * moved);
             prior += first * first;
         }
-        const double growth
-            = sqrt(maximum(*h.nis, 1.0)) * (what == TORQUE ? 1.0 : growth_of(m, &h));
-        const double added = k > 0 ? maximum(quadratic(h.gamma, k, scratch->share, k), 0.0) : 0.0;
+        const double growth = scratch->growth[2 * j + (what != TORQUE)];
+        const double added = maximum(spread, 0.0);
         const double noise = *h.noise_share * *h.noise_share * prior;
         /* Parameters are known at least as well as in the beginning. */
         const double grown = maximum(minimum(growth * growth * (added + noise), prior), added);
