@@ -360,7 +360,7 @@ static void write_own_motion(
         added[3 * stride + 3] = wander * wander * duration / m->constants[TONE_TIME];
     } else if (*h->kind == COLOURED_NOISE || *h->kind == DRIFT) {
         const int is_drift = *h->kind == DRIFT;
-        const double size = m->constants[is_drift ? DRIFT_SIZE : COLOUR_SIZE];
+        const double size = is_drift ? *h->size : m->constants[COLOUR_SIZE];
         const double time = m->constants[is_drift ? DRIFT_TIME : COLOUR_TIME];
         const double decay = exponential(-duration / time);
         const double noise = size * size * (1.0 - decay * decay);
