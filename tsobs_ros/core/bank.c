@@ -215,6 +215,7 @@ static void clear_auxiliary(const model *m, const hypothesis *h, long first, lon
 static void take_for(const model *m, const state *at, const hypothesis *h, int64_t kind)
 {
     *h->kind = kind;
+    *h->size = kind == DRIFT ? m->constants[DRIFT_SIZE] : *h->size;
     clear_auxiliary(m, h, m->s.n + (kind == FORCE || *at->in_gap != 0), m->s.width);
 }
 
@@ -661,8 +662,9 @@ static int is_loud(const model *m, double size)
 /* Once per trial, suppose that arm and sensors are of another kind, each in turn: only the best
  * hypothesis forks at events, so that one which is true now may have lost the arm or a jump for
  * good. If the model has begun to seem wrong, every other time suppose that only its parameters
- * were, which is as likely, unless the noise is loud. Of noise that is not as designed less is
- * learnt: then suppose the parameters, too, that another one knows better. */
+ * were, which is as likely, unless the noise is loud; of a drift, that it is half as large, or not.
+ * Of noise that is not as designed less is learnt: then suppose the parameters, too, that another
+ * one knows better. */
 static void suppose_otherwise(const model *m, const state *at)
 {
     const double *c = m->constants;
@@ -677,14 +679,14 @@ static void suppose_otherwise(const model *m, const state *at)
     const long kind = tries_design ? AS_DESIGNED : (seems_wrong ? count / 2 : count) % STANDING;
     const int is_likely = tries_design && !is_loud(m, scale_of(at));
     const double score = *best.score - (is_likely ? 0.0 : 0.5 * c[FLOOR]);
-    if (kind == place) {
-        return;
-    }
     const long free = place_for(m, at, -INFINITY);
-    if (is_considered(m, kind) && free >= 0) {
+    if (place == DRIFT && count % 2 == 1 && free >= 0) {
+        const hypothesis h = begin_from_best(m, at, free, OTHERWISE, score);
+        *h.size = c[DRIFT_SIZE] * (*h.size < c[DRIFT_SIZE] ? 1.0 : 0.5);
+    } else if (kind != place && is_considered(m, kind) && free >= 0) {
         begin_kind(m, at, free, kind, OTHERWISE, score);
     }
-    if (place >= LOUD && place != DRIFT && kind != FORCE && kind != IMPERFECT) {
+    if (place >= LOUD && place != DRIFT && kind != place && kind != FORCE && kind != IMPERFECT) {
         const hypothesis teacher = hypothesis_of(m, at, kind);
         suppose_parameters(m, at, &teacher, score);
     }

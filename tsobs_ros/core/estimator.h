@@ -170,8 +170,8 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(COUNT, significant, 1, 1)  /* whether changes are used at once */               \
     F(VECTOR, anchor, s->k, 1)   /* theta when the present pass began, */             \
     F(NUMBER, pass_age, 1, 1)    /* and time since then [s] */                        \
-    F(NUMBER, size, 1, 1)        /* 1 sigma of a tone, and */                         \
-    F(COUNT, output, 1, 1)       /* the output that has it */
+    F(NUMBER, size, 1, 1)        /* 1 sigma of a tone, or a drift's by the noise's, */ \
+    F(COUNT, output, 1, 1)       /* and the output with the tone */
 LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
 
 /* All that an estimator remembers. A torque that is late at an arm's motor is held only then. */

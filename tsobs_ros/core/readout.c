@@ -66,7 +66,7 @@ static int64_t named_kind(const model *m, const state *at)
 static int64_t basis_of(const model *m, const hypothesis *best, int64_t named, double *claimed)
 {
     const double most = m->constants[VOID];
-    *claimed = *best->nis <= most && slowness_of(m, best, *best->slow_power) <= 4.5 * most;
+    *claimed = *best->nis <= most && slowness_of(m, best, *best->slow_power) <= 7.0 * most;
     if (*claimed == 0.0) {
         return BASIS_CONTRADICTED;
     }
