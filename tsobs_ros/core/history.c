@@ -214,9 +214,9 @@ static void write_outcome(const tracker *t, const double *y, const outcomes *wri
     const int64_t p = t->m.s.p;
     for (int64_t j = 0; j < p; j++) {
         const double variance = t->effect.innovation_covariance[j * p + j];
-        const int64_t used = outlook_of(&t->effect, j)->used ? USED : GATED;
-        written->output_codes[i * p + j] = isfinite(y[j]) ? used : NON_FINITE;
-        written->innovations[i * p + j] = t->effect.innovation[j];
+        const int64_t code = outlook_of(&t->effect, j)->used ? USED : GATED;
+        written->output_codes[i * p + j] = isfinite(y[j]) ? code : NON_FINITE;
+        written->innovations[i * p + j] = code == USED ? t->effect.innovation[j] : NAN;
         written->expected_std[i * p + j] = variance >= 0.0 ? sqrt(variance) : NAN;
     }
 }
@@ -258,6 +258,7 @@ static void offer_some(
             t->h.refused[code] += 1;
             for (int64_t j = 0; j < p; j++) {
                 written->output_codes[i * p + j] = code;
+                written->innovations[i * p + j] = written->expected_std[i * p + j] = NAN;
             }
         }
         written->codes[i++] = code;

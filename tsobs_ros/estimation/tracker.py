@@ -70,7 +70,7 @@ class Outcomes(NamedTuple):
 
 def _outcomes(count: int, p: int) -> Outcomes:
     codes = np.zeros(count, np.int64), np.zeros((count, p), np.int64)
-    return Outcomes(*codes, *np.full((2, count, p), np.nan))
+    return Outcomes(*codes, np.empty((count, p)), np.empty((count, p)))
 
 
 class TrackerRun(NamedTuple):
@@ -241,7 +241,6 @@ class Tracker:
             order = np.argsort(times, kind="stable")
             times, samples, inputs = times[order], samples[order], inputs[order]
         native.history_offer(*self._records, times, samples, inputs, now, *outcomes)
-        outcomes.innovations[outcomes.output_codes != USED] = np.nan
         if order is not None:
             for each in outcomes:
                 each[order] = each.copy()
@@ -290,8 +289,9 @@ class Tracker:
             *map(np.ascontiguousarray, ticks),
             *(newest, there, numbers_of(rows), limit),
         )
-        outcomes.innovations[outcomes.output_codes != USED] = np.nan
         rows[there == 0] = np.nan
+        for each in (outcomes.innovations, outcomes.expected_std):
+            each[ticks[2][-1] if len(rows) else 0 :] = np.nan  # of those that no tick took
         return TrackerRun(rows, there != 0, newest, outcomes)
 
     def _checked(
