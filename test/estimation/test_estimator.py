@@ -122,7 +122,8 @@ def digest(states: list[Record], estimator: Estimator) -> str:
     found = hashlib.sha256()
     for state in states:
         every = state["hypotheses"]
-        own = (every[name] for name in ("x", "covariance", "theta", "gamma", "upsilon", "score"))
+        names = ("x", "covariance", "theta", "gamma", "sensitivity", "score")
+        own = (every[name] for name in names)
         for part in (*own, *estimator.readout(state)):
             numbers = np.array(part, np.float64)
             numbers[np.isnan(numbers)] = np.nan

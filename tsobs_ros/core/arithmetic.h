@@ -15,7 +15,7 @@
 
 /* --- matrices, stored by rows: one with an argument `..._width` behind it has rows that begin so
  * many numbers apart; the rows of all others are as long as they are used. Results must not be an
- * argument at the same time unless that is said. --- */
+ * argument at the same time unless stated. --- */
 
 /* Return a . b. */
 static inline double dot(const double *a, const double *b, long n)

@@ -205,7 +205,7 @@ static void clear_auxiliary(const model *m, const hypothesis *h, long first, lon
             h->covariance[j * width + i] = 0.0;
         }
         for (long j = 0; j < m->s.k; j++) {
-            h->upsilon[j * width + i] = 0.0;
+            h->sensitivity[j * width + i] = 0.0;
         }
     }
 }
@@ -227,7 +227,7 @@ static void open_all(const model *m, const hypothesis *h)
     const hypothesis first = hypothesis_of(m, &initial, 0);
     copy_matrix(first.covariance, width, h->covariance, width, n, n);
     copy_matrix(first.gamma, k, h->gamma, k, k, k);
-    copy_matrix(first.upsilon, width, h->upsilon, width, k, n);
+    copy_matrix(first.sensitivity, width, h->sensitivity, width, k, n);
     *h->noise_share = 0.0;
 }
 
@@ -254,7 +254,7 @@ static void renew(const model *m, const state *at, long kind)
 }
 
 /* Return whether a kind is considered: one that differs from the design in nothing is not, and
- * tones begin once they are heard. */
+ * tones begin once they are found. */
 static int is_considered(const model *m, long kind)
 {
     const double *c = m->constants;
@@ -266,7 +266,7 @@ static int is_considered(const model *m, long kind)
 }
 
 /* Consider all hypotheses for a while, and begin those that sleep. */
-static void wake(const model *m, state *at)
+static void activate_bank(const model *m, state *at)
 {
     for (long kind = 0; kind < TONE; kind++) {
         if (*hypothesis_of(m, at, kind).live == 0 && is_considered(m, kind)) {
@@ -349,7 +349,7 @@ static int examine(const model *m, state *at, correction *effect)
         sensor of = sensor_of(m, at, i);
         outlook *expected = outlook_of(effect, i);
         const double innovation = expected->innovation;
-        if (!effect->heard[i]) {
+        if (!effect->present[i]) {
             continue;
         }
         count_repeats(&of, at->y[i], innovation, expected->variance, m->R[i * m->s.p + i]);
@@ -358,12 +358,12 @@ static int examine(const model *m, state *at, correction *effect)
         }
         *of.pull = *of.repeats > 0 ? *of.pull + innovation : 0.0;
         if (is_stuck(m, &of)) {
-            effect->heard[i] = expected->used = 0;
+            effect->present[i] = expected->used = 0;
         } else if (isfinite(innovation)) {
             scale_noise(m, &of, innovation, m->innovation_covariance[i * m->s.p + i]);
         }
         scale = maximum(scale, *of.noise_scale);
-        outliers = outliers || (effect->heard[i] && !expected->used);
+        outliers = outliers || (effect->present[i] && !expected->used);
     }
     if (scale > 0.0) {
         *at->noise_scale = scale;
@@ -372,7 +372,7 @@ static int examine(const model *m, state *at, correction *effect)
 }
 
 /* Add to the covariances what the samples of a sensor have done since it is stuck. */
-static void distrust_stuck(const model *m, const state *at, correction *effect)
+static void widen_for_stuck(const model *m, const state *at, correction *effect)
 {
     const long n = m->s.n, p = m->s.p, width = m->s.width;
     hypothesis h;
@@ -416,7 +416,7 @@ static double slowest_tone(const model *m)
 
 /* Turn what an output's innovations have of each frequency over a sample, and add the newest. Write
  * how loud each is, the root of its power, 0 where no tone is looked for. */
-static void listen_to(
+static void turn_tones(
     const model *m, const sensor *of, double r, double elapsed, double share, double *loud)
 {
     double rate = slowest_tone(m);
@@ -447,7 +447,7 @@ static void begin_tone(
         h.covariance[(n + 1 + j) * (width + 1)] = variances[j];
     }
     h.x[n + 3] = frequency;
-    if (place == TONE_AFRESH) {
+    if (place == TONE_RESET) {
         open_all(m, &h);
         for (long a = 0; a < m->s.k; a++) {
             h.theta[a] = h.pending[a] = h.anchor[a] = 0.0;
@@ -456,9 +456,9 @@ static void begin_tone(
     }
 }
 
-/* Listen for a tone in the design's innovations, and propose the loudest: where it stands between
- * its frequency and the louder neighbour, by how loud both are. */
-static void listen(const model *m, state *at, const correction *effect)
+/* Look for a tone in the design's innovations, and propose the loudest: where it stands between its
+ * frequency and the louder neighbour, by how loud both are. */
+static void propose_tone(const model *m, state *at, const correction *effect)
 {
     const double step = m->constants[TONE_RATIO];
     double most = m->constants[TONE_SIGN], size = 0.0, frequency = 0.0;
@@ -470,10 +470,10 @@ static void listen(const model *m, state *at, const correction *effect)
         const double r = clip(outlook_of(effect, i)->innovation / std, -3.0, 3.0);
         double loud[TONES + 2] = {0.0}; /* and 0 beyond both ends */
         double rate = slowest_tone(m);
-        if (!effect->heard[i]) {
+        if (!effect->present[i]) {
             continue;
         }
-        listen_to(m, &of, r, maximum(*of.since, *m->period), share, loud + 1);
+        turn_tones(m, &of, r, maximum(*of.since, *m->period), share, loud + 1);
         for (long j = 1; j <= TONES; j++) {
             const double here = loud[j], power = here * here * (2.0 - share) * share;
             if (power > most) {
@@ -487,7 +487,7 @@ static void listen(const model *m, state *at, const correction *effect)
             rate *= step;
         }
     }
-    for (long place = TONE; place <= TONE_AFRESH; place++) {
+    for (long place = TONE; place <= TONE_RESET; place++) {
         const hypothesis h = hypothesis_of(m, at, place);
         const double now = h.x[m->s.n + 3];
         /* A slow one takes three periods to show, unless a much faster one is louder. */
@@ -556,7 +556,7 @@ static void open_fork(
 }
 
 /* Suppose that something happened at this sample, by what the best hypothesis, which is not
- * corrected by it yet, did not expect from an output; the regular outputs are those of `weigh`. */
+ * corrected by it yet, did not expect from an output; `expect_outputs` found the regular ones. */
 static void suppose(
     const model *m, const state *at, int64_t fork, long output, double innovation,
     correction *effect)
@@ -606,10 +606,10 @@ static void suppose_wrong_torque(const model *m, const state *at, const double *
     if (!(fabs(made * f->gamma[speed * inputs]) > limit)) {
         return;
     }
-    const double calm = *at->torque_calm, score = *best.score - m->constants[TORQUE_PRICE];
+    const double quiet = *at->torque_quiet, score = *best.score - m->constants[TORQUE_PRICE];
     const long place = place_for(m, at, score);
-    *at->torque_calm = 0.0;
-    if (place < 0 || calm < m->constants[AWAKE]) {
+    *at->torque_quiet = 0.0;
+    if (place < 0 || quiet < m->constants[AWAKE]) {
         return;
     }
     const hypothesis h = begin_from_best(m, at, place, WRONG_TORQUE, score);
@@ -640,7 +640,7 @@ static void suppose_parameters(
     }
     const hypothesis h = begin_from_best(m, at, place, OTHERWISE, score);
     for (long a = 0; a < k; a++) {
-        const double *sensitivity = h.upsilon + a * m->s.width;
+        const double *sensitivity = h.sensitivity + a * m->s.width;
         add_scaled(h.x, teacher->theta[a] - h.theta[a], sensitivity, states_in_use(m, &h));
         h.theta[a] = teacher->theta[a];
         h.anchor[a] = teacher->anchor[a];
@@ -717,7 +717,7 @@ void take_torque(const model *m, state *at, const double *u)
 
 /* A sensor has jumped, as a fork found. Open the disturbance of IMPERFECT by the distance to the
  * fork's, so that it finds the jump for itself: the arm's state and parameters are its own. */
-static void tell_of_jump(const model *m, const state *at, const hypothesis *h)
+static void open_to_jump(const model *m, const state *at, const hypothesis *h)
 {
     const hypothesis other = hypothesis_of(m, at, IMPERFECT);
     for (long i = 0; i < m->s.p && *other.live != 0; i++) {
@@ -744,7 +744,7 @@ static void select_forks(const model *m, state *at)
                 *at->losses += *h.fork == MOVED;
                 *at->wrong_torques += *h.fork == WRONG_TORQUE;
                 if (*h.fork == JUMPED) {
-                    tell_of_jump(m, at, &h);
+                    open_to_jump(m, at, &h);
                 }
                 *h.fork = NO_FORK;
                 memcpy(parent.live, h.live, hypothesis_size(&m->s) * sizeof(double));
@@ -779,7 +779,7 @@ static void compare(const model *m, state *at)
 }
 
 /* Let the others sleep if the design has been the best without a sign for a while. */
-static void rest(const model *m, state *at)
+static void deactivate_bank(const model *m, state *at)
 {
     hypothesis h;
     int is_calm = *at->best == AS_DESIGNED && *at->awake <= 0.0;
@@ -812,7 +812,7 @@ static void follow_motion(const model *m, state *at, const hypothesis *h)
 }
 
 /* Write what the sample is to the best hypothesis, which is not corrected by it yet. */
-static void report(const model *m, const hypothesis *best, correction *effect)
+static void write_innovation(const model *m, const hypothesis *best, correction *effect)
 {
     const long p = m->s.p;
     for (long i = 0; i < p * p; i++) {
@@ -835,7 +835,7 @@ static int is_due(const model *m, const state *at, long output)
 }
 
 /* Fork the best hypothesis where it takes a sample for an outlier; a sensor may have jumped where a
- * sample is only unlikely. Return whether forks may have used the scratch of `weigh`. */
+ * sample is only unlikely. Return whether forks may have used the scratch of `expect_outputs`. */
 static int fork_best(const model *m, const state *at, correction *effect)
 {
     int forked = 0;
@@ -844,7 +844,7 @@ static int fork_best(const model *m, const state *at, correction *effect)
         const double sudden = m->constants[SUDDEN]
                               * sqrt(effect->innovation_covariance[i * m->s.p + i]);
         const int is_outlier = !outlook_of(effect, i)->used;
-        if (!effect->heard[i]) {
+        if (!effect->present[i]) {
             continue;
         }
         if (is_outlier && *m->design_flow.kind == KIND_ARM) {
@@ -866,12 +866,12 @@ static int fork_best(const model *m, const state *at, correction *effect)
 static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, correction *effect)
 {
     const double share = share_of(counted_time(m, *at->since), m->constants[PATIENCE]);
-    int heard = 0, used = 0;
+    int present = 0, used = 0;
     for (long i = 0; i < m->s.p; i++) {
-        heard = heard || effect->heard[i];
+        present = present || effect->present[i];
         used = used || outlook_of(effect, i)->used;
     }
-    *h->inlier += heard * share * (used - *h->inlier);
+    *h->inlier += present * share * (used - *h->inlier);
     if (*h->inlier < m->constants[REJECTING] && *h->age >= m->constants[PATIENCE]) {
         open_all(m, h);
         *h->inlier = 1.0;
@@ -883,12 +883,12 @@ static void reset_if_rejecting(const model *m, const state *at, hypothesis *h, c
 static void use_sample(const model *m, state *at, long place, correction *effect)
 {
     hypothesis h = hypothesis_of(m, at, place);
-    weigh(m, at, &h, effect);
+    expect_outputs(m, at, &h, effect);
     if (place == *at->best && fork_best(m, at, effect)) {
-        weigh(m, at, &h, effect);
+        expect_outputs(m, at, &h, effect);
     }
     if (place == AS_DESIGNED && *at->awake > 0.0) {
-        listen(m, at, effect);
+        propose_tone(m, at, effect);
     }
     *h.score += correct_hypothesis(m, at, &h, effect);
 }
@@ -898,9 +898,9 @@ static void correct_bank(const model *m, state *at, correction *effect)
 {
     const long best = *at->best;
     hypothesis h = hypothesis_of(m, at, best);
-    weigh(m, at, &h, effect);
+    expect_outputs(m, at, &h, effect);
     const int outliers = examine(m, at, effect);
-    report(m, &h, effect);
+    write_innovation(m, &h, effect);
     follow_motion(m, at, &h);
     if (*m->supervised == 0) {
         correct_hypothesis(m, at, &h, effect);
@@ -909,10 +909,10 @@ static void correct_bank(const model *m, state *at, correction *effect)
     }
     const int has_sign = outliers || *h.slow_power > m->constants[SIGN_SLOW];
     if (*at->age > 0.0 ? has_sign : m->s.k > 0) {
-        wake(m, at);
+        activate_bank(m, at);
     }
     *at->outliers += outliers;
-    distrust_stuck(m, at, effect);
+    widen_for_stuck(m, at, effect);
     /* What begins as a copy of the best one, which is last, is none that was corrected already. */
     for (long i = m->s.hypotheses - 1; i >= 0; i--) {
         if (i != best && *hypothesis_of(m, at, i).live != 0) {
@@ -932,7 +932,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
         }
     }
     suppose_otherwise(m, at);
-    rest(m, at);
+    deactivate_bank(m, at);
 }
 
 void correct(const model *m, state *at, const double *y, correction *effect)
@@ -951,7 +951,7 @@ void correct(const model *m, state *at, const double *y, correction *effect)
         const int there = isfinite(y[i]) != 0;
         at->y[i] = there ? y[i] : NAN;
         at->sample[i] = there ? y[i] : at->sample[i];
-        effect->heard[i] = there;
+        effect->present[i] = there;
     }
     correct_bank(m, at, effect);
     *at->since = 0.0;
@@ -1025,7 +1025,7 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
         at->held[0] = mean_torque(m, at, 0.0, *m->period);
     }
     *at->torque_age += duration;
-    *at->torque_calm += duration;
+    *at->torque_quiet += duration;
     *at->since += duration;
     *at->age += duration;
     *at->awake = maximum(0.0, *at->awake - duration);

@@ -68,7 +68,7 @@ static inline double slowness_of(const model *m, const hypothesis *h, double pow
     return power / (m->constants[QUIET] * *h->nis);
 }
 
-/* Return half the way from a frequency to the next one that is listened to. */
+/* Return half the way from a frequency to the next one that is looked for. */
 static inline double halfway_from(const model *m, double frequency)
 {
     return 0.5 * (m->constants[TONE_RATIO] - 1.0) * frequency;
@@ -92,16 +92,16 @@ long part_of(const model *m, const hypothesis *h, long output);
 void leave_certified(const model *m, const state *at, const hypothesis *h, int64_t cause);
 
 /* Write how a hypothesis expects each output. */
-void weigh(const model *m, const state *at, const hypothesis *h, correction *effect);
+void expect_outputs(const model *m, const state *at, const hypothesis *h, correction *effect);
 
-/* Correct by the outputs that `weigh`, called just before, found in use, and learn; return the
- * logarithm of the likelihood of the sample. */
+/* Correct by the outputs that `expect_outputs`, called just before, found in use, and learn; return
+ * the logarithm of the likelihood of the sample. */
 double correct_hypothesis(const model *m, const state *at, hypothesis *h, correction *effect);
 
-/* Correct by one output, whatever it is; return the logarithm of its likelihood. is_weighed:
+/* Correct by one output, whatever it is; return the logarithm of its likelihood. is_expected:
  * whether `effect` has what is expected of it. */
 double correct_by(
-    const model *m, const state *at, hypothesis *h, long output, int is_weighed, int adapt,
+    const model *m, const state *at, hypothesis *h, long output, int is_expected, int adapt,
     correction *effect);
 
 /* A time in steps: whole nominal ones, and one of another length unless that is 0; what is left

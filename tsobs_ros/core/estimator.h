@@ -33,12 +33,12 @@ enum { LEARNING_NONE, LEARNING_ACTIVE = 2 };
 enum {
     AS_DESIGNED,
     FORCE,          /* an unknown torque at the motor */
-    IMPERFECT,      /* a model that is wrong in ways that it does not say */
+    IMPERFECT,      /* a model that is wrong in unknown ways */
     LOUD,           /* white noise that is larger than designed */
     COLOURED_NOISE, /* noise that is correlated in time */
     DRIFT,          /* sensors that move away */
     TONE,           /* a sensor that oscillates, */
-    TONE_AFRESH,    /* the same, of which nothing is known of the arm before; its kind is TONE */
+    TONE_RESET,    /* the same, of which nothing is known of the arm before; its kind is TONE */
     STANDING,
     FORKS = 6
 };
@@ -101,7 +101,7 @@ enum {
 #define BANK_CONSTANT_NAME(name, value, what) name,
 enum { BANK_CONSTANTS(BANK_CONSTANT_NAME) CONSTANTS };
 
-enum { TONES = 26 }; /* frequencies at which innovations are listened to */
+enum { TONES = 26 }; /* frequencies at which tones are looked for */
 
 /* Sizes of an estimator, the first numbers of its model record. */
 typedef struct {
@@ -163,7 +163,7 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(NUMBER, lasting, 1, 1)     /* and over longer, without its peaks */             \
     F(VECTOR, theta, s->k, 1)    /* parameters */                                     \
     F(MATRIX, gamma, s->k, s->k) /* covariance of their errors */                     \
-    F(MATRIX, upsilon, s->k, s->width) /* dx/dtheta, by rows */                       \
+    F(MATRIX, sensitivity, s->k, s->width) /* dx/dtheta, by rows */                       \
     F(MATRIX, gram, s->k, s->k)  /* measure of excitation */                          \
     F(NUMBER, noise_share, 1, 1) /* 1 sigma of what noise made of them, by the first */ \
     F(VECTOR, pending, s->k, 1)  /* change of theta that is not used yet */           \
@@ -183,7 +183,7 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(VECTOR, held, s->m, 1)       /* inputs in use, plausible ones */                         \
     F(MATRIX, past, s->past, 2)    /* torques on their way and their ages [s], newest first */ \
     F(NUMBER, torque_before, 1, 1) /* held before those in use */                              \
-    F(NUMBER, torque_calm, 1, 1)   /* time since one stood out from both its neighbours [s] */ \
+    F(NUMBER, torque_quiet, 1, 1)   /* time since one stood out from both its neighbours [s] */ \
     F(NUMBER, torque_age, 1, 1)    /* since the newest plausible torque [s] */                 \
     F(COUNT, torque_unknown, 1, 1) /* whether that is not the newest sample's */               \
     F(COUNT, late, 1, 1)           /* whether the next sample was due when this is read */     \
@@ -223,7 +223,7 @@ enum { OUTLOOK_SIZE = sizeof(outlook) / sizeof(double) };
 #define CORRECTION_FIELDS(F, s)                                                           \
     F(VECTOR, innovation, s->p, 1)                                                        \
     F(MATRIX, innovation_covariance, s->p, s->p)                                          \
-    F(COUNTS, heard, s->p, 1) /* whether a sample is there, and no stuck sensor's */      \
+    F(COUNTS, present, s->p, 1) /* whether a sample is there, and no stuck sensor's */      \
     F(MATRIX, outlooks, s->p, OUTLOOK_SIZE)                                               \
     F(MATRIX, crossed, s->p, s->width) /* covariance of innovations with the states */    \
     F(VECTOR, gain, s->width, 1) /* of an output */                                       \
@@ -381,7 +381,7 @@ void correct(const model *m, state *at, const double *y, correction *effect);
 void predict(const model *m, state *at, double duration, int between_samples, work *scratch);
 
 /* Write the estimate and its bounds; return whether all are finite. */
-int read_out(const model *m, const state *at, const estimate *said, work *scratch);
+int read_out(const model *m, const state *at, const estimate *row, work *scratch);
 
 /* A log of samples: time from each to the next [s], negative where the next one starts, (n,);
  * outputs, NaN if missing, (n, p); and inputs held until the next sample, (n, m). */

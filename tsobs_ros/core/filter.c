@@ -120,10 +120,10 @@ static outlook look(
     double *omega = effect->omega + i * k;
     outlook of = expect(m, at, h, i, effect);
     for (long a = 0; a < k; a++) {
-        omega[a] = output_of(m->C + i * width, h->upsilon + a * width, m->s.n, part);
+        omega[a] = output_of(m->C + i * width, h->sensitivity + a * width, m->s.n, part);
     }
     of.variance = of.known + (k > 0 ? maximum(quadratic(h->gamma, k, omega, k), 0.0) : 0.0);
-    if (!effect->heard[i]) {
+    if (!effect->present[i]) {
         return of;
     }
     const double ratio = of.innovation * of.innovation / of.variance;
@@ -139,7 +139,7 @@ static outlook look(
     return of;
 }
 
-void weigh(const model *m, const state *at, const hypothesis *h, correction *effect)
+void expect_outputs(const model *m, const state *at, const hypothesis *h, correction *effect)
 {
     for (long i = 0; i < m->s.p; i++) {
         *outlook_of(effect, i) = look(m, at, h, i, effect);
@@ -167,7 +167,7 @@ static void follow(
     *h->lasting += share_of(elapsed, longer) / outputs * (minimum(power, most) - *h->lasting);
 }
 
-/* Return by how much less than one of the design an innovation says about parameters: by the mean
+/* Return by how much less than one of the design an innovation shows of parameters: by the mean
  * of the covariance relative to the certified bound, as regressors are wrong where x^ is; by what
  * was measured of the innovations; and as neighbours that are alike, by more than the three sigmas
  * of white noise, repeat each other. */
@@ -217,7 +217,7 @@ static void adapt_by(
 }
 
 /* Use the pending change of the parameters from when it is significant on, or at once if the model
- * is said to be wrong. */
+ * is supposed to be wrong. */
 static void use_pending(const model *m, hypothesis *h, correction *effect)
 {
     const long k = m->s.k, used = states_in_use(m, h);
@@ -228,7 +228,7 @@ static void use_pending(const model *m, hypothesis *h, correction *effect)
     }
     if (*h->significant != 0) {
         for (long a = 0; a < k; a++) {
-            add_scaled(h->x, h->pending[a], h->upsilon + a * m->s.width, used);
+            add_scaled(h->x, h->pending[a], h->sensitivity + a * m->s.width, used);
             h->theta[a] += h->pending[a];
             h->pending[a] = 0.0;
         }
@@ -241,7 +241,7 @@ static void correct_regressors(
 {
     const long k = m->s.k, used = states_in_use(m, h);
     for (long a = 0; a < k; a++) {
-        add_scaled(h->upsilon + a * m->s.width, -omega[a], gain, used);
+        add_scaled(h->sensitivity + a * m->s.width, -omega[a], gain, used);
         for (long b = 0; b < k; b++) {
             h->gram[a * k + b] += omega[a] * omega[b] / known;
         }
@@ -269,12 +269,12 @@ static void correct_estimate(
 }
 
 double correct_by(
-    const model *m, const state *at, hypothesis *h, long output, int is_weighed, int adapt,
+    const model *m, const state *at, hypothesis *h, long output, int is_expected, int adapt,
     correction *effect)
 {
     const double inflation = adapt ? inflation_of(m, h) : 1.0;
     const double *omega = effect->omega + output * m->s.k;
-    const outlook of = is_weighed ? *outlook_of(effect, output) : look(m, at, h, output, effect);
+    const outlook of = is_expected ? *outlook_of(effect, output) : look(m, at, h, output, effect);
     correct_estimate(m, h, output, &of, effect);
     if (*m->supervised != 0) {
         follow(m, at, h, output, &of);
@@ -292,7 +292,7 @@ static void begin_pass(const model *m, const state *at, hypothesis *h)
 {
     const long k = m->s.k;
     const double noise = minimum(*h->noise_share, *at->stillness);
-    const double doubt = maximum(*h->noise_share * *h->noise_share - noise * noise, 0.0);
+    const double unlearnt = maximum(*h->noise_share * *h->noise_share - noise * noise, 0.0);
     if (*h->pass_age <= *m->pass_time) {
         return;
     }
@@ -302,7 +302,7 @@ static void begin_pass(const model *m, const state *at, hypothesis *h)
         const double wrong = m->constants[CURVED] * (h->theta[a] - h->anchor[a]);
         const double most = m->theta_deviation[a] * m->theta_deviation[a];
         double *variance = h->gamma + a * k + a;
-        *variance = minimum(*variance + wrong * wrong + doubt * most, most);
+        *variance = minimum(*variance + wrong * wrong + unlearnt * most, most);
         h->anchor[a] = h->theta[a];
     }
 }
@@ -310,24 +310,24 @@ static void begin_pass(const model *m, const state *at, hypothesis *h)
 double correct_hypothesis(const model *m, const state *at, hypothesis *h, correction *effect)
 {
     const int adapt = m->s.k > 0;
-    double said = 0.0;
+    double likelihood = 0.0;
     int64_t used = 0;
     for (long i = 0; i < m->s.p; i++) {
         used += outlook_of(effect, i)->used;
-        said += outlook_of(effect, i)->likelihood;
+        likelihood += outlook_of(effect, i)->likelihood;
     }
     if (*m->gain_mode == GAIN_OPEN || used == 0) {
-        return said;
+        return likelihood;
     }
-    int is_weighed = *h->certified == 0 || used == m->s.p;
+    int is_expected = *h->certified == 0 || used == m->s.p;
     if (used < m->s.p) { /* the certified gain is for all outputs together */
         leave_certified(m, at, h, BASIS_GAP);
     }
     for (long i = 0; i < m->s.p; i++) {
         const outlook *of = outlook_of(effect, i);
         if (of->used) {
-            said += correct_by(m, at, h, i, is_weighed, adapt, effect) - of->likelihood;
-            is_weighed = *h->certified != 0; /* other gains change what is expected of the next */
+            likelihood += correct_by(m, at, h, i, is_expected, adapt, effect) - of->likelihood;
+            is_expected = *h->certified != 0; /* other gains change what is expected of the next */
         }
     }
     *h->corrected = 1;
@@ -335,7 +335,7 @@ double correct_hypothesis(const model *m, const state *at, hypothesis *h, correc
         use_pending(m, h, effect);
         begin_pass(m, at, h);
     }
-    return said;
+    return likelihood;
 }
 
 /* --- prediction --- */
@@ -392,7 +392,7 @@ static inline void move_by(
     const long n = m->s.n, width = m->s.width;
     double few[FEW], *moved = used <= FEW ? few : scratch->moved;
     for (long a = 0; a < m->s.k; a++) {
-        double *row = h->upsilon + a * width;
+        double *row = h->sensitivity + a * width;
         for (long i = 0; i < used; i++) {
             moved[i] = dot(F + i * used, row, used);
         }

@@ -318,18 +318,18 @@ int estimate_at(tracker *t, int64_t stamp, double *row)
         return 0;
     }
     const state shown = coast(t, place, remaining);
-    const estimate said = estimate_view(&t->m.s, row);
-    if (!read_out(&t->m, &shown, &said, &t->scratch)) {
+    const estimate estimated = estimate_view(&t->m.s, row);
+    if (!read_out(&t->m, &shown, &estimated, &t->scratch)) {
         *t->h.bad_outputs += 1;
         return 0;
     }
-    const int is_inside = fabs(said.state[0]) <= *t->h.x_max;
-    if (!is_inside && *said.basis <= BASIS_LEARNT) {
-        *said.basis = BASIS_OUTSIDE;
-        *said.claimed = 0.0;
+    const int is_inside = fabs(estimated.state[0]) <= *t->h.x_max;
+    if (!is_inside && *estimated.basis <= BASIS_LEARNT) {
+        *estimated.basis = BASIS_OUTSIDE;
+        *estimated.claimed = 0.0;
     }
-    *said.in_domain = is_inside;
-    *said.age = remaining;
+    *estimated.in_domain = is_inside;
+    *estimated.age = remaining;
     return 1;
 }
 

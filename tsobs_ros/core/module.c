@@ -3,7 +3,7 @@
  *
  * The extension module `tsobs_ros.core.native`: the C library for Python, arrays by buffer.
  *
- * native.pyi says what the functions do. Each reads its arguments by a format, and checks their
+ * native.pyi describes the functions. Each reads its arguments by a format, and checks their
  * lengths before the library sees them.
  */
 #define PY_SSIZE_T_CLEAN
@@ -321,9 +321,9 @@ BIND(estimator_read, "ddDD")
         !HAVE(2, (int64_t)estimate_size(&m.s), (int64_t)work_size(&m.s))) {
         return NULL;
     }
-    const estimate said = estimate_view(&m.s, t[2].at);
+    const estimate row = estimate_view(&m.s, t[2].at);
     work scratch = work_view(&m.s, t[3].at);
-    read_out(&m, &at, &said, &scratch);
+    read_out(&m, &at, &row, &scratch);
     Py_RETURN_NONE;
 }
 

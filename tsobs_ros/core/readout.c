@@ -1,7 +1,7 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * What an estimator says: the mixture of its hypotheses, its bounds in physical units, and what
+ * The estimate: the mixture of its hypotheses, its bounds in physical units, and what
  * they rest on.
  *
  * The bounds include the uncertainty of the parameters, for x - x^ is the filter's own error plus
@@ -12,7 +12,7 @@
 
 #include <string.h>
 
-/* Return by how much the errors of a hypothesis are larger than it says: as slow innovations are,
+/* Return by how much the variance of a hypothesis' errors exceeds its own: as slow innovations do,
  * which a wrong model makes, and by the square if they last, as it errs most in what is not
  * measured. Of large ones that is no longer true. */
 static double growth_of(const model *m, const hypothesis *h)
@@ -31,9 +31,9 @@ static int is_undecided(const model *m, const state *at, const hypothesis *h)
 }
 
 /* Write the weights of the hypotheses, 0 of those that do not count; their weights in the estimate,
- * `decided`, which are 0 of undecided forks, too; and by how much their errors are larger than they
- * say, those of an unknown torque, which is what explains slow innovations, and all others. */
-static void weigh_all(const model *m, const state *at, work *scratch)
+ * `decided`, which are 0 of undecided forks, too; and the growth of their bounds, of those of an
+ * unknown torque, which explains slow innovations, and of all others. */
+static void write_weights(const model *m, const state *at, work *scratch)
 {
     double total = 0.0, decided = 0.0; /* the latter has the parents of those that are undecided */
     for (long i = 0; i < m->s.hypotheses; i++) {
@@ -93,7 +93,7 @@ static int is_excited(const model *m, const hypothesis *h, double *gram)
 /* What is read: plant states, parameters, disturbances of outputs, and torques. */
 enum { STATE, PARAMETER, DISTURBANCE, TORQUE };
 
-/* Return what a hypothesis says of a quantity, a parameter or a linear function of the states in
+/* Return the value of a quantity by a hypothesis, a parameter or a linear function of the states in
  * use; write the variance of that by its covariance, and the function, `functional`. */
 static double value_of(
     const model *m, const state *at, const hypothesis *h, int what, long place, double *variance,
@@ -120,7 +120,7 @@ static double value_of(
 static double slope_of(
     const model *m, const hypothesis *h, int what, long place, const double *functional, long a)
 {
-    const double *slopes = h->upsilon + a * m->s.width;
+    const double *slopes = h->sensitivity + a * m->s.width;
     if (what == STATE || what == PARAMETER) {
         return what == STATE ? slopes[place] : a == place;
     }
@@ -144,7 +144,7 @@ static double read_one(
             continue;
         }
         const hypothesis h = hypothesis_of(m, at, j);
-        const double said = value_of(m, at, &h, what, place, &variance, scratch->functional);
+        const double own_value = value_of(m, at, &h, what, place, &variance, scratch->functional);
         double own = *m->gain_mode == GAIN_OPEN ? least : sqrt(variance);
         if (*h.certified != 0) {
             own = least * scale_of(at) * (*at->late != 0 ? *m->late_factor : 1.0);
@@ -168,9 +168,9 @@ static double read_one(
         const double grown = maximum(minimum(growth * growth * (added + noise), prior), added);
         const double std
             = sqrt(growth * growth * (own * own) + (grown + shift * shift + curved * curved));
-        mean += scratch->decided[j] * said;
-        mean_of_all += weight * said;
-        mean_square += weight * said * said;
+        mean += scratch->decided[j] * own_value;
+        mean_of_all += weight * own_value;
+        mean_square += weight * own_value * own_value;
         within += weight * std * std;
     }
     const double between = mean_square - mean * (2.0 * mean_of_all - mean);
@@ -179,50 +179,50 @@ static double read_one(
     return *value + *bound;
 }
 
-int read_out(const model *m, const state *at, const estimate *said, work *scratch)
+int read_out(const model *m, const state *at, const estimate *row, work *scratch)
 {
     const hypothesis best = best_of(m, at);
     const int64_t named = named_kind(m, at);
     double total = 0.0;
-    weigh_all(m, at, scratch);
+    write_weights(m, at, scratch);
     for (long i = 0; i < m->s.plant; i++) {
         total += read_one(
-            m, at, STATE, i, m->state_std[i], m->scale[i], said->state + i, said->state_bound + i,
+            m, at, STATE, i, m->state_std[i], m->scale[i], row->state + i, row->state_bound + i,
             scratch);
     }
     for (long i = 0; i < m->s.p; i++) {
         total += read_one(
-            m, at, DISTURBANCE, i, m->disturbance_std[i], 1.0, said->disturbance + i,
-            said->disturbance_bound + i, scratch);
-        said->disturbance_rate[i] = 0.0;
+            m, at, DISTURBANCE, i, m->disturbance_std[i], 1.0, row->disturbance + i,
+            row->disturbance_bound + i, scratch);
+        row->disturbance_rate[i] = 0.0;
         for (long j = 0; j < m->s.hypotheses; j++) {
             const double *x = hypothesis_of(m, at, j).x;
             if (scratch->decided[j] > 0.0) {
-                said->disturbance_rate[i]
+                row->disturbance_rate[i]
                     += scratch->decided[j] * dot(m->rate_map + i * m->s.width, x, m->s.n);
             }
         }
-        total += said->disturbance_rate[i];
+        total += row->disturbance_rate[i];
     }
     for (long i = 0; i < m->s.t; i++) {
         total += read_one(
-            m, at, TORQUE, i, m->torque_std[i], 1.0, said->torque_disturbance + i,
-            said->torque_disturbance_bound + i, scratch);
+            m, at, TORQUE, i, m->torque_std[i], 1.0, row->torque_disturbance + i,
+            row->torque_disturbance_bound + i, scratch);
     }
     for (long i = 0; i < m->s.k; i++) {
         total += read_one(
-            m, at, PARAMETER, i, 0.0, 1.0, said->parameters + i, said->parameter_bound + i,
+            m, at, PARAMETER, i, 0.0, 1.0, row->parameters + i, row->parameter_bound + i,
             scratch);
     }
-    *said->basis = (double)basis_of(m, &best, named, said->claimed);
-    *said->noise_scale = scale_of(at);
-    *said->coloured_power = *best.colour;
-    total += *said->noise_scale + *said->coloured_power;
-    *said->learning = m->s.k > 0 ? LEARNING_ACTIVE : LEARNING_NONE;
-    *said->hypothesis = (double)named;
-    *said->parameters_valid
+    *row->basis = (double)basis_of(m, &best, named, row->claimed);
+    *row->noise_scale = scale_of(at);
+    *row->coloured_power = *best.colour;
+    total += *row->noise_scale + *row->coloured_power;
+    *row->learning = m->s.k > 0 ? LEARNING_ACTIVE : LEARNING_NONE;
+    *row->hypothesis = (double)named;
+    *row->parameters_valid
         = m->s.k > 0 && *best.kind == AS_DESIGNED && is_excited(m, &best, scratch->small);
-    *said->in_domain = 1.0;
-    *said->age = 0.0;
+    *row->in_domain = 1.0;
+    *row->age = 0.0;
     return isfinite(total) != 0;
 }
