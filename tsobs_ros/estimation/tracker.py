@@ -23,7 +23,6 @@ from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator, Rows
 from tsobs_ros.estimation.records import (
-    USED,
     Basis,
     Estimate,
     Hypothesis,
