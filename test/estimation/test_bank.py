@@ -191,8 +191,6 @@ COVERED = {
     "noise", "outliers", "dropouts", "loud", "stiff", "bias_step", "pulses", "steps", "held",
     "missing", "half_rate",
 }  # fmt: skip
-
-
 JUDGED = sorted(SCENARIOS.keys() - {"late_20ms"} - COVERED)
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in JUDGED[1::2]]
 
@@ -381,7 +379,9 @@ UNIFORM = Sensor(outlier_probability=0.05, outlier_size=3.0, outlier_is_uniform=
 
 @pytest.mark.parametrize("sensor", [Sensor(), Sensor(noise_std=2.0 * STD), UNIFORM])
 def test_a_stiffer_arm_is_learnt_whatever_the_noise(sensor: Sensor) -> None:
-    got = course("learning", simulated(arm_with(STIFF, sensor), 3, 35))
+    got = course("learning", simulated(arm_with(STIFF, sensor), 9008, 35))
+    least = 0.95 if sensor == Sensor() else 0.6
+    assert (got.hypothesis == Hypothesis.AS_DESIGNED).mean() > least
     state = got.tracker.state
     scale = pytest.approx(sensor.noise_std / STD, rel=0.15)
     assert sensor is UNIFORM or state["noise_scale"][0] == scale
@@ -401,11 +401,6 @@ def test_a_stiffer_arm_is_learnt_beneath_coloured_noise() -> None:
     assert np.abs(likeliest(got.tracker.state)["theta"] - [0.2, 0.0]).max() < 0.05
 
 
-def test_an_arm_that_is_being_learnt_is_not_taken_for_another() -> None:
-    got = course("learning", simulated(SCENARIOS["stiff"], 9008, 12))
-    assert (got.hypothesis == Hypothesis.AS_DESIGNED).mean() > 0.95
-
-
 def test_noise_shows_of_a_stiffer_arm_what_the_bound_does_not_rely_on() -> None:
     near = course("learning", simulated(SCENARIOS["stiff_near_rest"], 2, 60)).tracker
     assert np.abs(likeliest(near.state)["theta"] - [0.2, 0.0]).max() < 0.05
@@ -415,16 +410,12 @@ def test_noise_shows_of_a_stiffer_arm_what_the_bound_does_not_rely_on() -> None:
     assert (np.abs(readout.parameters - [0.2, 0.0]) < 3.0 * readout.parameter_bound).all()
 
 
-def test_a_small_step_is_found_in_loud_noise_though_nothing_has_happened_for_long() -> None:
+def test_what_fell_behind_is_supposed_again() -> None:
+    """A motor that rubs beneath a wrong stiffness; steps in loud noise long after any sign."""
+    assert course("learning", simulated(SCENARIOS["stiff_friction"], 0, 60)).is_honest(20 * RATE)
     run = simulated(SCENARIOS["mix_friction_loud_steps"], 9004, 60)
     late = np.abs(course("learning", run).disturbance - run.disturbances[0, :, 0])[45 * RATE :]
     assert late.mean() < 0.015
-
-
-def test_what_fell_behind_is_supposed_again() -> None:
-    """A motor that rubs beneath a wrong stiffness is found by forks only."""
-    got = course("learning", simulated(SCENARIOS["stiff_friction"], 0, 60))
-    assert got.is_honest(20 * RATE)
 
 
 @pytest.mark.parametrize(("name", "size"), [("wander_3", 1.0), ("drift", 2.0)])

@@ -121,9 +121,8 @@ def digest(states: list[Record], estimator: Estimator) -> str:
     """Return a digest of the bits of states and of what is read of them; every NaN is alike."""
     found = hashlib.sha256()
     for state in states:
-        every = state["hypotheses"]
-        names = ("x", "covariance", "theta", "gamma", "sensitivity", "score")
-        own = (every[name] for name in names)
+        of = state["hypotheses"]
+        own = (of[name] for name in ("x", "covariance", "theta", "gamma", "sensitivity", "score"))
         for part in (*own, *estimator.readout(state)):
             numbers = np.array(part, np.float64)
             numbers[np.isnan(numbers)] = np.nan

@@ -105,12 +105,10 @@ def test_estimate_lists_what_happened_to_the_estimates(arms, write_bag, capsys) 
 
     new = f"{command[1]}_new"
     assert main([*command, "--output", new, "--json", "--param", "stale_after=2"]) == 0
-    (observer,) = json.loads(capsys.readouterr().out)["observers"]
-    make_bag_report(Path(new), Path(f"{new}_report"), ekf=False)
-    report = json.loads(Path(f"{new}_report", "report.json").read_text())
-    sooner = [(one["kind"], one["text"]) for one in observer["events"]]
-    assert [(one["kind"], one["text"]) for one in report["health"]["events"]] == sooner
-    assert any("for 2 s" in text for _, text in sooner)
+    (sooner,) = json.loads(capsys.readouterr().out)["observers"]
+    report, _ = make_bag_report(Path(new), Path(f"{new}_report"), ekf=False)
+    listed = [[one["text"] for one in each["events"]] for each in (sooner, report["health"])]
+    assert listed[0] == listed[1] != [one["text"] for one in events]
 
 
 def test_several_designs_and_methods_have_names_of_their_own(bag: Path, capsys) -> None:
