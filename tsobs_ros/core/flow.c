@@ -240,6 +240,7 @@ static void linearise_system(
     const flow_step *work)
 {
     const long n = sizes_of(f)->n, k = sizes_of(f)->k, squares = n * n;
+    const long inputs = sizes_of(f)->inputs;
     const double T = over->duration;
     double *inner = N2 + squares, *outer = inner + squares, *scratch = outer + squares;
     double *one = work->vectors, *other = one + n;
@@ -251,7 +252,12 @@ static void linearise_system(
         }
         multiply(over->phi, other, work->effects + p * n, n, n, 1);
     }
-    memset(work->effects + k * n, 0, (size_t)n * sizeof *work->effects);
+    /* The push: what is unknown of the first input enters by the rules' mean, in both halves. */
+    for (long i = 0; i < n; i++) {
+        one[i] = inputs > 0 ? over->gamma[i * inputs] : 0.0;
+    }
+    multiply(over->phi, one, work->effects + k * n, n, n, 1);
+    add_scaled(work->effects + k * n, 1.0, one, n);
     for (long i = 0; i < squares; i++) {
         N1[i] = 0.5 * T * N1[i] + (i % (n + 1) == 0 ? 1.0 : 0.0);
         N2[i] *= T;

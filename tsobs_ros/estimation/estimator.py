@@ -43,6 +43,9 @@ LEARNING = {
 _FIRST_PASS = 1.0
 """The first pass is over after so long [s]: the estimate settles, and regressors are most wrong."""
 
+_LASTING = 0.2
+"""A disturbance whose mode is slower [1/s] can stay where a jump took it."""
+
 GAIN_MODES = ("certified", "riccati")
 """Which gain corrects the estimate once it has settled."""
 
@@ -273,7 +276,7 @@ def riccati_estimator(
         ("R", R),
         ("C", flow.output_matrix),
         ("scale", scale),
-        ("disturbed", flow.disturbance_map.any(axis=1)),
+        ("disturbed", _can_jump(flow)),
         ("disturbance_map", flow.disturbance_map),
         ("rate_map", flow.rate_map),
         ("torque_map", flow.torque_map),
@@ -284,6 +287,26 @@ def riccati_estimator(
     if uncertainty is not None and k:
         estimator.learn(uncertainty)
     return estimator
+
+
+def _unknown_input(flow: Flow, std: Array) -> float:
+    """Return 1σ of what may be unknown of the first input, by the plant's states at the start.
+
+    Within a second it moves the state that it moves most by a tenth of that.
+    """
+    gain = np.abs(flow.nominal.gamma[: len(std), 0]) / (flow.linear_share * flow.period)
+    moved = gain > 0.0
+    return 0.1 * float((std[moved] / gain[moved]).min()) if moved.any() else 0.0
+
+
+def _can_jump(flow: Flow) -> Array:
+    """Return by output whether its disturbance can stay where a jump took it, as a bias does."""
+    model, first = flow.disturbance, flow.plant_count
+    if not model.state_count:
+        return np.zeros(len(flow.disturbance_map), bool)
+    rates, modes = np.linalg.eig(model.S)
+    lasting = flow.disturbance_map[:, first:] @ modes[:, np.abs(rates) < _LASTING]
+    return np.asarray(np.abs(lasting).max(axis=1, initial=0.0) > 1e-9 * np.abs(model.H).max())
 
 
 def certified_estimator(
@@ -325,6 +348,8 @@ def certified_estimator(
         one["torque_rate"] = non_negative("torque_rate", torque_rate)
         share = one["constants"][CONSTANTS["FORCE_SHARE"]]
         one["force"], one["modes"] = share * flow.arm.reference_torque, flow.arm.modes
+    elif flow.input_count > flow.scheduled_count:
+        one["force"] = _unknown_input(flow, np.sqrt(np.diag(initial_covariance)[:plant]))
     one["initial"]["hypotheses"][0]["settling"] = non_negative("settle_time", settle_time)
     one["domain"] = np.sqrt(np.diag(initial_covariance)[:plant])
     if domain is not None:
