@@ -97,7 +97,10 @@ static int64_t refusal(
     const int64_t place = count_up_to(t, stamp) - 1;
     const int has_inputs = *t->m.torque_limit > 0.0 /* then a torque is judged */
                            || count_finite(u, (long)t->m.s.m) == t->m.s.m;
-    if (!has_inputs || count_finite(y, (long)t->m.s.p) == 0) {
+    /* Of a T-S system, whose inputs are known in a gap, too, these alone are of use. */
+    const int is_system = *t->m.design_flow.kind == KIND_SYSTEM && *t->m.gain_mode != GAIN_OPEN;
+    const int is_input = is_system && t->m.s.m > 0 && place >= 0;
+    if (!has_inputs || (count_finite(y, (long)t->m.s.p) == 0 && !is_input)) {
         return NON_FINITE;
     }
     if (stamp <= 0) {
@@ -182,7 +185,7 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
     for (int64_t i = 0; i < t->m.s.p; i++) {
         used = used || outlook_of(&t->effect, i)->used;
     }
-    code = used ? code : GATED;
+    code = used ? code : count_finite(y, (long)t->m.s.p) > 0 ? GATED : NON_FINITE;
     *at.stamp = stamp;
     memcpy(at.u, u, (size_t)t->m.s.m * sizeof *u);
     at.judged[code] += code != USED;
