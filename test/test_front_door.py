@@ -121,6 +121,7 @@ def test_a_ts_system_is_simulated_and_estimated_by_its_design(example_1: Design)
         ({"disturbance": {"ramp": {"slope": 1.0}}}, "'slope': expected one of rate, start"),
         ({"mismatch": {"mass": 0.1}}, "mismatch: expected some of link_inertia"),
         ({"torque": [1.0, 2.0]}, r"torque: expected shape \(201,\) or \(201, 1\).*got \(2,\)"),
+        ({"torque": np.full(201, 1e308)}, "simulate: the state is not finite from 0.0"),
         ({"torque_disturbance": {"elbow": "ramp"}}, "torque_disturbance: expected some of motor"),
         ({"rate": 1e-9}, "rate: expected at least 0.01 Hz, got 1e-09"),
         ({"duration": 1e300}, "duration: expected at most 100,000,000 samples"),

@@ -174,7 +174,7 @@ def simulate(
 
     Raises:
         TsobsError: A number is out of range, a kind, output or parameter is unknown, a T–S system
-            is to have what only arms have, or there is not one torque a sample.
+            is to have what only arms have, there is not one torque a sample, or it diverges.
 
     >>> import tsobs_ros as ts
     >>> run = ts.simulate(duration=2.0, disturbance={"bias_step": {"amplitude": 0.1, "start": 1.0}})
@@ -222,6 +222,11 @@ def simulate(
             values = [torque(time) for time in times.tolist()]
         torque = _columns("torque", values, scenario.sample_count, scenario.input_count)
     run = Plant(scenario, seed).run(scenario.sample_count, torque)
+    if not (there := np.isfinite(run.physical).all(axis=1)).all():
+        raise ModelError(
+            f"simulate: the state is not finite from {run.times[np.argmin(there)]:g} s on: the "
+            f"system diverges, or no rule of it fires where it is"
+        )
     alone = is_arm and len(names) == 1
     return Simulation(
         time=run.times,

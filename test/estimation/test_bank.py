@@ -187,10 +187,8 @@ def test_what_the_design_lacks_is_told_and_its_bound_covers(
     assert np.isin(published, [Basis.HYPOTHESIS, Basis.CONTRADICTED]).all()
 
 
-COVERED = {
-    "noise", "outliers", "dropouts", "loud", "stiff", "bias_step", "pulses", "steps", "held",
-    "missing", "half_rate",
-}  # fmt: skip
+COVERED = {"noise", "outliers", "dropouts", "loud", "stiff", "bias_step", "pulses", "steps", "held"}
+COVERED |= {"missing", "half_rate"}
 JUDGED = sorted(SCENARIOS.keys() - {"late_20ms"} - COVERED)
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in JUDGED[1::2]]
 
