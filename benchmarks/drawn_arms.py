@@ -9,28 +9,29 @@ motion; the rivals are those of acceptance.py.
 """
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import exp, inf, isfinite, log, sqrt
 from multiprocessing import Pool
 from typing import NamedTuple
 
 import numpy as np
-from acceptance_runs import Found, kalman, ours
+from acceptance_runs import kalman, ours
 from common import parser, use_one_thread
 from pages import end, head, options_of, row
 
+from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.report.metrics import SIGMAS
-from tsobs_ros.simulation.plant import Friction, Mismatch, Scenario, Trajectories
+from tsobs_ros.simulation.plant import Friction, Mismatch, Scenario
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.sensor import Sensor, SimulatedOutput
 from tsobs_ros.simulation.signals import BiasStep, GaussMarkov, Signal, Sine, Sinusoid
 
-_DURATION, _JUDGED = 30.0, 10.0
+DURATION, _JUDGED = 30.0, 10.0
 """Length of a run, and when judging begins [s]."""
 
 _RATES = (100.0, 200.0, 250.0, 500.0, 1000.0)
@@ -113,7 +114,7 @@ def drawn(seed: int) -> Case:
     frequency = random.uniform(0.3, 1.2) * min(swing, 3.0)
     amplitude = random.uniform(0.15, 0.6) * arm.gravity_torque
     scenario = Scenario(
-        arm=arm, mismatch=wrong, friction=rub, process_noise=noise, rate=rate, duration=_DURATION,
+        arm=arm, mismatch=wrong, friction=rub, process_noise=noise, rate=rate, duration=DURATION,
         outputs=(SimulatedOutput(side, sensor, tuple(signals)),),
         inputs=(Sine(amplitude * max(0.1, abs(1.0 - (frequency / swing) ** 2)), frequency),),
         initial_state=(0.0,) * 4, initial_spread=(0.1,) * 4,
@@ -122,10 +123,23 @@ def drawn(seed: int) -> Case:
     return Case(request, scenario, group)
 
 
-def _error(runs: Trajectories, found: Found) -> float:
-    late = runs.times >= _JUDGED
-    away = (found.estimates[0, late, :4] - runs.states[0, late]) / runs.states[0, late].std(axis=0)
+def compared(
+    group: str, states: Array, rows: Mapping[str, Array], claims: Array, rivals: Sequence[Array]
+) -> Judged:
+    """Judge estimates of a run, `state` and `state_bound` of rows, beside those of the rivals."""
+    broken = (np.abs(rows["state"] - states) > SIGMAS * rows["state_bound"]).any(axis=1)
+    claimed = claims > 0.0
+    return Judged(
+        group,
+        _error(states, rows["state"]) / min(_error(states, each) for each in rivals),
+        float(claimed.mean()),
+        float((claimed & broken).sum() / max(claimed.sum(), 1)),
+    )
+
+
+def _error(states: Array, estimates: Array) -> float:
     with np.errstate(all="ignore"):  # a filter that diverges is a result
+        away = (estimates - states) / states.std(axis=0)
         error = float(np.sqrt((away**2).mean(axis=0)).mean())
     return error if isfinite(error) else inf
 
@@ -135,25 +149,18 @@ def judged(seed: int) -> Judged:
     case = drawn(seed)
     design: Design = synthesise(case.request)
     runs = simulate(case.scenario, [seed])
-    mine = ours(design, runs)
-    rivals = [_error(runs, kalman(design, runs, learns=own, gated=True)) for own in (False, True)]
-    late = runs.times >= _JUDGED
-    away = np.abs(mine.estimates[0, :, :4] - runs.states[0])[late]
-    broken = (away > SIGMAS * mine.bounds[0, late, :4]).any(axis=1)
-    claims = mine.rows["claimed"][0, late] > 0.0
-    return Judged(
-        case.group,
-        _error(runs, mine) / min(rivals),
-        float(claims.mean()),
-        float((claims & broken).sum() / max(claims.sum(), 1)),
-    )
+    mine, late = ours(design, runs), runs.times >= _JUDGED
+    rivals = [kalman(design, runs, learns=own, gated=True) for own in (False, True)]
+    state, bound = mine.estimates[0, late, :4], mine.bounds[0, late, :4]
+    return compared(
+        case.group, runs.states[0, late], {"state": state, "state_bound": bound},
+        mine.rows["claimed"][0, late], [each.estimates[0, late, :4] for each in rivals],
+    )  # fmt: skip
 
 
-def _page(results: Sequence[Judged], first: int) -> Iterator[str]:
-    """Yield what was found, as Markdown."""
-    yield f"{len(results)} arms, seeds {first} to {first + len(results) - 1}.\n"
-    yield from head("what is wrong", "arms", "ratio", f"above {_WORSE}", "claimed", "broken")
-    groups = sorted({one.group for one in results}, key=len)
+def table(results: Sequence[Judged], groups: Sequence[str], *first: str) -> Iterator[str]:
+    """Yield a row of each group and one of all, in Markdown; two columns have their own heads."""
+    yield from head(*first, "ratio", f"above {_WORSE}", "claimed", "broken")
     for group in [*groups, "all"]:
         each = [one for one in results if group in (one.group, "all")]
         ratios = np.array([one.ratio for one in each])
@@ -165,6 +172,13 @@ def _page(results: Sequence[Judged], first: int) -> Iterator[str]:
             group, str(len(each)), f"{mean:.2f}", str((ratios > _WORSE).sum()), f"{claimed:.2f}",
             f"{broken:.3f}",
         )  # fmt: skip
+
+
+def _page(results: Sequence[Judged], first: int) -> Iterator[str]:
+    """Yield what was found, as Markdown."""
+    yield f"{len(results)} arms, seeds {first} to {first + len(results) - 1}.\n"
+    groups = sorted({one.group for one in results}, key=len)
+    yield from table(results, groups, "what is wrong", "arms")
 
 
 def main() -> None:
