@@ -224,8 +224,8 @@ def simulate(
     run = Plant(scenario, seed).run(scenario.sample_count, torque)
     if not (there := np.isfinite(run.physical).all(axis=1)).all():
         raise ModelError(
-            f"simulate: the state is not finite from {run.times[np.argmin(there)]:g} s on: the "
-            f"system diverges, or no rule of it fires where it is"
+            f"simulate: the state is not finite from {run.times[np.argmin(there)]:g} s on: it "
+            f"diverges, or no rule of a T-S system fires there"
         )
     alone = is_arm and len(names) == 1
     return Simulation(

@@ -662,9 +662,10 @@ static int is_loud(const model *m, double size)
 /* Once per trial, suppose that arm and sensors are of another kind, each in turn: only the best
  * hypothesis forks at events, so that one which is true now may have lost the arm or a jump for
  * good. If the model has begun to seem wrong, every other time suppose that only its parameters
- * were, which is as likely, unless the noise is loud; of a drift, that it is half as large, or not.
- * Of noise that is not as designed less is learnt: then suppose the parameters, too, that another
- * one knows better. */
+ * were, which is as likely, unless the noise is loud; of a drift, that its size is the other one of
+ * two, in place of a torque and of loud noise, which a sensor that wanders looks like. Of noise
+ * that is not as designed less is learnt: then suppose the parameters, too, that another one knows
+ * better. */
 static void suppose_otherwise(const model *m, const state *at)
 {
     const double *c = m->constants;
@@ -964,10 +965,17 @@ void correct(const model *m, state *at, const double *y, correction *effect)
     }
 }
 
-/* Return whether a covariance is below the certificate's bound. */
+/* Return whether a covariance is below the certificate's bound, and of a T-S system not far below:
+ * a gain for rules that differ much may be far worse than that of the estimate. */
 static int is_covered(const model *m, const hypothesis *h, double *difference)
 {
     const long n = m->s.n, width = m->s.width;
+    const double most = *m->design_flow.kind == KIND_SYSTEM ? 1.5 : INFINITY;
+    for (long i = 0; i < m->s.plant; i++) {
+        if (m->X[i * (width + 1)] > most * most * h->covariance[i * (width + 1)]) {
+            return 0;
+        }
+    }
     for (long i = 0; i < n; i++) {
         memcpy(difference + i * n, m->X + i * width, (size_t)n * sizeof *difference);
         add_scaled(difference + i * n, -1.0, h->covariance + i * width, n);

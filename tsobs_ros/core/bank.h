@@ -105,8 +105,8 @@ double correct_by(
     correction *effect);
 
 /* A time in steps: whole nominal ones, and one of another length unless that is 0; what is left
- * after each of what decays, by its time constant, 0 if not known yet; and the variance that an
- * unknown torque gains in a second, 0 if the torque is known. */
+ * after each of what decays, by the place of its time constant in the bank's, 0 if not known yet;
+ * and the variance that an unknown torque gains in a second, 0 if the torque is known. */
 typedef struct {
     double duration, forgotten;
     int64_t whole;

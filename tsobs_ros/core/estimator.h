@@ -32,7 +32,7 @@ enum { LEARNING_NONE, LEARNING_ACTIVE = 2 };
  * followed by room for forks. */
 enum {
     AS_DESIGNED,
-    FORCE,          /* an unknown torque at the motor */
+    FORCE,          /* an unknown torque at the motor, or part of a T-S system's first input */
     IMPERFECT,      /* a model that is wrong in unknown ways */
     LOUD,           /* white noise that is larger than designed */
     COLOURED_NOISE, /* noise that is correlated in time */
@@ -50,7 +50,7 @@ enum { NO_FORK, JUMPED, HIT, MOVED, WRONG_TORQUE, OTHERWISE };
 /* Outcomes of measurements, in the order of `estimation.records.RejectReason`. */
 enum {
     USED,
-    NON_FINITE,
+    NON_FINITE,         /* of a T-S system without outputs, the inputs were used */
     WRONG_JOINT,
     DUPLICATE,
     TOO_OLD,

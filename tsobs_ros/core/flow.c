@@ -79,7 +79,7 @@ static void kick_arm(
     double *rows = work->vectors, causes[CAUSES], cos;
     memcpy(causes, x, 4 * sizeof *x);
     sine_and_cosine(x[0], &causes[BY_SINE], &cos);
-    /* What theta does to the known torque, it does to its unknown part. */
+    /* What theta does to the known torque, it does to its unknown part, states of a disturbance. */
     causes[BY_TORQUE] = torque + dot(f->motor_torque + 4, x + 4, n - 4);
     causes[BY_EXTERNAL] = dot(f->link_torque + 4, x + 4, n - 4);
     x[1] += dot(total, causes, CAUSES);

@@ -75,7 +75,7 @@ enum { FLOW_SIZES = sizeof(flow_sizes) / sizeof(int64_t) };
 LAYOUT_DECLARE(flow, FLOW_FIELDS, flow_sizes)
 
 /* The linearisation of a step, x+ = J x + effects' theta + push d + noise of covariance Q, with d a
- * change of an arm's torque, and behind it scratch. */
+ * change of the first input, and behind it scratch. */
 #define STEP_FIELDS(FIELD, s)                                                         \
     FIELD(MATRIX, J, s->n, s->n)                                                      \
     FIELD(MATRIX, effects, s->k + 1, s->n) /* by rows; the last one is the push */    \

@@ -89,6 +89,23 @@ const char *tracker_bind(
 
 /* --- measurements --- */
 
+/* Return whether inputs alone are of use: those of a T-S system, whose inputs are known in a gap,
+ * too, for as long as a gap may be. */
+static int moves_by_inputs(const tracker *t, int64_t place, int64_t stamp)
+{
+    const model *m = &t->m;
+    double since = INFINITY;
+    if (*m->design_flow.kind != KIND_SYSTEM || *m->gain_mode == GAIN_OPEN || m->s.m == 0
+        || place < 0) {
+        return 0;
+    }
+    const state at = state_at(t, place);
+    for (long i = 0; i < m->s.p; i++) {
+        since = fmin(since, *sensor_of(m, &at, i).since);
+    }
+    return since * NANOSECONDS + (double)(stamp - *at.stamp) <= (double)*t->h.restart_after;
+}
+
 /* Return why a measurement cannot be used, or USED. */
 static int64_t refusal(
     const tracker *t, int64_t stamp, const double *y, const double *u, int64_t now)
@@ -97,10 +114,8 @@ static int64_t refusal(
     const int64_t place = count_up_to(t, stamp) - 1;
     const int has_inputs = *t->m.torque_limit > 0.0 /* then a torque is judged */
                            || count_finite(u, (long)t->m.s.m) == t->m.s.m;
-    /* Of a T-S system, whose inputs are known in a gap, too, these alone are of use. */
-    const int is_system = *t->m.design_flow.kind == KIND_SYSTEM && *t->m.gain_mode != GAIN_OPEN;
-    const int is_input = is_system && t->m.s.m > 0 && place >= 0;
-    if (!has_inputs || (count_finite(y, (long)t->m.s.p) == 0 && !is_input)) {
+    const int has_outputs = count_finite(y, (long)t->m.s.p) > 0;
+    if (!has_inputs || !(has_outputs || moves_by_inputs(t, place, stamp))) {
         return NON_FINITE;
     }
     if (stamp <= 0) {

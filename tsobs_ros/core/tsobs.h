@@ -97,8 +97,8 @@ typedef struct {
 } measurements;
 
 /* What becomes of them. codes: outcomes, (n,). output_codes: those of each output, of a measurement
- * that is used USED, GATED, or NON_FINITE of one that is missing, (n, p). innovations: y - C x of
- * outputs that are used, else NaN, (n, p), and the 1 sigma expected of each. */
+ * that is not refused USED, GATED, or NON_FINITE of one that is missing, (n, p). innovations:
+ * y - C x of outputs that are used, else NaN, (n, p), and the 1 sigma expected of each. */
 typedef struct {
     int64_t *codes, *output_codes;
     double *innovations, *expected_std;

@@ -33,7 +33,8 @@ USED = 0
 class RejectReason(Code):
     """Why a measurement was not used; the text is its name in reports.
 
-    If its torque is implausible or an input unknown, its outputs are still used.
+    If its torque is implausible or an input unknown, its outputs are still used; if it has none, the
+    inputs of a T–S system.
     """
 
     NON_FINITE = 1, "non-finite", "the driver has no reading; see what it logs"
@@ -84,7 +85,7 @@ class Hypothesis(Code):
     AS_DESIGNED = 0, "arm and sensor behave as designed"
     FORCE = (
         1,
-        "the arm is pushed by something the model lacks: friction, contact, a payload?",
+        "something pushes that the model lacks: friction, contact, a payload?",
         "a torque_disturbance in the design, or damping as an uncertain parameter, may explain it",
     )
     IMPERFECT = (

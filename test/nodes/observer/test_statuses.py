@@ -141,7 +141,7 @@ def test_another_rate_than_the_designs_is_told_once_and_when_it_is_over() -> Non
     [
         ("certificate", {"basis": Basis.CONTRADICTED}, "the bound is void: the measurements"),
         ("innovation", {"noise_scale": 1.8}, "the noise is 1.8 times the design's"),
-        ("hypothesis", {"hypothesis": Hypothesis.FORCE}, "the arm is pushed by something"),
+        ("hypothesis", {"hypothesis": Hypothesis.FORCE}, "something pushes"),
     ],
 )
 def test_what_an_estimate_is_not_worth_is_a_warning_with_its_reason(
