@@ -3,9 +3,9 @@
 """T–S systems that are drawn, each with eight kinds of trouble: ours beside EKFs of its model.
 
 A system is a pendulum, two masses with a hardening spring between them, or matrices at random. Each
-gets a design of its own and half a minute of every trouble; the number of seeds without a design is
-told. The errors of the states are divided by the standard deviations of their motion. The rivals
-are a plain EKF, a gated one and, where a parameter is learnt, a gated one with it as a state.
+gets a design of its own and half a minute of every trouble; seeds without a design are counted. The
+errors of the states are divided by the standard deviations of their motion. The rivals are a plain
+EKF, a gated one and, where a parameter is learnt, a gated one with it as a state.
 """
 
 import sys

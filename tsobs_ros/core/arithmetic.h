@@ -46,7 +46,8 @@ static inline void add_scaled(double *restrict y, double c, const double *restri
 }
 
 /* Call a function whose last argument is a size. A compiler that knows it makes straight code of
- * loops, which takes half the time: most models have one of these numbers of states. */
+ * loops, which takes half the time: most models have one of these numbers of states. So FEW results
+ * are made on the stack, which nothing else points to, and written together. */
 enum { FEW = 9 };
 #define WITH_SIZE(n, call, ...)                                                     \
     switch (n) {                                                                    \

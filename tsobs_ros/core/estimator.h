@@ -38,7 +38,7 @@ enum {
     COLOURED_NOISE, /* noise that is correlated in time */
     DRIFT,          /* sensors that move away */
     TONE,           /* a sensor that oscillates, */
-    TONE_RESET,    /* the same, of which nothing is known of the arm before; its kind is TONE */
+    TONE_RESET,     /* the same, of which nothing is known of the arm before; its kind is TONE */
     STANDING,
     FORKS = 6
 };
@@ -163,7 +163,7 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(NUMBER, lasting, 1, 1)     /* and over longer, without its peaks */             \
     F(VECTOR, theta, s->k, 1)    /* parameters */                                     \
     F(MATRIX, gamma, s->k, s->k) /* covariance of their errors */                     \
-    F(MATRIX, sensitivity, s->k, s->width) /* dx/dtheta, by rows */                       \
+    F(MATRIX, sensitivity, s->k, s->width) /* dx/dtheta, by rows */                   \
     F(MATRIX, gram, s->k, s->k)  /* measure of excitation */                          \
     F(NUMBER, noise_share, 1, 1) /* 1 sigma of what noise made of them, by the first */ \
     F(VECTOR, pending, s->k, 1)  /* change of theta that is not used yet */           \
@@ -183,7 +183,7 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(VECTOR, held, s->m, 1)       /* inputs in use, plausible ones */                         \
     F(MATRIX, past, s->past, 2)    /* torques on their way and their ages [s], newest first */ \
     F(NUMBER, torque_before, 1, 1) /* held before those in use */                              \
-    F(NUMBER, torque_quiet, 1, 1)   /* time since one stood out from both its neighbours [s] */ \
+    F(NUMBER, torque_quiet, 1, 1)  /* time since one stood out from both its neighbours [s] */ \
     F(NUMBER, torque_age, 1, 1)    /* since the newest plausible torque [s] */                 \
     F(COUNT, torque_unknown, 1, 1) /* whether that is not the newest sample's */               \
     F(COUNT, late, 1, 1)           /* whether the next sample was due when this is read */     \

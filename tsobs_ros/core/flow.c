@@ -90,6 +90,7 @@ static void kick_arm(
     for (long of = 0; of < 2; of++) {
         const double *by = total + of * CAUSES;
         for (long j = 0; j < n; j++) {
+            /* 0.0 is added to make 0 of -0, here and below. */
             rows[of * n + j] = j < 4 ? by[j]
                                      : 0.0 + by[BY_TORQUE] * f->motor_torque[j]
                                            + by[BY_EXTERNAL] * f->link_torque[j];
