@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cost of a tick of one joint and of seven: a measurement offered and an estimate asked for.
 
-Stamps jitter by 20 µs about the period, as those of a real clock do, and the joints share no
-design. All contenders take turns on the same samples.
+Joints are taken one by one, or all of them in one call. Stamps jitter by 20 µs about the period, as
+those of a real clock do, and the joints share no design. All contenders take turns on the same
+samples.
 """
 
 import time
@@ -13,7 +14,7 @@ from common import at_least, parser, show, use_one_thread
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import Measurement
-from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.estimation.tracker import Tracker, step_joints
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
@@ -22,7 +23,7 @@ from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 _JITTER = 20_000
 _TURN = 200
 _DESIGNS = {
-    "fixed": (FIXED_DESIGN, "bias_step"),
+    "fixed": (FIXED_DESIGN, "noise"),
     "adaptive": (SHIPPED_DESIGN, "stiff"),
 }
 
@@ -51,25 +52,39 @@ def _rows(kind: str, count: int, seconds: float) -> list[tuple[int, Row]]:
     return rows
 
 
+def _one_by_one(trackers: list[Tracker], row: Row, now: int) -> int:
+    """Return the time of a tick, joint by joint [ns]."""
+    started = time.perf_counter_ns()
+    for tracker, measurement in zip(trackers, row, strict=True):
+        tracker.offer(measurement, now)
+        tracker.estimate(now)
+    return time.perf_counter_ns() - started
+
+
+def _together(trackers: list[Tracker], row: Row, now: int) -> int:
+    """Return the time of a tick in one call [ns]."""
+    stamps, y, u = (np.array(each) for each in zip(*row, strict=True))
+    started = time.perf_counter_ns()
+    step_joints(trackers, stamps, y, u, now)
+    return time.perf_counter_ns() - started
+
+
 def _costs(counts: list[int], seconds: float) -> dict[str, float]:
     """Return the median time of a tick of each kind and number of joints [µs]."""
     cases = {
-        f"{kind}, {count} joint{'s' * (count > 1)}": (
+        f"{kind}, {count} joint{'s' * (count > 1)}, {way}": (
+            tick,
             _trackers(kind, count),
             _rows(kind, count, seconds),
         )
         for kind in _DESIGNS
         for count in counts
+        for way, tick in (("one by one", _one_by_one), ("in one call", _together))
     }
     times: dict[str, list[int]] = {name: [] for name in cases}
-    for begin in range(0, min(len(rows) for _, rows in cases.values()), _TURN):
-        for name, (trackers, rows) in cases.items():
-            for now, row in rows[begin : begin + _TURN]:
-                started = time.perf_counter_ns()
-                for tracker, measurement in zip(trackers, row, strict=True):
-                    tracker.offer(measurement, now)
-                    tracker.estimate(now)
-                times[name].append(time.perf_counter_ns() - started)
+    for begin in range(0, min(len(rows) for *_, rows in cases.values()), _TURN):
+        for name, (tick, trackers, rows) in cases.items():
+            times[name] += [tick(trackers, row, now) for now, row in rows[begin : begin + _TURN]]
     # The first half is for caches and for the certified gain to take over.
     return {name: float(np.median(each[len(each) // 2 :])) / 1e3 for name, each in times.items()}
 

@@ -31,6 +31,7 @@ Estimates:
     make_tracker      estimates at any time from stamped measurements in any order
     Tracker           its class
     Measurement       one stamped sample for it
+    step_joints       one sample each of several joints, and their estimates, in one call
 
 Bags and logs:
     estimate_bag      estimates of a bag or a CSV log
@@ -63,6 +64,7 @@ if TYPE_CHECKING:
     from tsobs_ros.errors import TsobsError as TsobsError
     from tsobs_ros.estimation.records import Measurement as Measurement
     from tsobs_ros.estimation.tracker import Tracker as Tracker
+    from tsobs_ros.estimation.tracker import step_joints as step_joints
     from tsobs_ros.identification.excitation import excite as excite
     from tsobs_ros.identification.fit import fit as fit
     from tsobs_ros.identification.result import Fit as Fit
@@ -85,7 +87,7 @@ _NAMES = {
     "design.synthesis": ("synthesise",),
     "errors": ("TsobsError",),
     "estimation.records": ("Measurement",),
-    "estimation.tracker": ("Tracker",),
+    "estimation.tracker": ("Tracker", "step_joints"),
     "identification.excitation": ("excite",),
     "identification.fit": ("fit",),
     "identification.result": ("Fit",),

@@ -46,14 +46,13 @@ def simulated(design: Design) -> RecordedRun:
     ticks, known = stamps[:-1] + TICK_LAG, 1 + np.arange(len(stamps) - 1)
     tracker = Tracker(design.observer(), x_max=design.request.x_max)
     found = tracker.run(stamps, y[0], u[0], (ticks, ticks, known))
-    rows = found.rows
     names = ("state", "state_bound", "disturbance", "disturbance_bound")
     return RecordedRun(
         name="run",
         joint="elastic_joint",
         parts={
             "measurements": Series(stamps, np.hstack([y[0], u[0]])),
-            **{name: Series(ticks, np.array(rows[name])) for name in names},
+            **{name: Series(ticks, np.array(found.rows[name])) for name in names},
             "innovation": Series(stamps[:-1], found.outcomes.innovations[:-1]),
             "true_state": Series(stamps, scenario.arm.to_physical(states[0])),
             "true_disturbance": Series(stamps, biases[0]),

@@ -23,7 +23,7 @@
 #define MAX_SIZE 4096       /* so that no product of sizes overflows */
 #define MAX_DURATION 1e12   /* whose periods can be counted [s] */
 
-/* One argument: an array of numbers, one number, or a text. */
+/* One argument: an array of numbers, one number, a text, or a tuple. */
 typedef struct {
     Py_buffer buffer;
     int held;       /* whether that is to be released */
@@ -32,11 +32,12 @@ typedef struct {
     double number;
     int64_t integer;
     const char *text;
+    PyObject *tuple;
 } argument;
 
 /* A function: its name, one letter for each argument, and its body. The letters: 'd' an array
  * that is read, 'D' one that is written, both contiguous and of 8-byte numbers, 'b' bytes, 'f' a
- * float, 'i' an int, 's' a text. The body returns a new reference, or NULL with an exception. */
+ * float, 'i' an int, 's' a text, 't' a tuple. The body returns a new reference, or NULL with an exception. */
 typedef struct signature {
     const char *name, *format;
     PyObject *(*body)(const struct signature *of, const argument *t);
@@ -64,6 +65,11 @@ static int take(const signature *of, int place, PyObject *given, argument *t)
     case 's':
         t->text = PyUnicode_AsUTF8AndSize(given, NULL);
         return t->text != NULL;
+    case 't':
+        t->tuple = given;
+        return PyTuple_Check(given)
+               || PyErr_Format(PyExc_TypeError, "%s: argument %d: expected a tuple", of->name,
+                               place + 1) != NULL;
     }
     if (PyObject_GetBuffer(
             given, &t->buffer, PyBUF_C_CONTIGUOUS | (kind == 'D' ? PyBUF_WRITABLE : 0)) < 0) {
@@ -413,7 +419,8 @@ BIND(history_estimate, "dD" "iD")
     return PyBool_FromLong(estimate_at(&by, t[2].integer, t[3].at));
 }
 
-BIND(history_advance, "dD" "ddd" "DDDD" "ddd" "DDD" "i")
+/* Advance one tracker; its model and room are the first two arguments. */
+static int advance_one(const signature *of, const argument *t)
 {
     tracker by;
     measurements given;
@@ -421,11 +428,11 @@ BIND(history_advance, "dD" "ddd" "DDDD" "ddd" "DDD" "i")
     const int64_t count = t[9].length, *known = t[11].at;
     if (!take_tracker(of, t, &by) || !take_measurements(of, t, 5, &by, &given, &written) ||
         !HAVE(10, count, count, count, count, count * (int64_t)estimate_size(&by.m.s))) {
-        return NULL;
+        return 0;
     }
     for (int64_t tick = 0; tick < count; tick++) {
         if (known[tick] < (tick > 0 ? known[tick - 1] : 0) || known[tick] > given.count) {
-            return refuse(of, "known: expected numbers of samples that ascend");
+            return refuse(of, "known: expected numbers of samples that ascend") != NULL;
         }
     }
     const history_ticks ticks = {
@@ -434,6 +441,37 @@ BIND(history_advance, "dD" "ddd" "DDDD" "ddd" "DDD" "i")
     Py_BEGIN_ALLOW_THREADS
     advance(&by, &given, &written, &ticks, t[15].integer);
     Py_END_ALLOW_THREADS
+    return 1;
+}
+
+
+BIND(history_advance, "t" "ddd" "DDDD" "ddd" "DDD" "i")
+{
+    enum { SHARED = 14 };
+    static const signature records = {"history_advance", "dD", NULL};
+    const Py_ssize_t trackers = PyTuple_Size(t[0].tuple) / 2;
+    argument own[SHARED + 2] = {{.held = 0}};
+    int are_right = 1;
+    own[SHARED + 1] = t[SHARED];
+    for (Py_ssize_t place = 0; place < trackers && are_right; place++) {
+        for (int i = 1; i < SHARED; i++) { /* of each array, an equal share */
+            own[i + 1].length = t[i].length / trackers;
+            own[i + 1].at = (double *)t[i].at + place * own[i + 1].length;
+        }
+        for (int i = 0; i < 2 && are_right; i++) {
+            are_right = take(&records, i, PyTuple_GetItem(t[0].tuple, 2 * place + i), &own[i]);
+        }
+        are_right = are_right && advance_one(of, own);
+        for (int i = 0; i < 2; i++) {
+            if (own[i].held) {
+                PyBuffer_Release(&own[i].buffer);
+                own[i].held = 0;
+            }
+        }
+    }
+    if (!are_right) {
+        return NULL;
+    }
     Py_RETURN_NONE;
 }
 

@@ -56,7 +56,11 @@ def history_estimate(*arguments: Any) -> bool:
     """Write the estimate at a stamp [ns]; return whether there is one."""
 
 def history_advance(*arguments: Any) -> None:
-    """Offer measurements and estimate at ticks; see `advance` in tsobs.h."""
+    """Offer measurements and estimate at ticks; see `advance` in tsobs.h.
+
+    The first argument has the records of any number of trackers, each of which has an equal share
+    of every array.
+    """
 
 def estimator_correct(model: Any, states: Any, y: Any, corrections: Any, /) -> None:
     """Use one measurement (p), in place, and write its effect."""

@@ -190,7 +190,10 @@ class Estimator:
 
     def new_rows(self, count: int) -> Rows:
         """Return rows of `row_type`, all NaN."""
-        numbers = np.full(count * self.row_type.itemsize // 8, np.nan)
+        return self.rows_of(np.full(count * self.row_type.itemsize // 8, np.nan))
+
+    def rows_of(self, numbers: Array) -> Rows:
+        """Return rows of `row_type`, the memory of contiguous numbers."""
         return numbers.view(self.row_type).view(np.recarray)
 
     def initial(self) -> Record:

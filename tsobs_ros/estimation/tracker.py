@@ -217,7 +217,7 @@ class Tracker:
     def offer(self, measurement: Measurement, now: int) -> Outcomes:
         """Use one measurement, late by up to the history; as `offer_many`."""
         stamp, y, u = measurement
-        return self.offer_many([stamp], [y], [u], now)
+        return self.offer_many([stamp], np.asarray(y)[np.newaxis], np.asarray(u)[np.newaxis], now)
 
     def offer_many(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike, now: int) -> Outcomes:
         """Use measurements in the order of their stamps, or refuse them.
@@ -278,26 +278,16 @@ class Tracker:
                 taken by the end of each tick.
             stale_after: Age of the newest measurement after which nothing is estimated [s].
         """
-        rows, outcomes = self.estimator.new_rows(len(ticks[0])), _outcomes(*y.shape)
-        newest, there = np.zeros((2, len(rows)), np.int64)
-        limit = 2 * _LONGEST if math.isinf(stale_after) else int(stale_after * NANOSECONDS)
-        native.history_advance(
-            *self._records,
-            *map(np.ascontiguousarray, (stamps, y, u)),
-            *outcomes,
-            *map(np.ascontiguousarray, ticks),
-            *(newest, there, numbers_of(rows), limit),
-        )
-        rows[there == 0] = np.nan
-        for each in (outcomes.innovations, outcomes.expected_std):
-            each[ticks[2][-1] if len(rows) else 0 :] = np.nan  # of those that no tick took
-        return TrackerRun(rows, there != 0, newest, outcomes)
+        run = _advance([self], stamps, y, u, ticks, stale_after)
+        for each in run.outcomes[2:]:
+            each[ticks[2][-1] if len(run.rows) else 0 :] = np.nan  # of those that no tick took
+        return run
 
     def _checked(
         self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike
     ) -> tuple[Stamps, Array, Array]:
-        shape, times = self.estimator.shape, np.array(stamps, np.int64)
-        samples, inputs = (np.array(each, np.float64, order="C") for each in (y, u))
+        shape, times = self.estimator.shape, np.ascontiguousarray(stamps, np.int64)
+        samples, inputs = np.ascontiguousarray(y, np.float64), np.ascontiguousarray(u, np.float64)
         count = len(times)
         if samples.shape != (count, shape.p) or inputs.shape != (count, shape.m):
             raise ModelError(
@@ -326,3 +316,62 @@ class Tracker:
                 _HYPOTHESES[int(hypothesis)], in_domain != 0.0, age,
             )
         )  # fmt: skip
+
+
+def step_joints(
+    trackers: Sequence[Tracker], stamps: ArrayLike, y: ArrayLike, u: ArrayLike, now: int
+) -> TrackerRun:
+    """Use a measurement of each of J joints, and estimate at a time, in one call of the core.
+
+    The numbers are those of `Tracker.offer` and `Tracker.estimate`, joint by joint.
+
+    Args:
+        trackers: One for each joint, of designs with as many states, outputs, inputs and learnt
+            parameters, whatever their numbers.
+        stamps: Of the measurements [ns], shape (J,).
+        y: Measured outputs, NaN of one that is missing, shape (J, p).
+        u: Inputs from each measurement until the next one, shape (J, m).
+        now: Time on the clock of the stamps, and of the estimates [ns].
+
+    Returns:
+        A row, and an outcome, for each joint.
+
+    Raises:
+        ModelError: The arrays have other shapes, or the designs other sizes.
+    """
+    count = len(trackers)
+    if len({each.estimator.shape for each in trackers}) != 1:
+        shapes = [each.estimator.shape for each in trackers]
+        raise ModelError(f"trackers: expected one or more of the same sizes, got {shapes}")
+    times, samples, inputs = trackers[0]._checked(stamps, y, u)
+    if len(times) != count:
+        raise ModelError(f"stamps: expected one for each of {count} joints, got {len(times)}")
+    at, known = np.full(count, now), np.ones(count, np.int64)
+    return _advance(trackers, times, samples, inputs, (at, at, known))
+
+
+def _advance(
+    trackers: Sequence[Tracker],
+    stamps: Stamps,
+    y: Array,
+    u: Array,
+    ticks: Sequence[Integers],
+    stale_after: float = math.inf,
+) -> TrackerRun:
+    """Advance trackers, each by an equal share of the measurements and of the ticks."""
+    first, outcomes = trackers[0], _outcomes(*y.shape)
+    count, limit = len(ticks[0]), 2 * _LONGEST
+    rows, (newest, there) = np.empty(count * first._width), np.zeros((2, count), np.int64)
+    if not math.isinf(stale_after):
+        limit = int(stale_after * NANOSECONDS)
+    native.history_advance(
+        tuple(record for each in trackers for record in each._records),
+        *map(np.ascontiguousarray, (stamps, y, u)),
+        *outcomes,
+        *map(np.ascontiguousarray, ticks),
+        *(newest, there, rows, limit),
+    )
+    made, exists = first.estimator.rows_of(rows), there != 0
+    if not exists.all():
+        made[~exists] = np.nan
+    return TrackerRun(made, exists, newest, outcomes)
