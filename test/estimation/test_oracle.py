@@ -183,7 +183,8 @@ def test_weights_follow_bayes_rule_and_the_mixture_has_their_moments() -> None:
 
     def likelihood(one: Any, y: float, noise_scale: float) -> float:
         """Return the logarithm of that of a sample by a hypothesis, or of an outlier's."""
-        seen = np.append(c, [0.0, one["kind"] in PARTS, 0.0, 0.0])
+        second = one["kind"] == Hypothesis.TONE and one["x"][-1] > 0.0
+        seen = np.append(c, [0.0, one["kind"] in PARTS, 0.0, 0.0, second, 0.0, 0.0])
         omega, level = one["sensitivity"] @ seen, designed * noise_scale**2
         loud = BANK["NOISE_FACTOR"] if one["kind"] == Hypothesis.LOUD else 1.0
         S = seen @ one["covariance"] @ seen + loud * variance * noise_scale**2

@@ -35,7 +35,7 @@ int sizes_are_sound(const int64_t *numbers)
         }
     }
     return s.n >= 1 && s.plant >= 1 && s.plant <= s.n
-           && (s.width == s.n || s.width >= s.n + 1 + (s.p > 3 ? s.p : 3))
+           && (s.width == s.n || s.width >= s.n + 1 + (s.p > 6 ? s.p : 6))
            && (s.hypotheses == 1 || (s.hypotheses == STANDING + FORKS && s.width > s.n));
 }
 
@@ -395,17 +395,14 @@ static void widen_for_stuck(const model *m, const state *at, correction *effect)
     }
 }
 
-/* Return whether two frequencies are closer than halfway between neighbouring ones. */
-static int is_near(const model *m, double one, double other)
+/* Return whether an arm swings by itself at a frequency: there a wrong model looks like a tone; for
+ * a second one, at those that other parameters may give, too. */
+static int is_its_own(const model *m, double frequency, int is_second)
 {
-    const double ratio = m->constants[TONE_RATIO];
-    return one * one < ratio * other * other && other * other < ratio * one * one;
-}
-
-/* Return whether an arm swings by itself at a frequency: there a wrong model looks like a tone. */
-static int is_its_own(const model *m, double frequency)
-{
-    return is_near(m, frequency, m->modes[0]) || is_near(m, frequency, m->modes[1]);
+    const double step = m->constants[TONE_RATIO];
+    const double ratio = is_second ? step * step : sqrt(step);
+    return (frequency < ratio * m->modes[0] && m->modes[0] < ratio * frequency)
+           || (frequency < ratio * m->modes[1] && m->modes[1] < ratio * frequency);
 }
 
 /* Return the lowest frequency at which tones are looked for: the memory has four radians of it. */
@@ -426,27 +423,35 @@ static void turn_tones(
         sine_and_cosine(rate * elapsed, &sin, &cos);
         z[0] = (1.0 - share) * (cos * first - sin * z[1]) + r;
         z[1] = (1.0 - share) * (cos * z[1] + sin * first);
-        loud[j] = is_its_own(m, rate) ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
+        loud[j] = is_its_own(m, rate, 0) ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
         rate *= m->constants[TONE_RATIO];
     }
 }
 
-/* Begin a tone of an output, as a copy of the best hypothesis or with what that has learnt
+/* A tone in innovations. */
+typedef struct {
+    double power, frequency, size;
+} tone;
+
+/* Begin tones of an output, as a copy of the best hypothesis or with what that has learnt
  * forgotten: what others have learnt while they did not know of the tone is wrong. */
-static void begin_tone(
-    const model *m, const state *at, long place, int64_t output, double frequency, double size)
+static void begin_tones(
+    const model *m, const state *at, long place, int64_t output, const tone *tones, long count)
 {
-    const long n = m->s.n, width = m->s.width;
+    const long width = m->s.width;
     const hypothesis h = begin_from_best(m, at, place, NO_FORK, -m->constants[FLOOR]);
-    const double off = halfway_from(m, frequency);
-    const double variances[3] = {size * size, size * size, off * off};
     *h.output = output;
-    *h.size = size;
+    *h.size = tones[0].size;
     take_for(m, at, &h, TONE);
-    for (long j = 0; j < 3; j++) {
-        h.covariance[(n + 1 + j) * (width + 1)] = variances[j];
+    for (long i = 0; i < count; i++) {
+        const double size = tones[i].size, off = halfway_from(m, tones[i].frequency);
+        const double variances[3] = {size * size, size * size, off * off};
+        const long first = m->s.n + 1 + 3 * i;
+        for (long j = 0; j < 3; j++) {
+            h.covariance[(first + j) * (width + 1)] = variances[j];
+        }
+        h.x[first + 2] = tones[i].frequency;
     }
-    h.x[n + 3] = frequency;
     if (place == TONE_RESET) {
         open_all(m, &h);
         for (long a = 0; a < m->s.k; a++) {
@@ -456,12 +461,14 @@ static void begin_tone(
     }
 }
 
-/* Look for a tone in the design's innovations, and propose the loudest: where it stands between its
- * frequency and the louder neighbour, by how loud both are. */
-static void propose_tone(const model *m, state *at, const correction *effect)
+/* Look for tones in the design's innovations, and propose the loudest: where it stands between its
+ * frequency and the louder neighbour, by how loud both are. If one alone has failed, propose the
+ * next one, too, unless the window or clipping may have made it of the loudest. */
+static void propose_tones(const model *m, state *at, const correction *effect)
 {
     const double step = m->constants[TONE_RATIO];
-    double most = m->constants[TONE_SIGN], size = 0.0, frequency = 0.0;
+    const tone none = {m->constants[TONE_SIGN], 0.0, 0.0};
+    tone tones[3] = {none, none, none};
     int64_t output = 0;
     for (long i = 0; i < m->s.p; i++) {
         const sensor of = sensor_of(m, at, i);
@@ -470,35 +477,50 @@ static void propose_tone(const model *m, state *at, const correction *effect)
         const double r = clip(outlook_of(effect, i)->innovation / std, -3.0, 3.0);
         double loud[TONES + 2] = {0.0}; /* and 0 beyond both ends */
         double rate = slowest_tone(m);
+        tone own[3] = {none, none, {0.0, 0.0, 0.0}}; /* the loudest, in turn */
         if (!effect->present[i]) {
             continue;
         }
         turn_tones(m, &of, r, maximum(*of.since, *m->period), share, loud + 1);
-        for (long j = 1; j <= TONES; j++) {
-            const double here = loud[j], power = here * here * (2.0 - share) * share;
-            if (power > most) {
-                const double other = maximum(loud[j - 1], loud[j + 1]);
-                const double ratio = loud[j + 1] > loud[j - 1] ? step : 1.0 / step;
-                most = power;
-                frequency = rate * (here + ratio * other) / (here + other);
-                output = i;
-                size = 6.0 * share * here * std; /* the filter follows a slow tone in part */
+        for (long j = 1; j <= TONES; j++, rate *= step) {
+            const double here = loud[j], other = maximum(loud[j - 1], loud[j + 1]);
+            const double ratio = loud[j + 1] > loud[j - 1] ? step : 1.0 / step;
+            tone found = {
+                here * here * (2.0 - share) * share,
+                rate * (here + ratio * other) / (here + other),
+                6.0 * share * here * std, /* the filter follows a slow tone in part */
+            };
+            for (long rank = 0; here >= other && rank < 3; rank++) {
+                const tone ranked = own[rank];
+                if (found.power > ranked.power
+                    && (rank == 0 || !is_its_own(m, found.frequency, 1))) {
+                    own[rank] = found;
+                    found = ranked;
+                }
             }
-            rate *= step;
+        }
+        if (own[0].power > tones[0].power) {
+            memcpy(tones, own, sizeof tones);
+            output = i;
         }
     }
+    const double frequency = tones[0].frequency;
+    const double apart = (tones[1].frequency - frequency) * m->constants[AWAKE];
+    const int are_two = tones[1].power > 2.5 * tones[2].power
+                        && tones[1].power * minimum(1.0 + apart * apart, 8.0) > tones[0].power;
     for (long place = TONE; place <= TONE_RESET; place++) {
         const hypothesis h = hypothesis_of(m, at, place);
-        const double now = h.x[m->s.n + 3];
+        const double now = h.x[m->s.n + 3], second = h.x[m->s.n + 6];
         /* A slow one takes three periods to show, unless a much faster one is louder. */
         const double periods = frequency < 2.0 * now ? 20.0 / now : 0.0;
         const int is_over = *h.age > maximum(m->constants[AWAKE], periods);
-        if (*h.live != 0 && is_its_own(m, now)) {
+        const int failed_alone = *h.live != 0 && second == 0.0;
+        if (*h.live != 0 && (is_its_own(m, now, 0) || is_its_own(m, second, 1))) {
             *h.score = -INFINITY;
         }
         if (frequency > 0.0 && *best_of(m, at).kind != TONE
             && (*h.live == 0 || (*h.score < -0.5 * m->constants[FLOOR] && is_over))) {
-            begin_tone(m, at, place, output, frequency, size);
+            begin_tones(m, at, place, output, tones, 1 + (are_two && failed_alone));
         }
     }
 }
@@ -889,7 +911,7 @@ static void use_sample(const model *m, state *at, long place, correction *effect
         expect_outputs(m, at, &h, effect);
     }
     if (place == AS_DESIGNED && *at->awake > 0.0) {
-        propose_tone(m, at, effect);
+        propose_tones(m, at, effect);
     }
     *h.score += correct_hypothesis(m, at, &h, effect);
 }

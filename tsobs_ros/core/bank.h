@@ -85,8 +85,8 @@ double mean_torque(const model *m, const state *at, double ahead, double duratio
 /* Return the states in use: the design's, and the auxiliary ones that can differ from 0. */
 long states_in_use(const model *m, const hypothesis *h);
 
-/* Return the auxiliary state that is part of an output, or -1. */
-long part_of(const model *m, const hypothesis *h, long output);
+/* Add the auxiliary states that are part of an output to its row of the others. */
+void add_parts(const model *m, const hypothesis *h, long output, double *row);
 
 /* Take the certificate's bound for the covariance, from where Riccati gains go on. */
 void leave_certified(const model *m, const state *at, const hypothesis *h, int64_t cause);

@@ -37,7 +37,7 @@ enum {
     LOUD,           /* white noise that is larger than designed */
     COLOURED_NOISE, /* noise that is correlated in time */
     DRIFT,          /* sensors that move away */
-    TONE,           /* a sensor that oscillates, */
+    TONE,           /* a sensor that oscillates, at one frequency or two, */
     TONE_RESET,     /* the same, of which nothing is known of the arm before; its kind is TONE */
     STANDING,
     FORKS = 6
@@ -226,7 +226,8 @@ enum { OUTLOOK_SIZE = sizeof(outlook) / sizeof(double) };
     F(COUNTS, present, s->p, 1) /* whether a sample is there, and no stuck sensor's */      \
     F(MATRIX, outlooks, s->p, OUTLOOK_SIZE)                                               \
     F(MATRIX, crossed, s->p, s->width) /* covariance of innovations with the states */    \
-    F(VECTOR, gain, s->width, 1) /* of an output */                                       \
+    F(VECTOR, row, s->width, 1)  /* an output, by the states, */                          \
+    F(VECTOR, gain, s->width, 1) /* and its gain */                                       \
     F(MATRIX, omega, s->p, s->k) /* dy/dtheta */                                          \
     F(VECTOR, cross, s->k, 1)                                                             \
     F(VECTOR, scaled, s->k, 1)                                                            \

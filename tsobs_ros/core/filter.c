@@ -29,7 +29,7 @@ long states_in_use(const model *m, const hypothesis *h)
     case DRIFT:
         return n + 1 + m->s.p;
     case TONE:
-        return n + 4;
+        return h->x[n + 6] > 0.0 ? n + 7 : n + 4;
     case FORCE:
         return n + 1;
     default:
@@ -37,13 +37,14 @@ long states_in_use(const model *m, const hypothesis *h)
     }
 }
 
-long part_of(const model *m, const hypothesis *h, long output)
+void add_parts(const model *m, const hypothesis *h, long output, double *row)
 {
     const long first = m->s.n + 1;
     if (*h->kind == COLOURED_NOISE || *h->kind == DRIFT) {
-        return first + output;
+        row[first + output] = 1.0;
+    } else if (*h->kind == TONE && *h->output == output) {
+        row[first] = row[first + 3] = 1.0;
     }
-    return *h->kind == TONE && *h->output == output ? first : -1;
 }
 
 void leave_certified(const model *m, const state *at, const hypothesis *h, int64_t cause)
@@ -65,36 +66,37 @@ void leave_certified(const model *m, const state *at, const hypothesis *h, int64
 
 /* --- correction --- */
 
-/* Return an output of x, by its row of C and the auxiliary state that is part of it, or -1. */
-static double output_of(const double *row, const double *x, long n, long part)
+/* Return a . b, where most of a is 0. */
+static double sparse_dot(const double *a, const double *b, long n)
 {
     double total = 0.0;
     for (long i = 0; i < n; i++) {
-        total += row[i] != 0.0 ? row[i] * x[i] : 0.0;
+        total += a[i] != 0.0 ? a[i] * b[i] : 0.0;
     }
-    return part < 0 ? total : total + x[part];
+    return total;
 }
 
-/* Return what the filter expects of an output; write, unless the gain is the certified one, the
- * covariance of the innovation with the states in use, `crossed`. */
+/* Return what the filter expects of an output; write the states' part in that, `row`, and unless
+ * the gain is the certified one, the covariance of the innovation with those in use, `crossed`. */
 static outlook expect(
     const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
-    const long n = m->s.n, p = m->s.p, width = m->s.width;
-    const long used = states_in_use(m, h), part = part_of(m, h, i);
-    const double scale = noise_of(m, at, i), *row = m->C + i * width;
+    const long p = m->s.p, width = m->s.width, used = states_in_use(m, h);
+    const double scale = noise_of(m, at, i);
     const double factor = *h->kind == LOUD ? m->constants[NOISE_FACTOR] : 1.0;
-    double *crossed = effect->crossed + i * width;
+    double *row = effect->row, *crossed = effect->crossed + i * width;
     outlook of = {0.0, 0.0, 0.0, 0.0, 0};
-    of.innovation = at->y[i] - (output_of(row, h->x, n, part) + dot(m->D + i * p, at->sample, p));
+    memcpy(row, m->C + i * width, (size_t)width * sizeof *row);
+    add_parts(m, h, i, row);
+    of.innovation = at->y[i] - (sparse_dot(row, h->x, used) + dot(m->D + i * p, at->sample, p));
     if (*h->certified != 0) {
         of.known = scale * scale * m->innovation_covariance[i * p + i];
         return of;
     }
     for (long j = 0; j < used; j++) {
-        crossed[j] = output_of(row, h->covariance + j * width, n, part);
+        crossed[j] = sparse_dot(row, h->covariance + j * width, used);
     }
-    of.known = output_of(row, crossed, n, part) + m->R[i * p + i] * (scale * scale * factor);
+    of.known = sparse_dot(row, crossed, used) + m->R[i * p + i] * (scale * scale * factor);
     return of;
 }
 
@@ -115,12 +117,12 @@ static double price_of(const model *m, const hypothesis *h)
 static outlook look(
     const model *m, const state *at, const hypothesis *h, long i, correction *effect)
 {
-    const long k = m->s.k, p = m->s.p, width = m->s.width, part = part_of(m, h, i);
+    const long k = m->s.k, p = m->s.p, width = m->s.width, used = states_in_use(m, h);
     const double scale = noise_of(m, at, i);
     double *omega = effect->omega + i * k;
     outlook of = expect(m, at, h, i, effect);
     for (long a = 0; a < k; a++) {
-        omega[a] = output_of(m->C + i * width, h->sensitivity + a * width, m->s.n, part);
+        omega[a] = sparse_dot(effect->row, h->sensitivity + a * width, used);
     }
     of.variance = of.known + (k > 0 ? maximum(quadratic(h->gamma, k, omega, k), 0.0) : 0.0);
     if (!effect->present[i]) {
@@ -363,15 +365,17 @@ static void write_own_motion(
     added[0] = force * (1.0 - torque * torque) + along->forgotten * duration;
     if (*h->kind == TONE) {
         const double decay = left_after(m, duration, TONE_TIME, left);
-        const double frequency = h->x[m->s.n + 3], wander = halfway_from(m, frequency);
-        double sin, cos;
-        sine_and_cosine(frequency * duration, &sin, &cos);
-        D[stride + 1] = D[2 * stride + 2] = decay * cos;
-        D[stride + 2] = decay * sin;
-        D[2 * stride + 1] = -(decay * sin);
-        D[3 * stride + 3] = 1.0;
-        added[1] = added[2] = *h->size * *h->size * (1.0 - decay * decay);
-        added[3] = wander * wander * duration / m->constants[TONE_TIME];
+        for (long i = 1; m->s.n + i < states_in_use(m, h); i += 3) {
+            const double frequency = h->x[m->s.n + i + 2], wander = halfway_from(m, frequency);
+            double sin, cos, *row = D + i * stride + i;
+            sine_and_cosine(frequency * duration, &sin, &cos);
+            row[0] = row[stride + 1] = decay * cos;
+            row[1] = decay * sin;
+            row[stride] = -(decay * sin);
+            row[2 * stride + 2] = 1.0;
+            added[i] = added[i + 1] = *h->size * *h->size * (1.0 - decay * decay);
+            added[i + 2] = wander * wander * duration / m->constants[TONE_TIME];
+        }
     } else if (*h->kind == COLOURED_NOISE || *h->kind == DRIFT) {
         const int is_drift = *h->kind == DRIFT;
         const double size = is_drift ? *h->size : m->constants[COLOUR_SIZE];
@@ -434,11 +438,12 @@ static void step_hypothesis(
         }
         write_own_motion(m, h, along, is_rest, used, map + corner, added);
         for (long i = 0; i < count; i++) {
-            moved[i] = output_of(map + corner + i * used, h->x + n, count, -1);
+            moved[i] = sparse_dot(map + corner + i * used, h->x + n, count);
         }
-        if (*h->kind == TONE) { /* by how much a faster tone would have turned further */
-            map[corner + used + 3] = over->duration * moved[2];
-            map[corner + 2 * used + 3] = -(over->duration * moved[1]);
+        for (long i = 1; *h->kind == TONE && i < count; i += 3) {
+            double *row = map + corner + i * used; /* a faster tone would have turned further */
+            row[i + 2] = over->duration * moved[i + 1];
+            row[used + i + 2] = -(over->duration * moved[i]);
         }
         memcpy(h->x + n, moved, (size_t)count * sizeof *moved);
     }

@@ -37,7 +37,8 @@ typedef struct {
 
 /* A function: its name, one letter for each argument, and its body. The letters: 'd' an array
  * that is read, 'D' one that is written, both contiguous and of 8-byte numbers, 'b' bytes, 'f' a
- * float, 'i' an int, 's' a text, 't' a tuple. The body returns a new reference, or NULL with an exception. */
+ * float, 'i' an int, 's' a text, 't' a tuple. The body returns a new reference, or NULL with an
+ * exception. */
 typedef struct signature {
     const char *name, *format;
     PyObject *(*body)(const struct signature *of, const argument *t);
@@ -86,12 +87,24 @@ static int take(const signature *of, int place, PyObject *given, argument *t)
     return 1;
 }
 
+/* Release arguments that are held. */
+static void release(argument *t, int count)
+{
+    for (; count > 0; count--, t++) {
+        if (t->held) {
+            PyBuffer_Release(&t->buffer);
+        }
+        t->held = 0;
+    }
+}
+
 static PyObject *call(const signature *of, PyObject *const *given, Py_ssize_t count)
 {
     argument taken[MAX_ARGUMENTS];
     const Py_ssize_t expected = (Py_ssize_t)strlen(of->format);
     PyObject *result = NULL;
     int place = 0, are_right = 1;
+    taken[0].held = 0;
     if (count != expected) {
         return PyErr_Format(PyExc_TypeError, "%s: expected %zd arguments, got %zd", of->name,
                             expected, count);
@@ -102,11 +115,7 @@ static PyObject *call(const signature *of, PyObject *const *given, Py_ssize_t co
     if (are_right) {
         result = of->body(of, taken);
     }
-    while (place-- > 0) {
-        if (taken[place].held) {
-            PyBuffer_Release(&taken[place].buffer);
-        }
-    }
+    release(taken, place);
     return result;
 }
 
@@ -444,7 +453,6 @@ static int advance_one(const signature *of, const argument *t)
     return 1;
 }
 
-
 BIND(history_advance, "t" "ddd" "DDDD" "ddd" "DDD" "i")
 {
     enum { SHARED = 14 };
@@ -458,21 +466,12 @@ BIND(history_advance, "t" "ddd" "DDDD" "ddd" "DDD" "i")
             own[i + 1].length = t[i].length / trackers;
             own[i + 1].at = (double *)t[i].at + place * own[i + 1].length;
         }
-        for (int i = 0; i < 2 && are_right; i++) {
-            are_right = take(&records, i, PyTuple_GetItem(t[0].tuple, 2 * place + i), &own[i]);
-        }
-        are_right = are_right && advance_one(of, own);
-        for (int i = 0; i < 2; i++) {
-            if (own[i].held) {
-                PyBuffer_Release(&own[i].buffer);
-                own[i].held = 0;
-            }
-        }
+        are_right = take(&records, 0, PyTuple_GetItem(t[0].tuple, 2 * place), &own[0])
+                    && take(&records, 1, PyTuple_GetItem(t[0].tuple, 2 * place + 1), &own[1])
+                    && advance_one(of, own);
+        release(own, 2);
     }
-    if (!are_right) {
-        return NULL;
-    }
-    Py_RETURN_NONE;
+    return are_right ? Py_NewRef(Py_None) : NULL;
 }
 
 /* --- exported designs --- */

@@ -104,11 +104,11 @@ static double value_of(
         *variance = what == STATE ? h->covariance[place * (width + 1)] : 0.0;
         return what == STATE ? h->x[place] : h->theta[place];
     }
-    const long used = states_in_use(m, h), part = part_of(m, h, place);
+    const long used = states_in_use(m, h);
     const double *map = what == TORQUE ? m->torque_map : m->disturbance_map;
     memcpy(functional, map + place * width, (size_t)width * sizeof *functional);
-    if (what == DISTURBANCE && part >= 0 && *h->kind != COLOURED_NOISE) {
-        functional[part] = 1.0;
+    if (what == DISTURBANCE && *h->kind != COLOURED_NOISE) {
+        add_parts(m, h, place, functional);
     }
     *variance = *h->certified != 0 ? 0.0 : quadratic(h->covariance, width, functional, used);
     const double value = dot(functional, h->x, used);

@@ -81,7 +81,7 @@ def new_model(
     late = p * (math.ceil(torque.delay / period) + 1) + 1 if torque.delay else 0
     scratch = record_type("flow_step", flow["sizes"][0])
     sizes = (
-        n, n + (1 + max(3, p) if auxiliary else 0), plant, p, m, k, t,
+        n, n + (1 + max(6, p) if auxiliary else 0), plant, p, m, k, t,
         native.HYPOTHESES if auxiliary else 1, late,
         flow.dtype.itemsize // 8, scratch.itemsize // 8,
     )  # fmt: skip

@@ -67,9 +67,9 @@ class Outcomes(NamedTuple):
     expected_std: Array
 
 
-def _outcomes(count: int, p: int) -> Outcomes:
-    codes = np.zeros(count, np.int64), np.zeros((count, p), np.int64)
-    return Outcomes(*codes, np.empty((count, p)), np.empty((count, p)))
+def _outcomes(*shape: int) -> Outcomes:
+    codes = np.empty(shape[0], np.int64), np.empty(shape, np.int64)
+    return Outcomes(*codes, np.empty(shape), np.empty(shape))
 
 
 class TrackerRun(NamedTuple):
@@ -279,8 +279,8 @@ class Tracker:
             stale_after: Age of the newest measurement after which nothing is estimated [s].
         """
         run = _advance([self], stamps, y, u, ticks, stale_after)
-        for each in run.outcomes[2:]:
-            each[ticks[2][-1] if len(run.rows) else 0 :] = np.nan  # of those that no tick took
+        for each, nothing in zip(run.outcomes, (0, 0, np.nan, np.nan), strict=True):
+            each[ticks[2][-1] if len(run.rows) else 0 :] = nothing  # of those that no tick took
         return run
 
     def _checked(

@@ -117,6 +117,7 @@ SCENARIOS: dict[str, Scenario] = {
         for size, frequencies in _TONES.items()
         for frequency in frequencies
     },
+    "tone_pair": arm_with(Sinusoid(0.1, 2.0, 2.0), Sinusoid(0.08, 7.0, 2.0)),
     # Drifts, inertias, payloads and play of the gear; other rates and motions; mixtures of three.
     "wander": arm_with(_walk(1e-4)),
     "wander_3": arm_with(_walk(3e-4)),
@@ -149,7 +150,7 @@ SCENARIOS |= {
     for name in (
         "bias_step", "sinusoid", "dropouts", "student", "many_outliers", "pulses", "steps",
         "friction", "correlated_0.9", "tone_0.1_3", "tone_0.1_8", "wander", "late_payload",
-        "backlash_0.03", "missing", "half_rate", "near_rest",
+        "backlash_0.03", "missing", "half_rate", "near_rest", "tone_pair",
     )
 }  # fmt: skip
 """All by name, one minute each at 200 Hz with u = sin t unless they say otherwise; "stiff" is +20 %
