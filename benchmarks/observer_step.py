@@ -155,7 +155,7 @@ def _in_place(estimator: Estimator, y: Array, u: Array) -> Step:
         estimator.model,
         estimator.initial(),
         estimator.new_record("correction"),
-        estimator.new_rows(1),
+        estimator.new_record("estimate"),
         estimator.new_record("work"),
     )
     model, states, corrections, rows, work = (each.view(np.float64) for each in records)
@@ -246,7 +246,7 @@ def _worst(design: Design, turns: int) -> dict[str, float]:
     model = estimator.model.view(np.float64)
     memory, scratch = states.view(np.float64), work.view(np.float64)
     corrections = estimator.new_record("correction").view(np.float64)
-    rows = estimator.new_rows(1).view(np.float64)
+    rows = estimator.new_record("estimate").view(np.float64)
     samples, inputs, period = [y[-1], y[-1] + 1.0], u[-1].copy(), estimator.period
     numbers, before = states.view(np.float64), start.view(np.float64)
     times = []

@@ -63,7 +63,7 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "5dd44c03411b2f89",
+    "supervised arm": "4d571a740447ec3f",
     "pendulum": "e512245d7482d123",
     "proportional": "3bed2344d081223c",
     "proportional-integral": "6e7e29fca59d261d",

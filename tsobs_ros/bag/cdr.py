@@ -129,8 +129,7 @@ _FIXED = 3
 
 
 def _tick_front(count: int) -> bytes:
-    front = _FRONT.pack(LITTLE, 1, len(_LABEL), _LABEL, count, count, 0, count)
-    return front.ljust(_BEGIN, b"\0")
+    return _FRONT.pack(LITTLE, 1, len(_LABEL), _LABEL, count, count, 0, count).ljust(_BEGIN, b"\0")
 
 
 def encode_tick(stamp: int, number: int, estimated: bool, messages: Iterable[bytes]) -> bytes:

@@ -153,8 +153,7 @@ class Campaign:
         data = encode(self.entries)
         for name in ("runs", "design"):
             del data[name]
-        text = json.dumps([__version__, checksum(self.design), data])
-        return sha256(text.encode()).hexdigest()
+        return sha256(json.dumps([__version__, checksum(self.design), data]).encode()).hexdigest()
 
     def text(self, design: str) -> str:
         """Return the campaign as a file with another entry `design`."""

@@ -180,6 +180,26 @@ static void drop(const model *m, const hypothesis *h)
     memset(h->live, 0, hypothesis_size(&m->s) * sizeof(double));
 }
 
+/* Consider the best hypothesis only. */
+static void drop_others(const model *m, const state *at)
+{
+    hypothesis h;
+    for (long i = 0; find_live(m, at, &i, &h); i++) {
+        if (i != *at->best) {
+            drop(m, &h);
+        }
+    }
+}
+
+/* Put a fork in its parent's place, as the best hypothesis. */
+static void take_place(const model *m, state *at, const hypothesis *h)
+{
+    *at->best = *h->kind;
+    *h->fork = NO_FORK;
+    memcpy(best_of(m, at).live, h->live, hypothesis_size(&m->s) * sizeof(double));
+    drop(m, h);
+}
+
 /* Begin a hypothesis as a copy of the best one, of which it supposes something else. */
 static hypothesis begin_from_best(
     const model *m, const state *at, long place, int64_t fork, double score)
@@ -334,11 +354,6 @@ static void count_repeats(
     *of->repeats = 0;
 }
 
-static int is_stuck(const model *m, const sensor *of)
-{
-    return 0 < *m->stuck_samples && *m->stuck_samples <= *of->repeats;
-}
-
 /* Look at the samples as the best hypothesis expects them: count repetitions, and under supervision
  * leave out those of stuck sensors, and follow the noise. Return whether there are outliers. */
 static int examine(const model *m, state *at, correction *effect)
@@ -356,8 +371,7 @@ static int examine(const model *m, state *at, correction *effect)
         if (*m->supervised == 0) {
             continue;
         }
-        *of.pull = *of.repeats > 0 ? *of.pull + innovation : 0.0;
-        if (is_stuck(m, &of)) {
+        if (0 < *m->stuck_samples && *m->stuck_samples <= *of.repeats) {
             effect->present[i] = expected->used = 0;
         } else if (isfinite(innovation)) {
             scale_noise(m, &of, innovation, m->innovation_covariance[i * m->s.p + i]);
@@ -369,30 +383,6 @@ static int examine(const model *m, state *at, correction *effect)
         *at->noise_scale = scale;
     }
     return outliers;
-}
-
-/* Add to the covariances what the samples of a sensor have done since it is stuck. */
-static void widen_for_stuck(const model *m, const state *at, correction *effect)
-{
-    const long n = m->s.n, p = m->s.p, width = m->s.width;
-    hypothesis h;
-    for (long i = 0; i < p; i++) {
-        const sensor of = sensor_of(m, at, i);
-        const double variance = m->innovation_covariance[i * p + i];
-        double *moved = effect->crossed;
-        if (!is_stuck(m, &of) || *of.repeats != *m->stuck_samples || at->y[i] != at->y[i]) {
-            continue;
-        }
-        for (long a = 0; a < n; a++) {
-            moved[a] = *of.pull * (dot(m->C + i * width, m->X + a * width, n) / variance);
-        }
-        for (long j = 0; find_live(m, at, &j, &h); j++) {
-            leave_certified(m, at, &h, BASIS_GAP);
-            for (long a = 0; a < n; a++) {
-                add_scaled(h.covariance + a * width, moved[a], moved, n);
-            }
-        }
-    }
 }
 
 /* Return whether an arm swings by itself at a frequency: there a wrong model looks like a tone; for
@@ -536,7 +526,7 @@ static long place_for(const model *m, const state *at, double score)
         if (*h.live == 0) {
             return i;
         }
-        if (i != *at->best && *h.score < score) {
+        if (i != *at->best && *h.fork != STUCK && *h.score < score) {
             found = i;
             score = *h.score;
         }
@@ -603,6 +593,35 @@ static void suppose(
     *h.corrected = 1;
     if (!isfinite(*h.score)) {
         drop(m, &h);
+    }
+}
+
+/* Suppose that sensors are stuck from where their values begin to repeat: a fork that does not use
+ * them, which becomes likelier with each repetition, and once it is sure is the only one left. */
+static void suppose_stuck(const model *m, state *at)
+{
+    const double sure = (double)*m->stuck_samples;
+    double repeats = 0.0;
+    long place = STANDING;
+    hypothesis h;
+    for (long i = 0; i < m->s.p; i++) {
+        repeats = maximum(repeats, (double)*sensor_of(m, at, i).repeats);
+    }
+    while (find_live(m, at, &place, &h) && *h.fork != STUCK) {
+        place++;
+    }
+    const int exists = place < m->s.hypotheses;
+    if (!exists && 0.0 < repeats && repeats < sure) {
+        place = place_for(m, at, INFINITY);
+        *begin_from_best(m, at, place, STUCK, -m->constants[FLOOR]).cause = BASIS_GAP;
+    } else if (exists && repeats == 0.0) {
+        drop(m, &h);
+    } else if (exists) {
+        *h.score = m->constants[FLOOR] * (minimum(repeats / sure, 1.0) - 1.0);
+    }
+    if (exists && repeats >= sure) {
+        take_place(m, at, &h);
+        drop_others(m, at);
     }
 }
 
@@ -758,8 +777,7 @@ static void select_forks(const model *m, state *at)
     hypothesis h;
     for (long i = STANDING; find_live(m, at, &i, &h); i++) {
         if (i == *at->best) {
-            const long kind = *h.kind;
-            const hypothesis parent = hypothesis_of(m, at, kind);
+            const hypothesis parent = hypothesis_of(m, at, *h.kind);
             if (*parent.live == 0 || *h.age > m->constants[TRIAL]
                 || *parent.score < -0.5 * m->constants[FLOOR]) {
                 *at->jumps += *h.fork == JUMPED;
@@ -769,10 +787,7 @@ static void select_forks(const model *m, state *at)
                 if (*h.fork == JUMPED) {
                     open_to_jump(m, at, &h);
                 }
-                *h.fork = NO_FORK;
-                memcpy(parent.live, h.live, hypothesis_size(&m->s) * sizeof(double));
-                drop(m, &h);
-                *at->best = kind;
+                take_place(m, at, &h);
             }
         } else if (!(*h.score >= -m->constants[FLOOR])) {
             drop(m, &h);
@@ -788,13 +803,13 @@ static void compare(const model *m, state *at)
     double most = -INFINITY;
     hypothesis h;
     for (long i = 0; find_live(m, at, &i, &h); i++) {
-        if (*h.score > most) {
+        if (*h.fork != STUCK && *h.score > most) {
             most = *h.score;
             *at->best = i;
         }
     }
     for (long i = 0; find_live(m, at, &i, &h); i++) {
-        *h.score -= most;
+        *h.score -= *h.fork != STUCK ? most : 0.0;
         if (i < STANDING) {
             *h.score = maximum(*h.score, -m->constants[FLOOR]);
         }
@@ -810,9 +825,7 @@ static void deactivate_bank(const model *m, state *at)
         is_calm = is_calm && *h.fork == OTHERWISE;
     }
     if (is_calm) {
-        for (long i = 1; find_live(m, at, &i, &h); i++) {
-            drop(m, &h);
-        }
+        drop_others(m, at);
         for (long i = 0; i < m->s.p; i++) {
             memset(sensor_of(m, at, i).tones, 0, 2 * TONES * sizeof(double));
         }
@@ -913,14 +926,17 @@ static void use_sample(const model *m, state *at, long place, correction *effect
     if (place == AS_DESIGNED && *at->awake > 0.0) {
         propose_tones(m, at, effect);
     }
-    *h.score += correct_hypothesis(m, at, &h, effect);
+    for (long i = 0; *h.fork == STUCK && i < m->s.p; i++) {
+        outlook_of(effect, i)->used &= *sensor_of(m, at, i).repeats == 0;
+    }
+    const double likelihood = correct_hypothesis(m, at, &h, effect);
+    *h.score += *h.fork != STUCK ? likelihood : 0.0;
 }
 
 /* Correct all hypotheses, and fork the best one where it does not expect a sample. */
 static void correct_bank(const model *m, state *at, correction *effect)
 {
-    const long best = *at->best;
-    hypothesis h = hypothesis_of(m, at, best);
+    hypothesis h = best_of(m, at);
     expect_outputs(m, at, &h, effect);
     const int outliers = examine(m, at, effect);
     write_innovation(m, &h, effect);
@@ -935,7 +951,8 @@ static void correct_bank(const model *m, state *at, correction *effect)
         activate_bank(m, at);
     }
     *at->outliers += outliers;
-    widen_for_stuck(m, at, effect);
+    suppose_stuck(m, at);
+    const long best = *at->best;
     /* What begins as a copy of the best one, which is last, is none that was corrected already. */
     for (long i = m->s.hypotheses - 1; i >= 0; i--) {
         if (i != best && *hypothesis_of(m, at, i).live != 0) {

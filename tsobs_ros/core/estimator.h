@@ -44,8 +44,8 @@ enum {
 };
 
 /* What a fork supposes: an event at its first sample, or otherwise, another kind or other
- * parameters than the best hypothesis has. */
-enum { NO_FORK, JUMPED, HIT, MOVED, WRONG_TORQUE, OTHERWISE };
+ * parameters than the best hypothesis has. HIT to STUCK are undecided at first. */
+enum { NO_FORK, JUMPED, HIT, MOVED, STUCK, WRONG_TORQUE, OTHERWISE };
 
 /* Outcomes of measurements, in the order of `estimation.records.RejectReason`. */
 enum {
@@ -135,8 +135,7 @@ int sizes_are_sound(const int64_t *numbers);
     F(NUMBER, rough, 1, 1)       /* and of its innovations' differences */                \
     F(NUMBER, before, 1, 1)      /* innovation of the sample before */                    \
     F(NUMBER, nearest, 1, 1)     /* least size of an innovation of the value */           \
-    F(COUNT, repeats, 1, 1)      /* repetitions of the value that count, */               \
-    F(NUMBER, pull, 1, 1)        /* and the sum of the innovations since */               \
+    F(COUNT, repeats, 1, 1)      /* repetitions of the value that count */                \
     F(COUNT, gated, 1, 1)        /* counts of samples that were not used, */              \
     F(COUNT, missing, 1, 1)      /* and of samples without this output */
 LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)

@@ -58,8 +58,7 @@ def history_estimate(*arguments: Any) -> bool:
 def history_advance(*arguments: Any) -> None:
     """Offer measurements and estimate at ticks; see `advance` in tsobs.h.
 
-    The first argument has the records of any number of trackers, each of which has an equal share
-    of every array.
+    Trackers, whose records are in the first argument, a tuple, have an equal share of each array.
     """
 
 def estimator_correct(model: Any, states: Any, y: Any, corrections: Any, /) -> None:

@@ -22,12 +22,12 @@ static double growth_of(const model *m, const hypothesis *h)
     return clip(maximum(slowness, 0.6 * lasting * lasting), 1.0, most);
 }
 
-/* Return whether a fork supposes a hit or a moved arm, and its parent still counts. Hardly anything
- * is known of the arm in it at first: it widens the bound, but does not move the estimate. */
+/* Return whether a fork supposes a hit, a moved arm or a stuck sensor, and its parent still counts.
+ * Hardly anything speaks for it at first: it widens the bound, but does not move the estimate. */
 static int is_undecided(const model *m, const state *at, const hypothesis *h)
 {
     const hypothesis parent = hypothesis_of(m, at, *h->kind);
-    return (*h->fork == HIT || *h->fork == MOVED) && counts(m, &parent);
+    return *h->fork >= HIT && *h->fork <= STUCK && counts(m, &parent);
 }
 
 /* Write the weights of the hypotheses, 0 of those that do not count; their weights in the estimate,

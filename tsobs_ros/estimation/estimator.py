@@ -185,15 +185,11 @@ class Estimator:
         first["pass_age"] = max(0.0, one["pass_time"] - _FIRST_PASS)
 
     def new_record(self, name: str) -> Record:
-        """Return a "work", scratch for a thread of its own, or a "correction", zeros."""
+        """Return zeros: a "work", scratch for one thread, a "correction" or an "estimate"."""
         return np.zeros(1, self._types[name])
 
-    def new_rows(self, count: int) -> Rows:
-        """Return rows of `row_type`, all NaN."""
-        return self.rows_of(np.full(count * self.row_type.itemsize // 8, np.nan))
-
     def rows_of(self, numbers: Array) -> Rows:
-        """Return rows of `row_type`, the memory of contiguous numbers."""
+        """Return rows of `row_type`, the same memory as some numbers."""
         return numbers.view(self.row_type).view(np.recarray)
 
     def initial(self) -> Record:
@@ -231,9 +227,9 @@ class Estimator:
 
     def readout(self, state: Record) -> Any:
         """Return the estimate and its bounds in physical units, a row of `row_type`."""
-        rows = self.new_rows(1)
-        native.estimator_read(*map(numbers_of, (self.model, state, rows, self._work)))
-        return rows[0]
+        row, work = numbers_of(self.new_record("estimate")), numbers_of(self._work)
+        native.estimator_read(numbers_of(self.model), numbers_of(state), row, work)
+        return self.rows_of(row)[0]
 
 
 def _vector(name: str, values: ArrayLike, length: int) -> Array:

@@ -5,8 +5,7 @@
 Live, measurements are late, doubled, out of order, from the future or missing. What cannot be used
 is refused with a reason and counted. A late measurement is put in its place by rewinding a ring of
 states, one after each measurement, to the state before it, so the estimate equals, bit for bit, the
-one that arrival in order would have given. One rewind serves all that come together: the cost is
-one pass over the ring. core/history.c does it.
+one that arrival in order would have given. core/history.c does it.
 """
 
 import math
@@ -260,8 +259,7 @@ class Tracker:
         after = self.newest or 0
         if not (np.diff(times, prepend=after) > 0).all():
             raise ModelError(f"stamps: expected them to ascend from {after} ns on")
-        ticks = times, times, np.arange(1, len(times) + 1)
-        return self.run(times, samples, inputs, ticks).rows
+        return self.run(times, samples, inputs, (times, times, np.arange(1, len(times) + 1))).rows
 
     def run(
         self,
@@ -323,7 +321,7 @@ def step_joints(
 ) -> TrackerRun:
     """Use a measurement of each of J joints, and estimate at a time, in one call of the core.
 
-    The numbers are those of `Tracker.offer` and `Tracker.estimate`, joint by joint.
+    Rows and outcomes, one of each joint, are those of `Tracker.offer` and `Tracker.estimate`.
 
     Args:
         trackers: One for each joint, of designs with as many states, outputs, inputs and learnt
@@ -333,15 +331,11 @@ def step_joints(
         u: Inputs from each measurement until the next one, shape (J, m).
         now: Time on the clock of the stamps, and of the estimates [ns].
 
-    Returns:
-        A row, and an outcome, for each joint.
-
     Raises:
         ModelError: The arrays have other shapes, or the designs other sizes.
     """
-    count = len(trackers)
-    if len({each.estimator.shape for each in trackers}) != 1:
-        shapes = [each.estimator.shape for each in trackers]
+    count, shapes = len(trackers), {each.estimator.shape for each in trackers}
+    if len(shapes) != 1:
         raise ModelError(f"trackers: expected one or more of the same sizes, got {shapes}")
     times, samples, inputs = trackers[0]._checked(stamps, y, u)
     if len(times) != count:
@@ -360,10 +354,8 @@ def _advance(
 ) -> TrackerRun:
     """Advance trackers, each by an equal share of the measurements and of the ticks."""
     first, outcomes = trackers[0], _outcomes(*y.shape)
-    count, limit = len(ticks[0]), 2 * _LONGEST
+    count, limit = len(ticks[0]), int(min(stale_after * NANOSECONDS, 2 * _LONGEST))
     rows, (newest, there) = np.empty(count * first._width), np.zeros((2, count), np.int64)
-    if not math.isinf(stale_after):
-        limit = int(stale_after * NANOSECONDS)
     native.history_advance(
         tuple(record for each in trackers for record in each._records),
         *map(np.ascontiguousarray, (stamps, y, u)),

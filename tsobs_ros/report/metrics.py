@@ -233,5 +233,4 @@ def _jumps(run: RecordedRun) -> list[Jump]:
 def inside_windows(times: Array, windows: Windows) -> Flags:
     """Return which times [s] lie in one of the windows, their ends not included, shape (n,)."""
     # They neither overlap nor touch.
-    edges = np.array(windows).reshape(-1)
-    return np.asarray(np.searchsorted(edges, times, side="right") % 2 == 1)
+    return np.asarray(np.searchsorted(np.ravel(windows), times, side="right") % 2 == 1)

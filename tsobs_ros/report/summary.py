@@ -60,8 +60,7 @@ def summarise(
 
 def _of_estimates(metrics: RunMetrics) -> Summary:
     if not metrics.windows:
-        text = f"No part of the {metrics.duration:.1f} s counts as settled."
-        return Summary(Level.WARN, text)
+        return Summary(Level.WARN, f"No part of the {metrics.duration:.1f} s counts as settled.")
     known = [
         (one.inside, one.quantity.name) for one in metrics.quantities if one.inside is not None
     ]

@@ -18,6 +18,7 @@ from tsobs_ros.simulation.signals import (
     Signal,
     Sine,
     Sinusoid,
+    StuckSensor,
 )
 
 _PLAIN = Scenario()
@@ -95,6 +96,7 @@ SCENARIOS: dict[str, Scenario] = {
     "softer_heavier": arm_with(Mismatch(stiffness=-0.25, gravity_torque=0.15)),
     "coarse": arm_with(_ENCODER),
     "stiff_coarse": arm_with(_STIFF, replace(_ENCODER, noise_std=0.0)),
+    "stuck": arm_with(StuckSensor(50.0, 2.0)),
     "rest": _held(0.0),
     "held": _held(0.5),
     **{  # one sample of the reported torque
@@ -150,7 +152,7 @@ SCENARIOS |= {
     for name in (
         "bias_step", "sinusoid", "dropouts", "student", "many_outliers", "pulses", "steps",
         "friction", "correlated_0.9", "tone_0.1_3", "tone_0.1_8", "wander", "late_payload",
-        "backlash_0.03", "missing", "half_rate", "near_rest", "tone_pair",
+        "backlash_0.03", "missing", "half_rate", "near_rest", "tone_pair", "stuck",
     )
 }  # fmt: skip
 """All by name, one minute each at 200 Hz with u = sin t unless they say otherwise; "stiff" is +20 %

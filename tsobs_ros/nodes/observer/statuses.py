@@ -137,8 +137,7 @@ def _torque_statuses(joint: ObservedJoint) -> list[Status]:
         for side, torque, bound in zip(sides, *numbers, strict=True):
             values[f"{side} [N m]"], values[f"{side} bound [N m]"] = f"{torque:.4g}", f"{bound:.4g}"
         text = joint.torque_text(estimate, touched)
-    level = Level.WARN if touched else Level.OK
-    return [Status("torque disturbance", level, text, values)]
+    return [Status("torque disturbance", Level.WARN if touched else Level.OK, text, values)]
 
 
 def _domain_status(joint: ObservedJoint) -> Status:
