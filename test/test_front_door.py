@@ -37,8 +37,7 @@ def test_the_import_is_light() -> None:
 def test_every_name_is_there_and_explained() -> None:
     assert set(ts.__all__) <= set(dir(ts))
     for name in ts.__all__:
-        value = getattr(ts, name)
-        assert inspect.getdoc(value), name
+        assert inspect.getdoc(getattr(ts, name)), name
         assert f"\n    {name} " in (ts.__doc__ or ""), f"help(tsobs_ros) does not explain {name}"
         # An imported module of this name would take the place of the lazy one.
         assert not list((ROOT / "tsobs_ros").glob(f"{name}*/")), f"{name} is a folder, too"

@@ -41,8 +41,7 @@ def test_a_run_is_drawn_by_its_number_alone(short: Campaign) -> None:
         forwards[2]._replace(run=0, seed=0)
     ] * 2
     assert forwards[2].theta != forwards[3].theta
-    other = replace(short.entries, seed=4)
-    assert draw(Campaign(other, short.design), 0) != forwards[0]
+    assert draw(Campaign(replace(short.entries, seed=4), short.design), 0) != forwards[0]
 
 
 def test_numbers_fill_their_ranges_and_the_designs_bounds(short: Campaign) -> None:

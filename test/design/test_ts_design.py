@@ -109,8 +109,7 @@ def test_without_slope_vertices_the_gap_is_not_covered_and_said_so(example: Desi
 
 
 def uncertain(request: TSRequest, name: str, E: Array, bound: float) -> TSRequest:
-    directions = {name: Direction(E, bound)}
-    return replace(request, uncertainty=directions, certify_uncertainty=True)
+    return replace(request, uncertainty={name: Direction(E, bound)}, certify_uncertainty=True)
 
 
 def test_certified_uncertainty_covers_its_box_at_a_price(known: Design) -> None:

@@ -13,6 +13,8 @@ import pytest
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
+from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.records import USED, Basis, Hypothesis, Measurement, RejectReason
 from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.estimation.tracker import Tracker
@@ -31,7 +33,8 @@ DESIGNS = {
 }
 EVENT, COUNT = 15 * RATE, 25 * RATE
 """Sample at which something happens in most runs, and their length."""
-both = pytest.mark.parametrize("name", DESIGNS)
+both = pytest.mark.parametrize("name", [*DESIGNS])
+DESIGNS["precise"] = synthesise(ArmRequest(measurement_std=0.0005, uncertainty={}))
 
 
 class Course(NamedTuple):
@@ -220,20 +223,21 @@ def test_tones_are_found_and_removed(frequencies: tuple[float, ...]) -> None:
 def test_a_burst_of_noise_wakes_the_bank_which_sleeps_again(name: str) -> None:
     rng, y = np.random.default_rng(4), simulated().measurements[0].copy()
     y[8 * RATE : 9 * RATE] += 5.0 * STD * rng.standard_normal((RATE, 1))
-    during = course(name, simulated(), y[: 9 * RATE])
-    assert {*range(Hypothesis.TONE)} <= {*awake(during.tracker)}
+    assert {*range(Hypothesis.TONE)} <= {*awake(course(name, simulated(), y[: 9 * RATE]).tracker)}
     got = course(name, simulated(), y)
     assert awake(got.tracker) == [Hypothesis.AS_DESIGNED]
     assert got.inside[5 * RATE :].mean() > 0.97
     assert "sensor jumps" not in got.found
 
 
-@both
-def test_a_stuck_sensor_is_not_used(name: str) -> None:
-    y = simulated().measurements[0].copy()
+@pytest.mark.parametrize(("name", "std"), [("learning", STD), ("precise", 0.0005)])
+def test_a_stuck_sensor_is_not_used(name: str, std: float) -> None:
+    run = simulated(arm_with(Sensor(std)))
+    y = run.measurements[0].copy()
     y[EVENT : EVENT + 2 * RATE] = y[EVENT]
-    got = course(name, simulated(), y)
-    assert got.tracker.rejected[RejectReason.GATED] >= 2 * RATE - 30
+    got = course(name, run, y)
+    assert np.abs(got.state - run.physical[0])[EVENT + 2 * RATE :, 0].max() < STD
+    assert got.tracker.rejected[RejectReason.GATED] >= 2 * RATE - 50
     assert got.inside[EVENT + 30 :].mean() > 0.97
     assert got.is_honest()
     assert "sensor jumps" not in got.found

@@ -40,8 +40,7 @@ def test_integers_and_empty_lists_are_accepted_for_lists_of_doubles(ros: Any) ->
     assert rate.read_only
     assert (rate.floating_point_range[0].from_value, rate.type) == (0.0, 3)
     for empty in (None, []):  # `[]` in a file, and from `ros2 param set`
-        started = start(ros, "plant_simulator", initial_state=empty)
-        assert started.parameters.initial_state == ()
+        assert start(ros, "plant_simulator", initial_state=empty).parameters.initial_state == ()
 
 
 @pytest.mark.parametrize(
