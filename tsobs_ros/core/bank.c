@@ -17,9 +17,6 @@
 
 #include <string.h>
 
-/* Median of a normal variable's size. */
-#define MEDIAN 0.6745
-
 /* Kinds of an innovation for the noise's scale, 0 for none. */
 enum { REGULAR = 1, OUTLIER = 2 };
 
@@ -308,7 +305,7 @@ static void scale_noise(const model *m, sensor *of, double innovation, double va
     const int64_t kind = fabs(innovation) > limit * sqrt(variance) ? OUTLIER : REGULAR;
     /* An outlier and its neighbour show nothing; if most are outliers, the noise is larger. */
     if (*of->paired == kind) {
-        const double expected = sqrt(2.0 * variance) * MEDIAN;
+        const double expected = sqrt(2.0 * variance) * 0.6745; /* a normal one's median */
         const double rate = maximum(20.0 / (1.0 + 20.0 * *of->scale_age), 1.0);
         const double step = 1.0 + 0.5 * rate * elapsed;
         if (fabs(innovation - *of->previous) > *of->noise_scale * expected) {
@@ -330,15 +327,14 @@ static void scale_noise(const model *m, sensor *of, double innovation, double va
  * prediction's own sigma. The step is learnt as the smallest difference of successive values, and
  * the noise as the running median of those of innovations, which the motion is not in; neither
  * grows by more than a fiftieth at once, so that a single odd value is forgotten. */
-static void count_repeats(
-    const sensor *of, double y, double innovation, double variance, double noise)
+static void count_repeats(const sensor *of, double y, const outlook *expected, double noise)
 {
     const double rate = 1.02, hidden = 3.0;
-    const double distance = fabs(innovation), difference = fabs(y - *of->value);
-    const double change = fabs(innovation - *of->before);
-    *of->before = innovation;
+    const double distance = fabs(expected->innovation), difference = fabs(y - *of->value);
+    const double change = fabs(expected->innovation - *of->before);
+    *of->before = expected->innovation;
     if (difference == 0.0) {
-        const double own = sqrt(maximum(variance - noise, 0.0));
+        const double own = sqrt(maximum(expected->variance - noise, 0.0));
         const double step = *of->step > 0.0 ? *of->step : sqrt(noise);
         *of->nearest = minimum(*of->nearest, distance);
         *of->repeats += *of->rough > hidden * step || distance > *of->nearest + step + own;
@@ -354,8 +350,8 @@ static void count_repeats(
     *of->repeats = 0;
 }
 
-/* Look at the samples as the best hypothesis expects them: count repetitions, and under supervision
- * leave out those of stuck sensors, and follow the noise. Return whether there are outliers. */
+/* Look at the samples as the best hypothesis expects them: under supervision leave out those of
+ * stuck sensors, and follow the noise. Return whether there are outliers. */
 static int examine(const model *m, state *at, correction *effect)
 {
     double scale = -INFINITY;
@@ -363,18 +359,14 @@ static int examine(const model *m, state *at, correction *effect)
     for (long i = 0; i < m->s.p; i++) {
         sensor of = sensor_of(m, at, i);
         outlook *expected = outlook_of(effect, i);
-        const double innovation = expected->innovation;
-        if (!effect->present[i]) {
-            continue;
-        }
-        count_repeats(&of, at->y[i], innovation, expected->variance, m->R[i * m->s.p + i]);
-        if (*m->supervised == 0) {
+        if (!effect->present[i] || *m->supervised == 0) {
             continue;
         }
         if (0 < *m->stuck_samples && *m->stuck_samples <= *of.repeats) {
             effect->present[i] = expected->used = 0;
-        } else if (isfinite(innovation)) {
-            scale_noise(m, &of, innovation, m->innovation_covariance[i * m->s.p + i]);
+        } else if (isfinite(expected->innovation)) {
+            const double variance = m->innovation_covariance[i * m->s.p + i];
+            scale_noise(m, &of, expected->innovation, variance);
         }
         scale = maximum(scale, *of.noise_scale);
         outliers = outliers || (effect->present[i] && !expected->used);
@@ -596,22 +588,29 @@ static void suppose(
     }
 }
 
-/* Suppose that sensors are stuck from where their values begin to repeat: a fork that does not use
- * them, which becomes likelier with each repetition, and once it is sure is the only one left. */
-static void suppose_stuck(const model *m, state *at)
+/* Count repetitions, and suppose that sensors are stuck from where these begin: by a fork that does
+ * not use them, becomes likelier with each, and once it is sure is the only one left. As long as it
+ * is there the others, which are led astray, are not asked what is expected. */
+static void judge_repeats(const model *m, state *at, correction *effect)
 {
     const double sure = (double)*m->stuck_samples;
     double repeats = 0.0;
     long place = STANDING;
     hypothesis h;
-    for (long i = 0; i < m->s.p; i++) {
-        repeats = maximum(repeats, (double)*sensor_of(m, at, i).repeats);
-    }
     while (find_live(m, at, &place, &h) && *h.fork != STUCK) {
         place++;
     }
     const int exists = place < m->s.hypotheses;
-    if (!exists && 0.0 < repeats && repeats < sure) {
+    h = hypothesis_of(m, at, exists ? place : *at->best);
+    expect_outputs(m, at, &h, effect);
+    for (long i = 0; i < m->s.p; i++) {
+        const sensor of = sensor_of(m, at, i);
+        if (effect->present[i]) {
+            count_repeats(&of, at->y[i], outlook_of(effect, i), m->R[i * m->s.p + i]);
+        }
+        repeats = maximum(repeats, (double)*of.repeats);
+    }
+    if (!exists && *m->supervised != 0 && 0.0 < repeats && repeats < sure) {
         place = place_for(m, at, INFINITY);
         *begin_from_best(m, at, place, STUCK, -m->constants[FLOOR]).cause = BASIS_GAP;
     } else if (exists && repeats == 0.0) {
@@ -622,6 +621,10 @@ static void suppose_stuck(const model *m, state *at)
     if (exists && repeats >= sure) {
         take_place(m, at, &h);
         drop_others(m, at);
+    }
+    if (exists) {
+        h = best_of(m, at);
+        expect_outputs(m, at, &h, effect);
     }
 }
 
@@ -936,8 +939,9 @@ static void use_sample(const model *m, state *at, long place, correction *effect
 /* Correct all hypotheses, and fork the best one where it does not expect a sample. */
 static void correct_bank(const model *m, state *at, correction *effect)
 {
+    judge_repeats(m, at, effect);
+    const long best = *at->best;
     hypothesis h = best_of(m, at);
-    expect_outputs(m, at, &h, effect);
     const int outliers = examine(m, at, effect);
     write_innovation(m, &h, effect);
     follow_motion(m, at, &h);
@@ -951,8 +955,6 @@ static void correct_bank(const model *m, state *at, correction *effect)
         activate_bank(m, at);
     }
     *at->outliers += outliers;
-    suppose_stuck(m, at);
-    const long best = *at->best;
     /* What begins as a copy of the best one, which is last, is none that was corrected already. */
     for (long i = m->s.hypotheses - 1; i >= 0; i--) {
         if (i != best && *hypothesis_of(m, at, i).live != 0) {
