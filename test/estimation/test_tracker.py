@@ -144,7 +144,7 @@ def test_joints_in_one_call_have_the_numbers_of_each_alone() -> None:
 
 JUNK: dict[RejectReason, Callable[[Measurement], Measurement]] = {
     RejectReason.DUPLICATE: lambda good: good,
-    RejectReason.NON_FINITE: lambda good: good._replace(y=np.array([np.nan])),
+    RejectReason.NON_FINITE: lambda good: good._replace(y=np.nan * good.y, u=np.nan * good.u),
     RejectReason.ZERO_STAMP: lambda good: good._replace(stamp=0),
     RejectReason.FROM_FUTURE: lambda good: good._replace(stamp=END + SECOND),
     RejectReason.TOO_OLD: lambda good: good._replace(stamp=BEGIN - SECOND),

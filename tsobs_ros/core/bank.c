@@ -365,8 +365,8 @@ static int examine(const model *m, state *at, correction *effect)
         if (0 < *m->stuck_samples && *m->stuck_samples <= *of.repeats) {
             effect->present[i] = expected->used = 0;
         } else if (isfinite(expected->innovation)) {
-            const double variance = m->innovation_covariance[i * m->s.p + i];
-            scale_noise(m, &of, expected->innovation, variance);
+            scale_noise(
+                m, &of, expected->innovation, m->innovation_covariance[i * m->s.p + i]);
         }
         scale = maximum(scale, *of.noise_scale);
         outliers = outliers || (effect->present[i] && !expected->used);

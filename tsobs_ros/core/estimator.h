@@ -50,7 +50,7 @@ enum { NO_FORK, JUMPED, HIT, MOVED, STUCK, WRONG_TORQUE, OTHERWISE };
 /* Outcomes of measurements, in the order of `estimation.records.RejectReason`. */
 enum {
     USED,
-    NON_FINITE,         /* of a T-S system without outputs, the inputs were used */
+    NON_FINITE,         /* no output is; the inputs may have been used */
     WRONG_JOINT,
     DUPLICATE,
     TOO_OLD,

@@ -89,14 +89,13 @@ const char *tracker_bind(
 
 /* --- measurements --- */
 
-/* Return whether inputs alone are of use: those of a T-S system, whose inputs are known in a gap,
- * too, for as long as a gap may be. */
-static int moves_by_inputs(const tracker *t, int64_t place, int64_t stamp)
+/* Return whether inputs alone are of use: new ones, in a gap that is not too long. */
+static int moves_by_inputs(const tracker *t, int64_t place, int64_t stamp, const double *u)
 {
     const model *m = &t->m;
     double since = INFINITY;
-    if (*m->design_flow.kind != KIND_SYSTEM || *m->gain_mode == GAIN_OPEN || m->s.m == 0
-        || place < 0) {
+    if (*m->gain_mode == GAIN_OPEN || m->s.m == 0 || count_finite(u, (long)m->s.m) < m->s.m
+        || place < 0 || stamp_at(t, place) == stamp) {
         return 0;
     }
     const state at = state_at(t, place);
@@ -115,7 +114,7 @@ static int64_t refusal(
     const int has_inputs = *t->m.torque_limit > 0.0 /* then a torque is judged */
                            || count_finite(u, (long)t->m.s.m) == t->m.s.m;
     const int has_outputs = count_finite(y, (long)t->m.s.p) > 0;
-    if (!has_inputs || !(has_outputs || moves_by_inputs(t, place, stamp))) {
+    if (!has_inputs || !(has_outputs || moves_by_inputs(t, place, stamp, u))) {
         return NON_FINITE;
     }
     if (stamp <= 0) {
