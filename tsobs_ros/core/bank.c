@@ -362,7 +362,7 @@ static int examine(const model *m, state *at, correction *effect)
         if (!effect->present[i] || *m->supervised == 0) {
             continue;
         }
-        if (0 < *m->stuck_samples && *m->stuck_samples <= *of.repeats) {
+        if (is_stuck(m, at, i)) {
             effect->present[i] = expected->used = 0;
         } else if (isfinite(expected->innovation)) {
             scale_noise(
@@ -387,18 +387,12 @@ static int is_its_own(const model *m, double frequency, int is_second)
            || (frequency < ratio * m->modes[1] && m->modes[1] < ratio * frequency);
 }
 
-/* Return the lowest frequency at which tones are looked for: the memory has four radians of it. */
-static double slowest_tone(const model *m)
-{
-    return 4.0 / m->constants[AWAKE];
-}
-
-/* Turn what an output's innovations have of each frequency over a sample, and add the newest. Write
- * how loud each is, the root of its power, 0 where no tone is looked for. */
+/* Turn what an output's innovations have of each frequency, from a rate on, over a sample, and add
+ * the newest. Write how loud each is, the root of its power, 0 where no tone is looked for. */
 static void turn_tones(
-    const model *m, const sensor *of, double r, double elapsed, double share, double *loud)
+    const model *m, const sensor *of, double rate, double r, double elapsed, double share,
+    double *loud)
 {
-    double rate = slowest_tone(m);
     for (long j = 0; j < TONES; j++) {
         double *z = of->tones + 2 * j, sin, cos;
         const double first = z[0];
@@ -458,12 +452,12 @@ static void propose_tones(const model *m, state *at, const correction *effect)
         const double std = sqrt(outlook_of(effect, i)->variance);
         const double r = clip(outlook_of(effect, i)->innovation / std, -3.0, 3.0);
         double loud[TONES + 2] = {0.0}; /* and 0 beyond both ends */
-        double rate = slowest_tone(m);
+        double rate = 4.0 / m->constants[AWAKE]; /* the memory has four radians of the lowest */
         tone own[3] = {none, none, {0.0, 0.0, 0.0}}; /* the loudest, in turn */
         if (!effect->present[i]) {
             continue;
         }
-        turn_tones(m, &of, r, maximum(*of.since, *m->period), share, loud + 1);
+        turn_tones(m, &of, rate, r, maximum(*of.since, *m->period), share, loud + 1);
         for (long j = 1; j <= TONES; j++, rate *= step) {
             const double here = loud[j], other = maximum(loud[j - 1], loud[j + 1]);
             const double ratio = loud[j + 1] > loud[j - 1] ? step : 1.0 / step;

@@ -56,6 +56,13 @@ static inline hypothesis best_of(const model *m, const state *at)
     return hypothesis_of(m, at, *at->best);
 }
 
+/* Return whether the sensor of an output is known to be stuck. */
+static inline int is_stuck(const model *m, const state *at, long output)
+{
+    const int64_t repeats = *sensor_of(m, at, output).repeats;
+    return *m->supervised != 0 && 0 < *m->stuck_samples && *m->stuck_samples <= repeats;
+}
+
 /* Return whether a hypothesis counts in what is read. */
 static inline int counts(const model *m, const hypothesis *h)
 {

@@ -54,14 +54,6 @@ static void write_weights(const model *m, const state *at, work *scratch)
     }
 }
 
-/* Return the kind to be named: the likeliest one's, once the design is less likely by half a floor,
- * as something else than the likeliest is supposed at; before that, the design. */
-static int64_t named_kind(const model *m, const state *at)
-{
-    const hypothesis designed = hypothesis_of(m, at, AS_DESIGNED);
-    return *designed.score < -0.5 * m->constants[FLOOR] ? *best_of(m, at).kind : AS_DESIGNED;
-}
-
 /* Return what a state's bounds rest on if a kind is named, and whether they are claimed to hold. */
 static int64_t basis_of(const model *m, const hypothesis *best, int64_t named, double *claimed)
 {
@@ -105,13 +97,16 @@ static double value_of(
         return what == STATE ? h->x[place] : h->theta[place];
     }
     const long used = states_in_use(m, h);
+    const int is_fault = what == DISTURBANCE && is_stuck(m, at, place);
     const double *map = what == TORQUE ? m->torque_map : m->disturbance_map;
     memcpy(functional, map + place * width, (size_t)width * sizeof *functional);
-    if (what == DISTURBANCE && *h->kind != COLOURED_NOISE) {
+    if (is_fault) { /* all that a stuck sensor shows but the arm */
+        add_scaled(functional, -1.0, m->C + place * width, m->s.n);
+    } else if (what == DISTURBANCE && *h->kind != COLOURED_NOISE) {
         add_parts(m, h, place, functional);
     }
     *variance = *h->certified != 0 ? 0.0 : quadratic(h->covariance, width, functional, used);
-    const double value = dot(functional, h->x, used);
+    const double value = dot(functional, h->x, used) + (is_fault ? at->sample[place] : 0.0);
     return what == TORQUE ? value
                           : value + dot(m->disturbance_direct + place * m->s.p, at->sample, m->s.p);
 }
@@ -182,8 +177,10 @@ static double read_one(
 
 int read_out(const model *m, const state *at, const estimate *row, work *scratch)
 {
-    const hypothesis best = best_of(m, at);
-    const int64_t named = named_kind(m, at);
+    const hypothesis best = best_of(m, at), designed = hypothesis_of(m, at, AS_DESIGNED);
+    /* Anything else than the likeliest is supposed at half a floor behind it. */
+    const int is_designed = *designed.score >= -0.5 * m->constants[FLOOR];
+    const int64_t named = is_designed ? AS_DESIGNED : *best.kind;
     double total = 0.0;
     write_weights(m, at, scratch);
     for (long i = 0; i < m->s.plant; i++) {
