@@ -295,9 +295,8 @@ static void activate_bank(const model *m, state *at)
 
 /* --- the sensors --- */
 
-/* Follow the size of white noise by the running median of neighbouring differences: a stochastic
- * approximation in the logarithm of the scale. The variance is that of the innovations under the
- * certified gain. */
+/* Follow the size of white noise by the running median of neighbouring differences, in steps of its
+ * logarithm; variance: of the innovations under the certified gain. */
 static void scale_noise(const model *m, sensor *of, double innovation, double variance)
 {
     const double elapsed = minimum(*of->since, *m->longest);
@@ -319,17 +318,22 @@ static void scale_noise(const model *m, sensor *of, double innovation, double va
     *of->paired = kind;
 }
 
-/* Count a repetition of a value if it speaks for a stuck sensor.
- *
- * If noise hides the sensor's steps, each does. Else a value repeats whenever the arm rests or
- * moves by less than a step, so that a repetition counts only once the prediction has left the
- * value: once the innovation exceeds the least that it has been by more than a step and the
- * prediction's own sigma. The step is learnt as the smallest difference of successive values, and
- * the noise as the running median of those of innovations, which the motion is not in; neither
- * grows by more than a fiftieth at once, so that a single odd value is forgotten. */
+/* Return whether noise hides the steps of a sensor, so that no value comes twice. */
+static int hides_steps(const sensor *of, double noise)
+{
+    return *of->rough > 3.0 * (*of->step > 0.0 ? *of->step : sqrt(noise));
+}
+
+/* Count a repetition of a value if it speaks for a stuck sensor. If noise hides the sensor's steps,
+ * each does. Else a value repeats whenever the arm rests or moves by less than a step, so that a
+ * repetition counts only once the prediction has left the value: once the innovation exceeds the
+ * least that it has been by more than a step and the prediction's own sigma. The step is learnt as
+ * the smallest difference of successive values, or of two such differences, as those of an arm that
+ * moves are large; the noise as the running median of those of innovations. Neither grows by more
+ * than a fiftieth at once, to forget an odd value. */
 static void count_repeats(const sensor *of, double y, const outlook *expected, double noise)
 {
-    const double rate = 1.02, hidden = 3.0;
+    const double rate = 1.02;
     const double distance = fabs(expected->innovation), difference = fabs(y - *of->value);
     const double change = fabs(expected->innovation - *of->before);
     *of->before = expected->innovation;
@@ -337,13 +341,16 @@ static void count_repeats(const sensor *of, double y, const outlook *expected, d
         const double own = sqrt(maximum(expected->variance - noise, 0.0));
         const double step = *of->step > 0.0 ? *of->step : sqrt(noise);
         *of->nearest = minimum(*of->nearest, distance);
-        *of->repeats += *of->rough > hidden * step || distance > *of->nearest + step + own;
+        *of->repeats += hides_steps(of, noise) || distance > *of->nearest + step + own;
         return;
     }
     if (isfinite(difference) && isfinite(change)) {
         const double next = change > *of->rough ? *of->rough * rate : *of->rough / rate;
+        const double turn = fabs(y - *of->value - *of->motion);
+        const double least = turn > 1e-6 * sqrt(noise) ? minimum(difference, turn) : difference;
         *of->rough = *of->step == 0.0 ? change : next;
-        *of->step = *of->step == 0.0 ? difference : minimum(difference, rate * *of->step);
+        *of->step = *of->step == 0.0 ? least : minimum(least, rate * *of->step);
+        *of->motion = y - *of->value;
     }
     *of->value = y;
     *of->nearest = distance;
@@ -365,8 +372,7 @@ static int examine(const model *m, state *at, correction *effect)
         if (is_stuck(m, at, i)) {
             effect->present[i] = expected->used = 0;
         } else if (isfinite(expected->innovation)) {
-            scale_noise(
-                m, &of, expected->innovation, m->innovation_covariance[i * m->s.p + i]);
+            scale_noise(m, &of, expected->innovation, m->innovation_covariance[i * m->s.p + i]);
         }
         scale = maximum(scale, *of.noise_scale);
         outliers = outliers || (effect->present[i] && !expected->used);
@@ -421,11 +427,10 @@ static void begin_tones(
     take_for(m, at, &h, TONE);
     for (long i = 0; i < count; i++) {
         const double size = tones[i].size, off = halfway_from(m, tones[i].frequency);
-        const double variances[3] = {size * size, size * size, off * off};
         const long first = m->s.n + 1 + 3 * i;
-        for (long j = 0; j < 3; j++) {
-            h.covariance[(first + j) * (width + 1)] = variances[j];
-        }
+        double *variance = h.covariance + first * (width + 1);
+        variance[0] = variance[width + 1] = size * size;
+        variance[2 * (width + 1)] = off * off;
         h.x[first + 2] = tones[i].frequency;
     }
     if (place == TONE_RESET) {
@@ -582,43 +587,45 @@ static void suppose(
     }
 }
 
-/* Count repetitions, and suppose that sensors are stuck from where these begin: by a fork that does
- * not use them, becomes likelier with each, and once it is sure is the only one left. As long as it
- * is there the others, which are led astray, are not asked what is expected. */
+/* Count repetitions, and where no value comes twice suppose that sensors are stuck from there: by a
+ * fork that does not use them, is likelier with each, and from which all begin again in the end. */
 static void judge_repeats(const model *m, state *at, correction *effect)
 {
     const double sure = (double)*m->stuck_samples;
-    double repeats = 0.0;
+    double repeats = 0.0; /* that go on, of sensors that are not known to be stuck */
+    int is_found = 0;
     long place = STANDING;
-    hypothesis h;
+    hypothesis h = best_of(m, at);
+    expect_outputs(m, at, &h, effect);
+    for (long i = 0; i < m->s.p; i++) {
+        const sensor of = sensor_of(m, at, i);
+        const double noise = m->R[i * m->s.p + i], before = (double)*of.repeats;
+        if (effect->present[i]) {
+            count_repeats(&of, at->y[i], outlook_of(effect, i), noise);
+        }
+        const double own = (double)*of.repeats;
+        is_found |= before < sure && sure <= own;
+        repeats = before < own && own < sure && hides_steps(&of, noise) ? maximum(repeats, own)
+                                                                        : repeats;
+    }
     while (find_live(m, at, &place, &h) && *h.fork != STUCK) {
         place++;
     }
     const int exists = place < m->s.hypotheses;
-    h = hypothesis_of(m, at, exists ? place : *at->best);
-    expect_outputs(m, at, &h, effect);
-    for (long i = 0; i < m->s.p; i++) {
-        const sensor of = sensor_of(m, at, i);
-        if (effect->present[i]) {
-            count_repeats(&of, at->y[i], outlook_of(effect, i), m->R[i * m->s.p + i]);
-        }
-        repeats = maximum(repeats, (double)*of.repeats);
-    }
-    if (!exists && *m->supervised != 0 && 0.0 < repeats && repeats < sure) {
-        place = place_for(m, at, INFINITY);
-        *begin_from_best(m, at, place, STUCK, -m->constants[FLOOR]).cause = BASIS_GAP;
+    if (exists && is_found) {
+        take_place(m, at, &h);
+        drop_others(m, at);
+        activate_bank(m, at);
+        h = best_of(m, at);
+        expect_outputs(m, at, &h, effect);
     } else if (exists && repeats == 0.0) {
         drop(m, &h);
     } else if (exists) {
-        *h.score = m->constants[FLOOR] * (minimum(repeats / sure, 1.0) - 1.0);
+        *h.score = m->constants[FLOOR] * (repeats / sure - 1.0);
     }
-    if (exists && repeats >= sure) {
-        take_place(m, at, &h);
-        drop_others(m, at);
-    }
-    if (exists) {
-        h = best_of(m, at);
-        expect_outputs(m, at, &h, effect);
+    if ((!exists || is_found) && *m->supervised != 0 && repeats > 0.0) {
+        place = place_for(m, at, INFINITY);
+        *begin_from_best(m, at, place, STUCK, -m->constants[FLOOR]).cause = BASIS_GAP;
     }
 }
 
@@ -697,13 +704,11 @@ static int is_loud(const model *m, double size)
     return size > *m->gate / m->constants[SUDDEN];
 }
 
-/* Once per trial, suppose that arm and sensors are of another kind, each in turn: only the best
- * hypothesis forks at events, so that one which is true now may have lost the arm or a jump for
- * good. If the model has begun to seem wrong, every other time suppose that only its parameters
- * were, which is as likely, unless the noise is loud; of a drift, that its size is the other one of
- * two, in place of a torque and of loud noise, which a sensor that wanders looks like. Of noise
- * that is not as designed less is learnt: then suppose the parameters, too, that another one knows
- * better. */
+/* Once per trial, suppose that arm and sensors are of another kind, each in turn: one that is true
+ * now may have lost the arm or a jump for good, as only the best forks at events. If the model has
+ * begun to seem wrong, suppose by turns that only its parameters were, which is as likely unless
+ * the noise is loud; of a drift, that its size is the other one of two, as one between them looks
+ * like a torque. In other noise suppose the parameters, too, that another one knows better. */
 static void suppose_otherwise(const model *m, const state *at)
 {
     const double *c = m->constants;
@@ -754,8 +759,8 @@ void take_torque(const model *m, state *at, const double *u)
     *at->torque_age = 0.0;
 }
 
-/* A sensor has jumped, as a fork found. Open the disturbance of IMPERFECT by the distance to the
- * fork's, so that it finds the jump for itself: the arm's state and parameters are its own. */
+/* Open the disturbance of IMPERFECT by the distance to that of a fork which found a jump, so that
+ * it finds the jump for itself: the arm's state and parameters are its own. */
 static void open_to_jump(const model *m, const state *at, const hypothesis *h)
 {
     const hypothesis other = hypothesis_of(m, at, IMPERFECT);
@@ -823,9 +828,6 @@ static void deactivate_bank(const model *m, state *at)
     }
     if (is_calm) {
         drop_others(m, at);
-        for (long i = 0; i < m->s.p; i++) {
-            memset(sensor_of(m, at, i).tones, 0, 2 * TONES * sizeof(double));
-        }
     }
 }
 

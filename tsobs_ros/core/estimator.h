@@ -131,7 +131,8 @@ int sizes_are_sound(const int64_t *numbers);
     F(NUMBER, since, 1, 1)       /* time since the last sample [s] */                     \
     F(MATRIX, tones, TONES, 2)   /* the innovations' cosine and sine of each frequency */ \
     F(NUMBER, value, 1, 1)       /* latest sample, NaN before the first */                \
-    F(NUMBER, step, 1, 1)        /* of the sensor, 0 before the first, */                 \
+    F(NUMBER, motion, 1, 1)      /* less the value before, */                             \
+    F(NUMBER, step, 1, 1)        /* step of the sensor, 0 before the first, */            \
     F(NUMBER, rough, 1, 1)       /* and of its innovations' differences */                \
     F(NUMBER, before, 1, 1)      /* innovation of the sample before */                    \
     F(NUMBER, nearest, 1, 1)     /* least size of an innovation of the value */           \

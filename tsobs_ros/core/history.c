@@ -93,9 +93,10 @@ const char *tracker_bind(
 static int moves_by_inputs(const tracker *t, int64_t place, int64_t stamp, const double *u)
 {
     const model *m = &t->m;
+    const double least = m->s.past > 0 ? 0.5 * NANOSECONDS * *m->period : 1.0; /* see `past` */
     double since = INFINITY;
     if (*m->gain_mode == GAIN_OPEN || m->s.m == 0 || count_finite(u, (long)m->s.m) < m->s.m
-        || place < 0 || stamp_at(t, place) == stamp) {
+        || place < 0 || (double)(stamp - stamp_at(t, place)) < least) {
         return 0;
     }
     const state at = state_at(t, place);
@@ -289,10 +290,8 @@ void offer(tracker *t, const measurements *given, int64_t now, const outcomes *w
 
 /* --- estimates --- */
 
-/* Return the state at a place, or predicted from it over a time above 0 [s].
- *
- * Whole periods of a gap are remembered from one call to the next; without that every call in a
- * long gap would predict through the whole gap again. */
+/* Return the state at a place, or predicted from it over a time above 0 [s]. Whole periods of a gap
+ * are remembered for the next call, which else would predict through all of it again. */
 static state coast(tracker *t, int64_t place, double duration)
 {
     history *h = &t->h;

@@ -340,7 +340,7 @@ def step_joints(
     times, samples, inputs = trackers[0]._checked(stamps, y, u)
     if len(times) != count:
         raise ModelError(f"stamps: expected one for each of {count} joints, got {len(times)}")
-    at, known = np.full(count, now), np.ones(count, np.int64)
+    at, known = np.full(count, now, np.int64), np.ones(count, np.int64)
     return _advance(trackers, times, samples, inputs, (at, at, known))
 
 
