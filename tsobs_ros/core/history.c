@@ -93,7 +93,8 @@ const char *tracker_bind(
 static int moves_by_inputs(const tracker *t, int64_t place, int64_t stamp, const double *u)
 {
     const model *m = &t->m;
-    const double least = m->s.past > 0 ? 0.5 * NANOSECONDS * *m->period : 1.0; /* see `past` */
+    /* Of torques that are late at the motor one a period is remembered. */
+    const double least = m->s.past > 0 ? 0.5 * NANOSECONDS * *m->period : 1.0;
     double since = INFINITY;
     if (*m->gain_mode == GAIN_OPEN || m->s.m == 0 || count_finite(u, (long)m->s.m) < m->s.m
         || place < 0 || (double)(stamp - stamp_at(t, place)) < least) {

@@ -37,8 +37,7 @@ typedef struct {
 
 /* A function: its name, one letter for each argument, and its body. The letters: 'd' an array
  * that is read, 'D' one that is written, both contiguous and of 8-byte numbers, 'b' bytes, 'f' a
- * float, 'i' an int, 's' a text, 't' a tuple. The body returns a new reference, or NULL with an
- * exception. */
+ * float, 'i' an int, 's' a text, 't' a tuple. The body returns a new reference, or raises. */
 typedef struct signature {
     const char *name, *format;
     PyObject *(*body)(const struct signature *of, const argument *t);
