@@ -588,7 +588,8 @@ static void suppose(
 }
 
 /* Count repetitions, and where no value comes twice suppose that sensors are stuck from there: by a
- * fork that does not use them, is likelier with each, and from which all begin again in the end. */
+ * fork that does not use them, is likelier with each, and from which all begin again in the end.
+ * Write how the best hypothesis, which that may change, expects the outputs. */
 static void judge_repeats(const model *m, state *at, correction *effect)
 {
     const double sure = (double)*m->stuck_samples;

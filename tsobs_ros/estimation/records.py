@@ -33,8 +33,8 @@ USED = 0
 class RejectReason(Code):
     """Why a measurement was not used; the text is its name in reports.
 
-    If its torque is implausible or an input unknown, its outputs are still used; if it has none,
-    the inputs of a T–S system.
+    If its torque is implausible or an input unknown, its outputs are still used; if it has no
+    outputs, its inputs.
     """
 
     NON_FINITE = 1, "non-finite", "the driver has no reading; see what it logs"

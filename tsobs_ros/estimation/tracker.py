@@ -276,7 +276,7 @@ class Tracker:
                 taken by the end of each tick.
             stale_after: Age of the newest measurement after which nothing is estimated [s].
         """
-        run = _advance([self], stamps, y, u, ticks, stale_after)
+        run = _advance([self], (stamps, y, u), ticks, stale_after)
         for each, nothing in zip(run.outcomes, (0, 0, np.nan, np.nan), strict=True):
             each[ticks[2][-1] if len(run.rows) else 0 :] = nothing  # of those that no tick took
         return run
@@ -337,28 +337,26 @@ def step_joints(
     count, shapes = len(trackers), {each.estimator.shape for each in trackers}
     if len(shapes) != 1:
         raise ModelError(f"trackers: expected one or more of the same sizes, got {shapes}")
-    times, samples, inputs = trackers[0]._checked(stamps, y, u)
-    if len(times) != count:
-        raise ModelError(f"stamps: expected one for each of {count} joints, got {len(times)}")
+    given = trackers[0]._checked(stamps, y, u)
+    if len(given[0]) != count:
+        raise ModelError(f"stamps: expected one for each of {count} joints, got {len(given[0])}")
     at, known = np.full(count, now, np.int64), np.ones(count, np.int64)
-    return _advance(trackers, times, samples, inputs, (at, at, known))
+    return _advance(trackers, given, (at, at, known))
 
 
 def _advance(
     trackers: Sequence[Tracker],
-    stamps: Stamps,
-    y: Array,
-    u: Array,
+    given: tuple[Stamps, Array, Array],
     ticks: Sequence[Integers],
     stale_after: float = math.inf,
 ) -> TrackerRun:
-    """Advance trackers, each by an equal share of the measurements and of the ticks."""
-    first, outcomes = trackers[0], _outcomes(*y.shape)
+    """Advance trackers, each by an equal share of measurements (stamps, y, u) and of ticks."""
+    first, outcomes = trackers[0], _outcomes(*given[1].shape)
     count, limit = len(ticks[0]), int(min(stale_after * NANOSECONDS, 2 * _LONGEST))
     rows, (newest, there) = np.empty(count * first._width), np.zeros((2, count), np.int64)
     native.history_advance(
         tuple(record for each in trackers for record in each._records),
-        *map(np.ascontiguousarray, (stamps, y, u)),
+        *map(np.ascontiguousarray, given),
         *outcomes,
         *map(np.ascontiguousarray, ticks),
         *(newest, there, rows, limit),
