@@ -792,7 +792,8 @@ static void select_forks(const model *m, state *at)
                 }
                 take_place(m, at, &h);
             }
-        } else if (!(*h.score >= -m->constants[FLOOR])) {
+        } else if (!(*h.score >= -m->constants[FLOOR])
+                   || (*h.fork < STUCK && *h.age > m->constants[AWAKE])) { /* an event shows soon */
             drop(m, &h);
         }
     }

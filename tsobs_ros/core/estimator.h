@@ -45,7 +45,7 @@ enum {
 
 /* What a fork supposes: an event at its first sample, or otherwise, another kind or other
  * parameters than the best hypothesis has. HIT to STUCK are undecided at first. */
-enum { NO_FORK, JUMPED, HIT, MOVED, STUCK, WRONG_TORQUE, OTHERWISE };
+enum { NO_FORK, WRONG_TORQUE, JUMPED, HIT, MOVED, STUCK, OTHERWISE };
 
 /* Outcomes of measurements, in the order of `estimation.records.RejectReason`. */
 enum {

@@ -14,7 +14,7 @@ static const double NANOSECONDS = 1e9;
 /* Return where the numbers of a state are, given its place from the oldest on. */
 static double *numbers_at(const tracker *t, int64_t place)
 {
-    const int64_t slot = (*t->h.first + place) % slots_for(*t->h.max_steps);
+    const int64_t slot = (*t->h.first + place) % *t->h.turn;
     return t->room.ring + (size_t)slot * t->state_size;
 }
 
@@ -57,8 +57,9 @@ static int64_t count_up_to(const tracker *t, int64_t stamp)
 int history_is_sound(const history *h)
 {
     return *h->max_steps >= 1 && *h->max_steps <= MOST_STEPS && *h->first >= 0
-           && *h->first < slots_for(*h->max_steps) && *h->length >= 0
-           && *h->length <= *h->max_steps + 1 && *h->span >= 0 && *h->future >= 0
+           && *h->turn <= slots_for(*h->max_steps) && (*h->first == 0 || *h->first < *h->turn)
+           && *h->length >= 0 && *h->length <= *h->turn && *h->length <= *h->max_steps + 1
+           && *h->span >= 0 && *h->future >= 0
            && *h->restart_after >= 0;
 }
 
@@ -167,8 +168,25 @@ static void forget_oldest(tracker *t, int64_t stamp)
     history *h = &t->h;
     while (*h->length > *h->max_steps + 1
            || (*h->length > 1 && stamp_at(t, 1) < stamp - *h->span)) {
-        *h->first = (*h->first + 1) % slots_for(*h->max_steps);
+        *h->first = (*h->first + 1) % *h->turn;
         *h->length -= 1;
+    }
+}
+
+/* Let the ring have a slot for one more state. It goes round as few as it needs, as those that it
+ * comes back to soon are in the processor's cache. */
+static void widen_ring(tracker *t)
+{
+    history *h = &t->h;
+    const int64_t turn = *h->turn, slots = slots_for(*h->max_steps);
+    if (*h->length == turn) {
+        *h->turn = 2 * turn < slots - 2 ? 2 * turn + 2 : slots;
+        const int64_t more = *h->first > 0 ? *h->turn - turn : 0;
+        double *oldest = t->room.ring + (size_t)*h->first * t->state_size;
+        memmove(
+            oldest + (size_t)more * t->state_size, oldest,
+            (size_t)(turn - *h->first) * t->state_size * sizeof *oldest);
+        *h->first += more;
     }
 }
 
@@ -176,6 +194,7 @@ static void forget_oldest(tracker *t, int64_t stamp)
 static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double *u)
 {
     history *h = &t->h;
+    widen_ring(t);
     double *numbers = numbers_at(t, *h->length);
     state at = state_view(&t->m.s, numbers);
     int used = 0;

@@ -25,7 +25,8 @@ enum { MOST_STEPS = 1000000 }; /* measurements that a history has room for */
  * more than `max_steps`. */
 #define HISTORY_FIELDS(F, s)                                                               \
     F(COUNT, first, 1, 1)           /* place of the oldest state in the ring, */           \
-    F(COUNT, length, 1, 1)          /* and number of states */                             \
+    F(COUNT, length, 1, 1)          /* number of states, */                                \
+    F(COUNT, turn, 1, 1)            /* and of places that the ring goes round now */       \
     F(COUNT, coasted_periods, 1, 1) /* periods from the newest to that in a gap, or 0 */  \
     F(COUNT, steps, 1, 1)           /* count of corrections, */                            \
     F(COUNT, accepted, 1, 1)        /* of measurements, */                                 \

@@ -168,7 +168,7 @@ class Tracker:
         memory = self.memory[0]
         if not memory["length"]:
             return self.estimator.model["initial"]
-        place = int((memory["first"] + memory["length"] - 1) % len(self.ring))
+        place = int((memory["first"] + memory["length"] - 1) % memory["turn"])
         return self.ring[place : place + 1]
 
     @property
