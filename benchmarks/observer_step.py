@@ -227,7 +227,7 @@ def _awake(estimator: Estimator, y: Array, u: Array) -> Record:
         hypotheses["covariance"][place][parts, parts] = 1e-4
         if kind == Hypothesis.TONE:
             hypotheses["x"][place, n + 3], hypotheses["size"][place] = 5.0, 0.01
-    hypotheses["live"], hypotheses["score"] = 1, 0.0
+    hypotheses["live"], hypotheses["score"], hypotheses["age"] = 1, 0.0, 0.0
     record["awake"] = 5.0
     return state
 
