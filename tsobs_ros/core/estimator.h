@@ -266,6 +266,7 @@ LAYOUT_DECLARE(estimate, ESTIMATE_FIELDS, estimator_sizes)
     F(VECTOR, inputs, s->m + 2 * s->p, 1)            \
     F(MATRIX, small, s->k, s->k)                     \
     F(VECTOR, functional, s->width, 1)               \
+    F(COUNTS, places, s->hypotheses, 1)              \
     F(VECTOR, weights, s->hypotheses, 1)             \
     F(VECTOR, decided, s->hypotheses, 1)             \
     F(MATRIX, growth, s->hypotheses, 2)

@@ -30,28 +30,31 @@ static int is_undecided(const model *m, const state *at, const hypothesis *h)
     return *h->fork >= HIT && *h->fork <= STUCK && counts(m, &parent);
 }
 
-/* Write the weights of the hypotheses, 0 of those that do not count; their weights in the estimate,
- * `decided`, which are 0 of undecided forks, too; and the growth of their bounds, of those of an
- * unknown torque, which explains slow innovations, and of all others. */
-static void write_weights(const model *m, const state *at, work *scratch)
+/* Find the hypotheses that count, and return how many there are. Write their places; their weights,
+ * those in the estimate, `decided`, which are 0 of undecided forks; and the growth of their bounds,
+ * of those of an unknown torque, which explains slow innovations, and of all others. */
+static long weigh(const model *m, const state *at, work *scratch)
 {
     double total = 0.0, decided = 0.0; /* the latter has the parents of those that are undecided */
-    for (long i = 0; i < m->s.hypotheses; i++) {
-        const hypothesis h = hypothesis_of(m, at, i);
-        const double weight = counts(m, &h) ? exponential(minimum(*h.score, 0.0)) : 0.0;
-        scratch->weights[i] = weight;
-        scratch->decided[i] = weight > 0.0 && !is_undecided(m, at, &h) ? weight : 0.0;
-        if (weight > 0.0) {
-            scratch->growth[2 * i] = sqrt(maximum(*h.nis, 1.0));
-            scratch->growth[2 * i + 1] = scratch->growth[2 * i] * growth_of(m, &h);
+    long count = 0;
+    hypothesis h;
+    for (long i = 0; find_live(m, at, &i, &h); i++) {
+        if (counts(m, &h)) {
+            const double weight = exponential(minimum(*h.score, 0.0));
+            scratch->places[count] = i;
+            scratch->weights[count] = weight;
+            scratch->decided[count] = is_undecided(m, at, &h) ? 0.0 : weight;
+            scratch->growth[2 * count] = sqrt(maximum(*h.nis, 1.0));
+            scratch->growth[2 * count + 1] = scratch->growth[2 * count] * growth_of(m, &h);
+            total += weight;
+            decided += scratch->decided[count++];
         }
-        total += weight;
-        decided += scratch->decided[i];
     }
-    for (long i = 0; i < m->s.hypotheses; i++) {
+    for (long i = 0; i < count; i++) {
         scratch->weights[i] /= total;
         scratch->decided[i] /= decided;
     }
+    return count;
 }
 
 /* Return what a state's bounds rest on if a kind is named, and whether they are claimed to hold. */
@@ -129,17 +132,14 @@ static double slope_of(
  * it, as regressors move with x^, and what was learnt of noise is as wrong as the first guess. */
 static double read_one(
     const model *m, const state *at, int what, long place, double least, double unit, double *value,
-    double *bound, work *scratch)
+    double *bound, work *scratch, long count)
 {
     const long k = m->s.k;
     double mean = 0.0, mean_of_all = 0.0, mean_square = 0.0, within = 0.0;
-    for (long j = 0; j < m->s.hypotheses; j++) {
+    for (long j = 0; j < count; j++) {
         const double weight = scratch->weights[j];
+        const hypothesis h = hypothesis_of(m, at, scratch->places[j]);
         double variance, spread = 0.0, shift = 0.0, curved = 0.0, prior = 0.0;
-        if (!(weight > 0.0)) {
-            continue;
-        }
-        const hypothesis h = hypothesis_of(m, at, j);
         const double own_value = value_of(m, at, &h, what, place, &variance, scratch->functional);
         double own = *m->gain_mode == GAIN_OPEN ? least : sqrt(variance);
         if (*h.certified != 0) {
@@ -181,36 +181,34 @@ int read_out(const model *m, const state *at, const estimate *row, work *scratch
     /* Anything else than the likeliest is supposed at half a floor behind it. */
     const int is_designed = *designed.score >= -0.5 * m->constants[FLOOR];
     const int64_t named = is_designed ? AS_DESIGNED : *best.kind;
+    const long count = weigh(m, at, scratch);
     double total = 0.0;
-    write_weights(m, at, scratch);
     for (long i = 0; i < m->s.plant; i++) {
         total += read_one(
             m, at, STATE, i, m->state_std[i], m->scale[i], row->state + i, row->state_bound + i,
-            scratch);
+            scratch, count);
     }
     for (long i = 0; i < m->s.p; i++) {
         total += read_one(
             m, at, DISTURBANCE, i, m->disturbance_std[i], 1.0, row->disturbance + i,
-            row->disturbance_bound + i, scratch);
+            row->disturbance_bound + i, scratch, count);
         row->disturbance_rate[i] = 0.0;
-        for (long j = 0; j < m->s.hypotheses; j++) {
-            const double *x = hypothesis_of(m, at, j).x;
-            if (scratch->decided[j] > 0.0) {
-                row->disturbance_rate[i]
-                    += scratch->decided[j] * dot(m->rate_map + i * m->s.width, x, m->s.n);
-            }
+        for (long j = 0; j < count; j++) {
+            const double *x = hypothesis_of(m, at, scratch->places[j]).x;
+            row->disturbance_rate[i]
+                += scratch->decided[j] * dot(m->rate_map + i * m->s.width, x, m->s.n);
         }
         total += row->disturbance_rate[i];
     }
     for (long i = 0; i < m->s.t; i++) {
         total += read_one(
             m, at, TORQUE, i, m->torque_std[i], 1.0, row->torque_disturbance + i,
-            row->torque_disturbance_bound + i, scratch);
+            row->torque_disturbance_bound + i, scratch, count);
     }
     for (long i = 0; i < m->s.k; i++) {
         total += read_one(
             m, at, PARAMETER, i, 0.0, 1.0, row->parameters + i, row->parameter_bound + i,
-            scratch);
+            scratch, count);
     }
     *row->basis = (double)basis_of(m, &best, named, row->claimed);
     *row->noise_scale = scale_of(at);
