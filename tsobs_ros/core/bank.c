@@ -383,6 +383,12 @@ static int examine(const model *m, state *at, correction *effect)
     return outliers;
 }
 
+/* Return whether the state's age has crossed a multiple of an interval in the time `since`. */
+static int has_passed(const state *at, double interval, double since)
+{
+    return floor(*at->age / interval) > floor((*at->age - since) / interval);
+}
+
 /* Return whether an arm swings by itself at a frequency: there a wrong model looks like a tone; for
  * a second one, at those that other parameters may give, too. */
 static int is_its_own(const model *m, double frequency, int is_second)
@@ -393,20 +399,23 @@ static int is_its_own(const model *m, double frequency, int is_second)
            || (frequency < ratio * m->modes[1] && m->modes[1] < ratio * frequency);
 }
 
-/* Turn what an output's innovations have of each frequency, from a rate on, over a sample, and add
- * the newest. Write how loud each is, the root of its power, 0 where no tone is looked for. */
-static void turn_tones(
-    const model *m, const sensor *of, double rate, double r, double elapsed, double share,
-    double *loud)
+/* Return the lowest frequency that is looked for: the memory has four radians of it. */
+static double lowest_tone(const model *m)
 {
-    for (long j = 0; j < TONES; j++) {
+    return 4.0 / m->constants[AWAKE];
+}
+
+/* Turn what an output's innovations have of each frequency over a sample, and add the newest. */
+static void turn_tones(const model *m, const sensor *of, double r, double share)
+{
+    const double elapsed = maximum(*of->since, *m->period);
+    double rate = lowest_tone(m);
+    for (long j = 0; j < TONES; j++, rate *= m->constants[TONE_RATIO]) {
         double *z = of->tones + 2 * j, sin, cos;
         const double first = z[0];
         sine_and_cosine(rate * elapsed, &sin, &cos);
         z[0] = (1.0 - share) * (cos * first - sin * z[1]) + r;
         z[1] = (1.0 - share) * (cos * z[1] + sin * first);
-        loud[j] = is_its_own(m, rate, 0) ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
-        rate *= m->constants[TONE_RATIO];
     }
 }
 
@@ -442,48 +451,64 @@ static void begin_tones(
     }
 }
 
-/* Look for tones in the design's innovations, and propose the loudest: where it stands between its
- * frequency and the louder neighbour, by how loud both are. If one alone has failed, propose the
- * next one, too, unless the window or clipping may have made it of the loudest. */
-static void propose_tones(const model *m, state *at, const correction *effect)
+/* Find the three loudest tones in an output's innovations of 1 sigma `std`, in turn: each where it
+ * stands between its frequency and the louder neighbour, by how loud both are. */
+static void find_tones(
+    const model *m, const sensor *of, double std, double share, double least, tone *found)
 {
     const double step = m->constants[TONE_RATIO];
-    const tone none = {m->constants[TONE_SIGN], 0.0, 0.0};
-    tone tones[3] = {none, none, none};
+    double loud[TONES + 2] = {0.0}; /* and 0 beyond both ends */
+    double rate = lowest_tone(m);
+    for (long j = 0; j < TONES; j++, rate *= step) {
+        const double *z = of->tones + 2 * j;
+        loud[j + 1] = is_its_own(m, rate, 0) ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
+    }
+    rate = lowest_tone(m);
+    found[0].power = found[1].power = least;
+    for (long j = 1; j <= TONES; j++, rate *= step) {
+        const double here = loud[j], other = maximum(loud[j - 1], loud[j + 1]);
+        const double ratio = loud[j + 1] > loud[j - 1] ? step : 1.0 / step;
+        tone next = {
+            here * here * (2.0 - share) * share,
+            rate * (here + ratio * other) / (here + other),
+            6.0 * share * here * std, /* the filter follows a slow tone in part */
+        };
+        for (long rank = 0; here >= other && rank < 3; rank++) {
+            const tone ranked = found[rank];
+            if (next.power > ranked.power && (rank == 0 || !is_its_own(m, next.frequency, 1))) {
+                found[rank] = next;
+                next = ranked;
+            }
+        }
+    }
+}
+
+/* Look for tones in the design's innovations, and four times per trial propose the loudest; if one
+ * alone has failed, the next one, too, unless the window or clipping may have made it of the
+ * loudest. */
+static void propose_tones(const model *m, state *at, const correction *effect)
+{
+    const int is_due = has_passed(at, 0.25 * m->constants[TRIAL], *at->since);
+    tone tones[3] = {{m->constants[TONE_SIGN], 0.0, 0.0}};
     int64_t output = 0;
     for (long i = 0; i < m->s.p; i++) {
         const sensor of = sensor_of(m, at, i);
         const double share = share_of(counted_time(m, *of.since), m->constants[AWAKE]);
         const double std = sqrt(outlook_of(effect, i)->variance);
-        const double r = clip(outlook_of(effect, i)->innovation / std, -3.0, 3.0);
-        double loud[TONES + 2] = {0.0}; /* and 0 beyond both ends */
-        double rate = 4.0 / m->constants[AWAKE]; /* the memory has four radians of the lowest */
-        tone own[3] = {none, none, {0.0, 0.0, 0.0}}; /* the loudest, in turn */
-        if (!effect->present[i]) {
-            continue;
+        tone own[3] = {{0.0, 0.0, 0.0}};
+        if (effect->present[i]) {
+            turn_tones(m, &of, clip(outlook_of(effect, i)->innovation / std, -3.0, 3.0), share);
         }
-        turn_tones(m, &of, rate, r, maximum(*of.since, *m->period), share, loud + 1);
-        for (long j = 1; j <= TONES; j++, rate *= step) {
-            const double here = loud[j], other = maximum(loud[j - 1], loud[j + 1]);
-            const double ratio = loud[j + 1] > loud[j - 1] ? step : 1.0 / step;
-            tone found = {
-                here * here * (2.0 - share) * share,
-                rate * (here + ratio * other) / (here + other),
-                6.0 * share * here * std, /* the filter follows a slow tone in part */
-            };
-            for (long rank = 0; here >= other && rank < 3; rank++) {
-                const tone ranked = own[rank];
-                if (found.power > ranked.power
-                    && (rank == 0 || !is_its_own(m, found.frequency, 1))) {
-                    own[rank] = found;
-                    found = ranked;
-                }
-            }
+        if (effect->present[i] && is_due) {
+            find_tones(m, &of, std, share, m->constants[TONE_SIGN], own);
         }
         if (own[0].power > tones[0].power) {
             memcpy(tones, own, sizeof tones);
             output = i;
         }
+    }
+    if (!is_due) {
+        return;
     }
     const double frequency = tones[0].frequency;
     const double apart = (tones[1].frequency - frequency) * m->constants[AWAKE];
@@ -662,12 +687,6 @@ static void suppose_wrong_torque(const model *m, const state *at, const double *
     for (long i = 0; i < n; i++) {
         h.x[i] -= made * f->gamma[i * inputs];
     }
-}
-
-/* Return whether the state's age has crossed a multiple of an interval in the time `since`. */
-static int has_passed(const state *at, double interval, double since)
-{
-    return floor(*at->age / interval) > floor((*at->age - since) / interval);
 }
 
 /* Suppose that the arm's parameters are what another hypothesis knows more precisely. */

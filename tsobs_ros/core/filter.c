@@ -93,9 +93,7 @@ static outlook expect(
         of.known = scale * scale * m->innovation_covariance[i * p + i];
         return of;
     }
-    for (long j = 0; j < used; j++) {
-        crossed[j] = sparse_dot(row, h->covariance + j * width, used);
-    }
+    combine(row, h->covariance, width, crossed, 0, used, used);
     of.known = sparse_dot(row, crossed, used) + m->R[i * p + i] * (scale * scale * factor);
     return of;
 }
@@ -129,15 +127,15 @@ static outlook look(
         return of;
     }
     const double ratio = of.innovation * of.innovation / of.variance;
-    of.likelihood = -0.5 * ratio - 0.5 * logarithm(of.variance);
+    const double designed = scale * scale * m->innovation_covariance[i * p + i];
+    of.likelihood = -0.5 * ratio - 0.5 * logarithm(of.variance / designed);
     if (*m->supervised == 0) {
         of.used = !(ratio > *m->gate * *m->gate);
         return of;
     }
     of.likelihood -= price_of(m, h);
-    const double level = 0.5 * logarithm(scale * scale * m->innovation_covariance[i * p + i]);
-    of.used = of.likelihood >= -0.5 * *m->gate * *m->gate - level;
-    of.likelihood = maximum(of.likelihood, -m->constants[OUTLIER_PRICE] - level);
+    of.used = of.likelihood >= -0.5 * *m->gate * *m->gate;
+    of.likelihood = maximum(of.likelihood, -m->constants[OUTLIER_PRICE]);
     return of;
 }
 
