@@ -405,17 +405,28 @@ static double lowest_tone(const model *m)
     return 4.0 / m->constants[AWAKE];
 }
 
-/* Turn what an output's innovations have of each frequency over a sample, and add the newest. */
-static void turn_tones(const model *m, const sensor *of, double r, double share)
+/* Return the share of a sample in the memory of tones. */
+static double memory_share(const model *m, const sensor *of)
 {
-    const double elapsed = maximum(*of->since, *m->period);
-    double rate = lowest_tone(m);
-    for (long j = 0; j < TONES; j++, rate *= m->constants[TONE_RATIO]) {
-        double *z = of->tones + 2 * j, sin, cos;
-        const double first = z[0];
-        sine_and_cosine(rate * elapsed, &sin, &cos);
-        z[0] = (1.0 - share) * (cos * first - sin * z[1]) + r;
-        z[1] = (1.0 - share) * (cos * z[1] + sin * first);
+    return share_of(counted_time(m, *of->since), m->constants[AWAKE]);
+}
+
+/* Turn what the design's innovations have of each frequency over a sample, and add the newest. */
+static void turn_tones(const model *m, const state *at, const correction *effect)
+{
+    for (long i = 0; i < m->s.p; i++) {
+        const outlook *expected = outlook_of(effect, i);
+        const sensor of = sensor_of(m, at, i);
+        const double left = 1.0 - memory_share(m, &of);
+        const double r = clip(expected->innovation / sqrt(expected->variance), -3.0, 3.0);
+        double rate = lowest_tone(m);
+        for (long j = 0; effect->present[i] && j < TONES; j++, rate *= m->constants[TONE_RATIO]) {
+            double *z = of.tones + 2 * j, sin, cos;
+            const double first = z[0];
+            sine_and_cosine(rate * maximum(*of.since, *m->period), &sin, &cos);
+            z[0] = left * (cos * first - sin * z[1]) + r;
+            z[1] = left * (cos * z[1] + sin * first);
+        }
     }
 }
 
@@ -451,20 +462,21 @@ static void begin_tones(
     }
 }
 
-/* Find the three loudest tones in an output's innovations of 1 sigma `std`, in turn: each where it
- * stands between its frequency and the louder neighbour, by how loud both are. */
-static void find_tones(
-    const model *m, const sensor *of, double std, double share, double least, tone *found)
+/* Find the three loudest tones in an output's innovations, in turn: each where it stands between
+ * its frequency and the louder neighbour, by how loud both are. */
+static void find_tones(const model *m, const state *at, long output, tone *found)
 {
-    const double step = m->constants[TONE_RATIO];
+    const sensor of = sensor_of(m, at, output);
+    const double share = memory_share(m, &of), step = m->constants[TONE_RATIO];
+    const double std
+        = noise_of(m, at, output) * sqrt(m->innovation_covariance[output * (m->s.p + 1)]);
     double loud[TONES + 2] = {0.0}; /* and 0 beyond both ends */
     double rate = lowest_tone(m);
-    for (long j = 0; j < TONES; j++, rate *= step) {
-        const double *z = of->tones + 2 * j;
-        loud[j + 1] = is_its_own(m, rate, 0) ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
+    for (long j = 1; j <= TONES; j++, rate *= step) {
+        const double *z = of.tones + 2 * (j - 1);
+        loud[j] = is_its_own(m, rate, 0) ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
     }
     rate = lowest_tone(m);
-    found[0].power = found[1].power = least;
     for (long j = 1; j <= TONES; j++, rate *= step) {
         const double here = loud[j], other = maximum(loud[j - 1], loud[j + 1]);
         const double ratio = loud[j + 1] > loud[j - 1] ? step : 1.0 / step;
@@ -483,32 +495,23 @@ static void find_tones(
     }
 }
 
-/* Look for tones in the design's innovations, and four times per trial propose the loudest; if one
- * alone has failed, the next one, too, unless the window or clipping may have made it of the
- * loudest. */
-static void propose_tones(const model *m, state *at, const correction *effect)
+/* Four times per trial propose the loudest tones of an output; the next one, too, if one alone has
+ * failed, unless the window or clipping may have made it of the loudest. */
+static void propose_tones(const model *m, state *at)
 {
-    const int is_due = has_passed(at, 0.25 * m->constants[TRIAL], *at->since);
-    tone tones[3] = {{m->constants[TONE_SIGN], 0.0, 0.0}};
+    const tone none = {m->constants[TONE_SIGN], 0.0, 0.0};
+    tone tones[3] = {none};
     int64_t output = 0;
+    if (*at->awake <= 0.0 || !has_passed(at, 0.25 * m->constants[TRIAL], *at->since)) {
+        return;
+    }
     for (long i = 0; i < m->s.p; i++) {
-        const sensor of = sensor_of(m, at, i);
-        const double share = share_of(counted_time(m, *of.since), m->constants[AWAKE]);
-        const double std = sqrt(outlook_of(effect, i)->variance);
-        tone own[3] = {{0.0, 0.0, 0.0}};
-        if (effect->present[i]) {
-            turn_tones(m, &of, clip(outlook_of(effect, i)->innovation / std, -3.0, 3.0), share);
-        }
-        if (effect->present[i] && is_due) {
-            find_tones(m, &of, std, share, m->constants[TONE_SIGN], own);
-        }
+        tone own[3] = {none, none, {0.0, 0.0, 0.0}};
+        find_tones(m, at, i, own);
         if (own[0].power > tones[0].power) {
             memcpy(tones, own, sizeof tones);
             output = i;
         }
-    }
-    if (!is_due) {
-        return;
     }
     const double frequency = tones[0].frequency;
     const double apart = (tones[1].frequency - frequency) * m->constants[AWAKE];
@@ -944,7 +947,7 @@ static void use_sample(const model *m, state *at, long place, correction *effect
         expect_outputs(m, at, &h, effect);
     }
     if (place == AS_DESIGNED && *at->awake > 0.0) {
-        propose_tones(m, at, effect);
+        turn_tones(m, at, effect);
     }
     for (long i = 0; *h.fork == STUCK && i < m->s.p; i++) {
         outlook_of(effect, i)->used &= *sensor_of(m, at, i).repeats == 0;
@@ -990,6 +993,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
             }
         }
     }
+    propose_tones(m, at);
     suppose_otherwise(m, at);
     deactivate_bank(m, at);
 }
