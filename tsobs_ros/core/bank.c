@@ -571,9 +571,14 @@ static void open_fork(
         double std = 0.0;
         if (fork == JUMPED) {
             std = map[i] != 0.0 ? innovation : 0.0;
-        } else if (fork == HIT && (i == 1 || i == 3)) {
-            /* The speed that makes the innovation within a period, if the arm can be so fast. */
+        } else if (fork == HIT && (i == 1 || i == 3) && m->C[output * width + i - 1] != 0.0) {
+            /* The speed that makes the innovation within a period, if the arm can be so fast. It
+             * came at any time since the last sample, and has turned the arm since. */
+            const double turn = m->design_flow.phi[(i - 1) * n + i];
             std = minimum(fabs(innovation) / *m->period / m->scale[i], m->domain[i]);
+            P[(i - 1) * (width + 1)] += std * std * turn * turn / 3.0;
+            P[(i - 1) * width + i] += 0.5 * std * std * turn;
+            P[i * width + i - 1] = P[(i - 1) * width + i];
         } else if (fork == MOVED && i < m->s.plant) {
             /* As far as the sample is away, so that the disturbance stays what it was. */
             const double by = m->C[output * width + i];
