@@ -911,7 +911,9 @@ static int fork_best(const model *m, const state *at, correction *effect)
         if (!effect->present[i]) {
             continue;
         }
-        if (is_outlier && *m->design_flow.kind == KIND_ARM) {
+        const sensor of = sensor_of(m, at, i);
+        const int repeats = *of.repeats > 0 && hides_steps(&of, m->R[i * m->s.p + i]);
+        if (is_outlier && *m->design_flow.kind == KIND_ARM && !repeats) {
             suppose(m, at, HIT, i, innovation, effect);
         }
         if (is_outlier) {
