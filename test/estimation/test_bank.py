@@ -423,7 +423,7 @@ def test_what_fell_behind_is_supposed_again() -> None:
 @pytest.mark.parametrize(("name", "size"), [("wander_3", 1.0), ("drift", 2.0)])
 def test_a_drift_is_found_to_be_half_as_large_or_not(name: str, size: float) -> None:
     """A bias that wanders three times as fast as designed moves less than a drift."""
-    state = course("learning", simulated(SCENARIOS[name], 9002, 40)).tracker.state
+    state = course("learning", simulated(SCENARIOS[name], 9003, 40)).tracker.state
     drift = state["hypotheses"][0, Hypothesis.DRIFT]
     assert (drift["score"], drift["size"]) == (0.0, size)
 

@@ -267,7 +267,7 @@ def beside(kind: int, fork: int, design_behind: float) -> tuple[Estimator, Recor
     return observer, state
 
 
-@pytest.mark.parametrize(("fork", "shift"), [(1, 5.0), (2, 0.0), (4, 0.0), (5, 5.0)])
+@pytest.mark.parametrize(("fork", "shift"), [(2, 5.0), (3, 0.0), (5, 0.0), (6, 5.0)])
 def test_a_hit_that_is_undecided_widens_the_bound_only(fork: int, shift: float) -> None:
     observer, state = beside(Hypothesis.AS_DESIGNED, fork, 0.0)
     row, variance = observer.readout(state), likeliest(state)["covariance"][0, 0]
