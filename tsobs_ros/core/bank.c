@@ -913,15 +913,16 @@ static int fork_best(const model *m, const state *at, correction *effect)
         }
         const sensor of = sensor_of(m, at, i);
         const int repeats = *of.repeats > 0 && hides_steps(&of, m->R[i * m->s.p + i]);
-        if (is_outlier && *m->design_flow.kind == KIND_ARM && !repeats) {
+        const int is_sudden = is_outlier || (m->disturbed[i] != 0 && fabs(innovation) > sudden);
+        if (is_sudden && *m->design_flow.kind == KIND_ARM && !repeats) {
             suppose(m, at, HIT, i, innovation, effect);
+            forked = 1;
         }
         if (is_outlier) {
             suppose(m, at, MOVED, i, innovation, effect);
         }
-        const int jumps = is_outlier || (m->disturbed[i] != 0 && fabs(innovation) > sudden);
-        if (jumps || (m->disturbed[i] != 0 && is_due(m, at, i))) {
-            suppose(m, at, JUMPED, i, jumps ? innovation : sudden, effect);
+        if (is_sudden || (m->disturbed[i] != 0 && is_due(m, at, i))) {
+            suppose(m, at, JUMPED, i, is_sudden ? innovation : sudden, effect);
             forked = 1;
         }
     }
