@@ -263,6 +263,9 @@ def test_stamps_of_the_past_are_refused_by_their_reason() -> None:
     assert old.used == 9
 
 
+BUSY = *range(0, 150 * PERIOD, PERIOD), *range(10**9, 10**9 + 90)
+
+
 @pytest.mark.parametrize(
     ("options", "stamps", "order"),
     [
@@ -271,12 +274,14 @@ def test_stamps_of_the_past_are_refused_by_their_reason() -> None:
         ({"history": 10.0, "restart_after": 1.0}, [0, 1, 2, 600, 601, 602], [3, 4, 5, 0, 1, 2]),
         ({"max_steps": 50}, [k * PERIOD for k in range(123)], [*range(120), 121, 122, 120]),
         ({"max_steps": 1}, [0, PERIOD, 2 * PERIOD], [0, 2, 1]),
+        # A burst for which the ring is widened when it does not begin at its first place.
+        ({}, [*BUSY], [*range(110), *range(111, 240), 110]),
     ],
 )
 def test_whatever_the_history_reaches_is_put_in_its_place(
     options: dict[str, Any], stamps: list[int], order: list[int]
 ) -> None:
-    in_order, late = tracker(**options), tracker(**options)
+    in_order, late = tracker(**options | {"history": 10.0, "max_steps": 1024}), tracker(**options)
     given = [sample(k, BEGIN + stamp) for k, stamp in enumerate(stamps)]
     offer_all(in_order, given)
     offer_all(late, [given[k] for k in order])

@@ -48,6 +48,11 @@ def _held(angle: float) -> Scenario:
     return replace(_REST, initial_state=tuple(start), inputs=(Constant(torque),))
 
 
+def _hits(speed: float, start: float, interval: float) -> Pulses:
+    """Return a torque of one sample, now and then, that changes the link's speed [rad/s]."""
+    return Pulses(_PLAIN.arm.link_inertia * speed * _PLAIN.rate, start, 1 / _PLAIN.rate, interval)
+
+
 def _walk(density: float) -> GaussMarkov:
     """Return a drift that is a random walk over a minute, by its density [rad²/s]."""
     time = 1000.0
@@ -97,6 +102,7 @@ SCENARIOS: dict[str, Scenario] = {
     "coarse": arm_with(_ENCODER),
     "stiff_coarse": arm_with(_STIFF, replace(_ENCODER, noise_std=0.0)),
     "stuck": arm_with(StuckSensor(50.0, 2.0)),
+    "hits": arm_with(torque_disturbance=((), (_hits(1.0, 5.0, 7.0), _hits(-0.8, 9.3, 8.0)))),
     "rest": _held(0.0),
     "held": _held(0.5),
     **{  # one sample of the reported torque
@@ -152,7 +158,7 @@ SCENARIOS |= {
     for name in (
         "bias_step", "sinusoid", "dropouts", "student", "many_outliers", "pulses", "steps",
         "friction", "correlated_0.9", "tone_0.1_3", "tone_0.1_8", "wander", "late_payload",
-        "backlash_0.03", "missing", "half_rate", "near_rest", "tone_pair", "stuck",
+        "backlash_0.03", "missing", "half_rate", "near_rest", "tone_pair", "stuck", "hits",
     )
 }  # fmt: skip
 """All by name, one minute each at 200 Hz with u = sin t unless they say otherwise; "stiff" is +20 %
