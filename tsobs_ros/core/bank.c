@@ -583,9 +583,10 @@ static void open_fork(
             /* As far as the sample is away, so that the disturbance stays what it was. */
             const double by = m->C[output * width + i];
             /* An angle that is late has its velocity in it, but that is not what is away. */
-            const int is_late = i % 2 == 1 && m->C[output * width + i - 1] != 0.0
-                                && *m->design_flow.kind == KIND_ARM;
+            const int is_speed = i % 2 == 1 && *m->design_flow.kind == KIND_ARM;
+            const int is_late = is_speed && m->C[output * width + i - 1] != 0.0;
             std = maximum(m->domain[i], by != 0.0 && !is_late ? fabs(innovation / by) : 0.0);
+            std = maximum(std, is_speed ? fabs(h->x[i]) : 0.0); /* one out of the domain may end */
         }
         P[i * width + i] += std * std;
     }
@@ -898,33 +899,44 @@ static int is_due(const model *m, const state *at, long output)
            && has_passed(at, 0.25 * m->constants[TRIAL], *sensor_of(m, at, output).since);
 }
 
-/* Fork the best hypothesis where it takes a sample for an outlier; a sensor may have jumped where a
- * sample is only unlikely. Return whether forks may have used the scratch of `expect_outputs`. */
+/* Return whether a sudden innovation of the best hypothesis may be that of an arm which was hit: if
+ * it is an outlier or follows one of its sign, as that of noise seldom does; but no value that comes
+ * twice where noise lets none, as those of a stuck sensor. */
+static int may_be_hit(
+    const model *m, const state *at, const hypothesis *best, long output, int is_outlier,
+    double size)
+{
+    const sensor of = sensor_of(m, at, output);
+    const int lasts = best->previous[output] * size > m->constants[SUDDEN];
+    return *m->design_flow.kind == KIND_ARM && (is_outlier || lasts)
+           && !(*of.repeats > 0 && hides_steps(&of, m->R[output * (m->s.p + 1)]));
+}
+
+/* Fork the best hypothesis where it takes a sample for an outlier; if the output has a disturbance,
+ * sensor or arm may have jumped where a sample is only unlikely, and soon after a hit the arm may
+ * be elsewhere. Return whether forks may have used the scratch of `expect_outputs`. */
 static int fork_best(const model *m, const state *at, correction *effect)
 {
+    const hypothesis best = best_of(m, at);
+    const int is_new = *best.cause == BASIS_STARTING && *best.age < m->constants[TRIAL];
     int forked = 0;
     for (long i = 0; i < m->s.p; i++) {
         const double innovation = effect->innovation[i];
-        const double sudden = m->constants[SUDDEN]
-                              * sqrt(effect->innovation_covariance[i * m->s.p + i]);
-        const int is_outlier = !outlook_of(effect, i)->used;
-        if (!effect->present[i]) {
+        const double std = sqrt(effect->innovation_covariance[i * (m->s.p + 1)]);
+        const double sudden = m->constants[SUDDEN] * std;
+        const int is_outlier = !outlook_of(effect, i)->used, is_disturbed = m->disturbed[i] != 0;
+        const int is_sudden = is_outlier || (is_disturbed && fabs(innovation) > sudden);
+        if (!effect->present[i] || !(is_sudden || (is_disturbed && is_due(m, at, i)))) {
             continue;
         }
-        const sensor of = sensor_of(m, at, i);
-        const int repeats = *of.repeats > 0 && hides_steps(&of, m->R[i * m->s.p + i]);
-        const int is_sudden = is_outlier || (m->disturbed[i] != 0 && fabs(innovation) > sudden);
-        if (is_sudden && *m->design_flow.kind == KIND_ARM && !repeats) {
+        if (is_sudden && may_be_hit(m, at, &best, i, is_outlier, innovation / std)) {
             suppose(m, at, HIT, i, innovation, effect);
-            forked = 1;
         }
-        if (is_outlier) {
+        if (is_outlier || (is_sudden && is_new)) {
             suppose(m, at, MOVED, i, innovation, effect);
         }
-        if (is_sudden || (m->disturbed[i] != 0 && is_due(m, at, i))) {
-            suppose(m, at, JUMPED, i, is_sudden ? innovation : sudden, effect);
-            forked = 1;
-        }
+        suppose(m, at, JUMPED, i, is_sudden ? innovation : sudden, effect);
+        forked = 1;
     }
     return forked;
 }
