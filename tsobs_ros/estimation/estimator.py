@@ -190,7 +190,7 @@ class Estimator:
 
     def rows_of(self, numbers: Array) -> Rows:
         """Return rows of `row_type`, the same memory as some numbers."""
-        return numbers.view(self.row_type).view(np.recarray)
+        return np.recarray(numbers.nbytes // self.row_type.itemsize, self.row_type, numbers.data)
 
     def initial(self) -> Record:
         """Return the state before any measurement, shape (1,): zero estimate, wide covariance."""

