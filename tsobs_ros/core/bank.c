@@ -497,7 +497,7 @@ static void find_tones(const model *m, const state *at, long output, tone *found
 
 /* Four times per trial propose the loudest tones of an output; the next one, too, if one alone has
  * failed, unless the window or clipping may have made it of the loudest. */
-static void propose_tones(const model *m, state *at)
+static void propose_tones(const model *m, state *at, const correction *effect)
 {
     const tone none = {m->constants[TONE_SIGN], 0.0, 0.0};
     tone tones[3] = {none};
@@ -507,7 +507,9 @@ static void propose_tones(const model *m, state *at)
     }
     for (long i = 0; i < m->s.p; i++) {
         tone own[3] = {none, none, {0.0, 0.0, 0.0}};
-        find_tones(m, at, i, own);
+        if (effect->present[i]) {
+            find_tones(m, at, i, own);
+        }
         if (own[0].power > tones[0].power) {
             memcpy(tones, own, sizeof tones);
             output = i;
@@ -571,9 +573,10 @@ static void open_fork(
         double std = 0.0;
         if (fork == JUMPED) {
             std = map[i] != 0.0 ? innovation : 0.0;
-        } else if (fork == HIT && (i == 1 || i == 3) && m->C[output * width + i - 1] != 0.0) {
+        } else if (fork == HIT && (i == 1 || i == 3)
+                   && (m->C[output * width + i - 1] != 0.0 || m->C[output * width + i] != 0.0)) {
             /* The speed that makes the innovation within a period, if the arm can be so fast. It
-             * came at any time since the last sample, and has turned the arm since. */
+             * came at any time in that period, and has turned the arm since. */
             const double turn = m->design_flow.phi[(i - 1) * n + i];
             std = minimum(fabs(innovation) / *m->period / m->scale[i], m->domain[i]);
             P[(i - 1) * (width + 1)] += std * std * turn * turn / 3.0;
@@ -586,7 +589,8 @@ static void open_fork(
             const int is_speed = i % 2 == 1 && *m->design_flow.kind == KIND_ARM;
             const int is_late = is_speed && m->C[output * width + i - 1] != 0.0;
             std = maximum(m->domain[i], by != 0.0 && !is_late ? fabs(innovation / by) : 0.0);
-            std = maximum(std, is_speed ? fabs(h->x[i]) : 0.0); /* one out of the domain may end */
+            /* An estimate that is faster than the domain may be wrong by all of its speed. */
+            std = maximum(std, is_speed ? fabs(h->x[i]) : 0.0);
         }
         P[i * width + i] += std * std;
     }
@@ -821,7 +825,7 @@ static void select_forks(const model *m, state *at)
                 take_place(m, at, &h);
             }
         } else if (!(*h.score >= -m->constants[FLOOR])
-                   || (*h.fork < STUCK && *h.age > m->constants[AWAKE])) { /* an event shows soon */
+                   || (*h.fork < STUCK && *h.age > m->constants[AWAKE])) { /* a true event has won by then */
             drop(m, &h);
         }
     }
@@ -900,21 +904,23 @@ static int is_due(const model *m, const state *at, long output)
 }
 
 /* Return whether a sudden innovation of the best hypothesis may be that of an arm which was hit: if
- * it is an outlier or follows one of its sign, as that of noise seldom does; but no value that comes
- * twice where noise lets none, as those of a stuck sensor. */
+ * it is an outlier, or follows one of its sign such that the product of both is large, too, as that
+ * of noise seldom does; but no value that comes twice where noise lets none, as those of a stuck
+ * sensor. */
 static int may_be_hit(
     const model *m, const state *at, const hypothesis *best, long output, int is_outlier,
     double size)
 {
     const sensor of = sensor_of(m, at, output);
-    const int lasts = best->previous[output] * size > m->constants[SUDDEN];
+    const int lasts = *of.since <= *m->longest
+                      && best->previous[output] * size > m->constants[SUDDEN];
     return *m->design_flow.kind == KIND_ARM && (is_outlier || lasts)
            && !(*of.repeats > 0 && hides_steps(&of, m->R[output * (m->s.p + 1)]));
 }
 
 /* Fork the best hypothesis where it takes a sample for an outlier; if the output has a disturbance,
- * sensor or arm may have jumped where a sample is only unlikely, and soon after a hit the arm may
- * be elsewhere. Return whether forks may have used the scratch of `expect_outputs`. */
+ * sensor or arm may have jumped where a sample is only unlikely, and soon after a hit or another
+ * start the arm may be elsewhere. Return whether forks may have used the scratch of `expect_outputs`. */
 static int fork_best(const model *m, const state *at, correction *effect)
 {
     const hypothesis best = best_of(m, at);
@@ -1013,7 +1019,8 @@ static void correct_bank(const model *m, state *at, correction *effect)
             }
         }
     }
-    propose_tones(m, at);
+    propose_tones(m, at, effect);
+    compare(m, at); /* a tone may have been the best, and is no longer */
     suppose_otherwise(m, at);
     deactivate_bank(m, at);
 }

@@ -68,10 +68,10 @@ enum {
 #define BANK_CONSTANTS(C)                                                                      \
     C(FLOOR, 12.0, "how far a standing hypothesis may fall behind the best [nat]")             \
     C(OUTLIER_PRICE, 7.0, "how unlikely an outlier is, by the likeliest sample [nat]")          \
-    C(FORK_PRICE, 10.0, "prior of a jump or a hit at an outlier [nat]")                        \
-    C(LOST_PRICE, 14.0, "prior of an arm that is elsewhere at an outlier [nat]")               \
+    C(FORK_PRICE, 10.0, "prior of a jump or a hit at an unlikely sample [nat]")                \
+    C(LOST_PRICE, 14.0, "prior of an arm that is elsewhere at an unlikely sample [nat]")       \
     C(TORQUE_PRICE, 1.5, "prior of a wrong torque where one stands out [nat]")                 \
-    C(SUDDEN, 3.5, "innovation at which a sensor may have jumped, and motion that a torque "   \
+    C(SUDDEN, 3.5, "innovation at which sensor or arm may have jumped, motion that a torque "  \
                    "makes when it may be wrong [sigma]")                                       \
     C(TRIAL, 1.0, "age at which the best fork takes its parent's place, and interval of "      \
                   "those without an event [s]")                                                \

@@ -127,13 +127,12 @@ static outlook look(
         return of;
     }
     const double ratio = of.innovation * of.innovation / of.variance;
-    const double designed = scale * scale * m->innovation_covariance[i * p + i];
-    of.likelihood = -0.5 * ratio - 0.5 * logarithm(of.variance / designed);
     if (*m->supervised == 0) {
         of.used = !(ratio > *m->gate * *m->gate);
         return of;
     }
-    of.likelihood -= price_of(m, h);
+    const double designed = scale * scale * m->innovation_covariance[i * p + i];
+    of.likelihood = -0.5 * ratio - 0.5 * logarithm(of.variance / designed) - price_of(m, h);
     of.used = of.likelihood >= -0.5 * *m->gate * *m->gate;
     of.likelihood = maximum(of.likelihood, -m->constants[OUTLIER_PRICE]);
     return of;

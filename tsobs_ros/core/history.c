@@ -173,8 +173,8 @@ static void forget_oldest(tracker *t, int64_t stamp)
     }
 }
 
-/* Let the ring have a slot for one more state. It goes round as few as it needs, as those that it
- * comes back to soon are in the processor's cache. */
+/* Let the ring have a slot for one more state. It goes round as few as it has needed so far, as
+ * those that it comes back to soon are in the processor's cache. */
 static void widen_ring(tracker *t)
 {
     history *h = &t->h;

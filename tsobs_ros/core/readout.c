@@ -220,5 +220,5 @@ int read_out(const model *m, const state *at, const estimate *row, work *scratch
         = m->s.k > 0 && *best.kind == AS_DESIGNED && is_excited(m, &best, scratch->small);
     *row->in_domain = 1.0;
     *row->age = 0.0;
-    return isfinite(total) != 0;
+    return count > 0 && isfinite(total);
 }
