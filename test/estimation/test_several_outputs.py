@@ -10,6 +10,8 @@ import pytest
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
+from tsobs_ros.design.request import ArmRequest, Output
+from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.records import USED, Basis, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
@@ -17,7 +19,7 @@ from tsobs_ros.methods import make_tracker
 from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, TorqueDisturbance, Trajectories
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import BiasStep
+from tsobs_ros.simulation.signals import BiasStep, Pulses
 
 DESIGN = load_design(Path(__file__).parent / "data" / "both_encoders.design.yaml")
 LINK, MOTOR = 0, 1
@@ -131,3 +133,15 @@ def test_what_is_wrong_with_one_output_is_no_reason_to_refuse_the_other(
     kept = seconds(13.0)
     error = np.abs(rows["state"] - run(bias=0.0).physical[0])
     assert ((error <= 3.0 * rows["state_bound"])[kept].mean(axis=0) >= 0.97).all()
+
+
+def test_a_hit_shows_in_an_output_that_is_a_speed() -> None:
+    names, push = ("link_velocity", "motor_angle"), Pulses(400.0, 5.0, 0.005, 0.0)  # 2 rad/s
+    design = synthesise(ArmRequest(outputs=tuple(Output(name, 0.01) for name in names)))
+    outputs = tuple(SimulatedOutput(name, Sensor(noise_std=0.01)) for name in names)
+    scenario = Scenario(outputs=outputs, torque_disturbance=TorqueDisturbance(link=(push,)))
+    hit, tracker = simulate(scenario, [1], 6.0), make_tracker(design)
+    rows = tracker.follow(stamps_of(len(hit.times)), hit.measurements[0], hit.torques[0])
+    apart = np.abs(rows.state - hit.physical[0]) / rows.state_bound
+    assert tracker.events["hits"] == 1
+    assert (apart[seconds(5.05)] < 3.0).mean() > 0.97
