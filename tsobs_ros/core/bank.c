@@ -825,8 +825,8 @@ static void select_forks(const model *m, state *at)
                 take_place(m, at, &h);
             }
         } else if (!(*h.score >= -m->constants[FLOOR])
-                   || (*h.fork < STUCK && *h.age > m->constants[AWAKE])) { /* a true event has won by then */
-            drop(m, &h);
+                   || (*h.fork < STUCK && *h.age > m->constants[AWAKE])) {
+            drop(m, &h); /* a true event has won by then */
         }
     }
 }
@@ -920,7 +920,8 @@ static int may_be_hit(
 
 /* Fork the best hypothesis where it takes a sample for an outlier; if the output has a disturbance,
  * sensor or arm may have jumped where a sample is only unlikely, and soon after a hit or another
- * start the arm may be elsewhere. Return whether forks may have used the scratch of `expect_outputs`. */
+ * start the arm may be elsewhere. Return whether forks may have used the scratch of
+ * `expect_outputs`. */
 static int fork_best(const model *m, const state *at, correction *effect)
 {
     const hypothesis best = best_of(m, at);
@@ -1020,7 +1021,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
         }
     }
     propose_tones(m, at, effect);
-    compare(m, at); /* a tone may have been the best, and is no longer */
+    compare(m, at); /* a tone that ends, or what is not finite, may have been the best */
     suppose_otherwise(m, at);
     deactivate_bank(m, at);
 }

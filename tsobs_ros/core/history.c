@@ -59,8 +59,7 @@ int history_is_sound(const history *h)
     return *h->max_steps >= 1 && *h->max_steps <= MOST_STEPS && *h->first >= 0
            && *h->turn <= slots_for(*h->max_steps) && (*h->first == 0 || *h->first < *h->turn)
            && *h->length >= 0 && *h->length <= *h->turn && *h->length <= *h->max_steps + 1
-           && *h->span >= 0 && *h->future >= 0
-           && *h->restart_after >= 0;
+           && *h->span >= 0 && *h->future >= 0 && *h->restart_after >= 0;
 }
 
 const char *tracker_bind(
@@ -179,14 +178,15 @@ static void widen_ring(tracker *t)
 {
     history *h = &t->h;
     const int64_t turn = *h->turn, slots = slots_for(*h->max_steps);
-    if (*h->length == turn) {
-        *h->turn = 2 * turn < slots - 2 ? 2 * turn + 2 : slots;
-        const int64_t more = *h->first > 0 ? *h->turn - turn : 0;
-        double *oldest = t->room.ring + (size_t)*h->first * t->state_size;
-        memmove(
-            oldest + (size_t)more * t->state_size, oldest,
-            (size_t)(turn - *h->first) * t->state_size * sizeof *oldest);
-        *h->first += more;
+    if (*h->length < turn) {
+        return;
+    }
+    *h->turn = 2 * turn < slots - 2 ? 2 * turn + 2 : slots;
+    if (*h->first > 0) { /* the oldest stay at the end */
+        double *oldest = numbers_at(t, 0);
+        const size_t size = t->state_size, count = (size_t)(turn - *h->first);
+        *h->first += *h->turn - turn;
+        memmove(numbers_at(t, 0), oldest, count * size * sizeof *oldest);
     }
 }
 
