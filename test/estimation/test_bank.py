@@ -13,15 +13,17 @@ import pytest
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
-from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.records import USED, Basis, Hypothesis, Measurement, RejectReason
 from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
+from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
-from tsobs_ros.simulation.plant import Mismatch, Scenario, Trajectories
+from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput, Trajectories
+from tsobs_ros.simulation.plant import TorqueDisturbance as DisturbingTorques
 from tsobs_ros.simulation.scenarios import SCENARIOS, arm_with, simulate
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import Pulses, Sinusoid
@@ -174,6 +176,33 @@ def test_a_hit_moves_the_arm_and_not_the_bias(name: str) -> None:
     assert {"hits", "losses of track"} & got.found.keys()
     assert got.inside[EVENT + 10 :].mean() > 0.97
     assert np.abs(got.disturbance[EVENT + 10 :]).max() < 0.1
+
+
+def test_hits_of_the_link_are_found_by_the_encoder_of_the_motor() -> None:
+    friction = DisturbanceTerm("gauss_markov", {"std": 0.2, "time_constant": 0.5})
+    DESIGNS["motor"] = synthesise(
+        ArmRequest(
+            outputs=(Output("motor_angle", 0.0005),),
+            torque_disturbance=TorqueDisturbance(motor=(friction,)),
+            process_noise=ProcessNoise(1e-3, 1e-3),
+            uncertainty={},
+        )
+    )
+    pushes = tuple(Pulses(size * RATE, 6.0, 1.0 / RATE, size % 3.0) for size in (1.0, -1.0))
+    scenario = replace(
+        SCENARIOS["noise"],
+        outputs=(SimulatedOutput("motor_angle", Sensor(noise_std=0.0005)),),
+        torque_disturbance=DisturbingTorques((), pushes),
+    )
+    run = simulated(scenario)
+    ours = course("motor", run)
+    plain = make_tracker(DESIGNS["motor"], ObserverSettings(method="ekf_plain", history=0.0))
+    errors = [
+        np.sqrt(((each.state - run.physical[0])[5 * RATE :, 0] ** 2).mean())
+        for each in (ours, course("motor", run, tracker=plain))
+    ]
+    assert errors[0] <= 0.6 * errors[1]
+    assert ours.is_honest()
 
 
 TAKEN_FOR = [

@@ -151,6 +151,22 @@ void hold_inputs(const model *m, state *at, const double *u)
     at->held[0] = mean_torque(m, at, 0.0, *m->period);
 }
 
+/* Forget the auxiliary states from a place on, up to another. */
+static void clear_auxiliary(const model *m, const hypothesis *h, long first, long end)
+{
+    const long width = m->s.width;
+    for (long i = first; i < end; i++) {
+        h->x[i] = 0.0;
+        for (long j = 0; j < width; j++) {
+            h->covariance[i * width + j] = 0.0;
+            h->covariance[j * width + i] = 0.0;
+        }
+        for (long j = 0; j < m->s.k; j++) {
+            h->sensitivity[j * width + i] = 0.0;
+        }
+    }
+}
+
 /* Begin a time in which the torque is unknown. */
 static void open_torque(const model *m, const state *at, const hypothesis *h)
 {
@@ -159,6 +175,9 @@ static void open_torque(const model *m, const state *at, const hypothesis *h)
         spread = maximum(minimum(*m->torque_rate * *at->torque_age, *m->torque_spread), spread);
     }
     leave_certified(m, at, h, BASIS_GAP);
+    if (explains_motor(m)) {
+        clear_auxiliary(m, h, m->s.n, m->s.n + 1);
+    }
     h->covariance[m->s.n * (m->s.width + 1)] += spread * spread;
 }
 
@@ -209,22 +228,6 @@ static hypothesis begin_from_best(
     *h.score = score;
     *h.age = 0.0;
     return h;
-}
-
-/* Forget the auxiliary states from a place on, up to another. */
-static void clear_auxiliary(const model *m, const hypothesis *h, long first, long end)
-{
-    const long width = m->s.width;
-    for (long i = first; i < end; i++) {
-        h->x[i] = 0.0;
-        for (long j = 0; j < width; j++) {
-            h->covariance[i * width + j] = 0.0;
-            h->covariance[j * width + i] = 0.0;
-        }
-        for (long j = 0; j < m->s.k; j++) {
-            h->sensitivity[j * width + i] = 0.0;
-        }
-    }
 }
 
 /* Take arm and sensors for something else: parts of the sensors are forgotten, as the disturbance
@@ -1032,7 +1035,7 @@ void correct(const model *m, state *at, const double *y, correction *effect)
     hypothesis h;
     if (*at->in_gap != 0 && *at->torque_unknown == 0) {
         for (long i = 0; find_live(m, at, &i, &h); i++) {
-            if (*h.kind != FORCE) {
+            if (*h.kind != FORCE || explains_motor(m)) {
                 clear_auxiliary(m, &h, m->s.n, m->s.n + 1);
             }
         }
@@ -1091,8 +1094,10 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
                                                            * (2.0 * age + duration)
                                                      : 0.0;
     course along = course_over(m, duration, forgotten, scratch);
+    const int begins = in_gap && *at->in_gap == 0;
     hypothesis h;
     *at->late = is_late;
+    *at->in_gap = in_gap;
     for (long i = 0; find_live(m, at, &i, &h); i++) {
         const int simple = *m->gain_mode == GAIN_OPEN
                            || (*h.certified != 0 && *h.corrected != 0 && (regular || is_late));
@@ -1102,7 +1107,7 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
         if (!simple) {
             leave_certified(m, at, &h, BASIS_GAP);
         }
-        if (in_gap && *at->in_gap == 0) {
+        if (begins) {
             open_torque(m, at, &h);
         }
         predict_hypothesis(m, at, &h, &along, simple, scratch);
@@ -1112,7 +1117,6 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
             *h.certified = 1;
         }
     }
-    *at->in_gap = in_gap;
     if (between_samples) {
         return;
     }

@@ -347,6 +347,9 @@ def certified_estimator(
         one["torque_rate"] = non_negative("torque_rate", torque_rate)
         share = one["constants"][CONSTANTS["FORCE_SHARE"]]
         one["force"], one["modes"] = share * flow.arm.reference_torque, flow.arm.modes
+        if flow.torques[0].any():  # what is not explained is at the link, an acceleration
+            known = congruent(flow.torques[:1], initial_covariance)[0, 0]
+            one["force"] = 2.0 * math.sqrt(known) / flow.arm.link_inertia
     elif flow.input_count > flow.scheduled_count:
         one["force"] = _unknown_input(flow, np.sqrt(np.diag(initial_covariance)[:plant]))
     one["initial"]["hypotheses"][0]["settling"] = non_negative("settle_time", settle_time)
