@@ -408,28 +408,38 @@ static double lowest_tone(const model *m)
     return 4.0 / m->constants[AWAKE];
 }
 
-/* Return the share of a sample in the memory of tones. */
-static double memory_share(const model *m, const sensor *of)
+/* Return the share of a time in the memory of tones. */
+static double memory_share(const model *m, double time)
 {
-    return share_of(counted_time(m, *of->since), m->constants[AWAKE]);
+    return share_of(time, m->constants[AWAKE]);
 }
 
-/* Turn what the design's innovations have of each frequency over a sample, and add the newest. */
+/* Turn what the design's innovations have of each frequency, and add the newest: together those of
+ * .015 rad of the lowest, which are .25 rad of the highest. */
 static void turn_tones(const model *m, const state *at, const correction *effect)
 {
+    const double step = m->constants[TONE_RATIO];
     for (long i = 0; i < m->s.p; i++) {
         const outlook *expected = outlook_of(effect, i);
         const sensor of = sensor_of(m, at, i);
-        const double left = 1.0 - memory_share(m, &of);
-        const double r = clip(expected->innovation / sqrt(expected->variance), -3.0, 3.0);
+        if (!effect->present[i]) {
+            continue;
+        }
+        *of.recent += clip(expected->innovation / sqrt(expected->variance), -3.0, 3.0);
+        *of.recent_time += maximum(*of.since, *m->period);
+        if (*of.recent_time * lowest_tone(m) < 0.015) {
+            continue;
+        }
+        const double left = 1.0 - memory_share(m, *of.recent_time);
         double rate = lowest_tone(m);
-        for (long j = 0; effect->present[i] && j < TONES; j++, rate *= m->constants[TONE_RATIO]) {
+        for (long j = 0; j < TONES; j++, rate *= step) {
             double *z = of.tones + 2 * j, sin, cos;
             const double first = z[0];
-            sine_and_cosine(rate * maximum(*of.since, *m->period), &sin, &cos);
-            z[0] = left * (cos * first - sin * z[1]) + r;
+            sine_and_cosine(rate * *of.recent_time, &sin, &cos);
+            z[0] = left * (cos * first - sin * z[1]) + *of.recent;
             z[1] = left * (cos * z[1] + sin * first);
         }
+        *of.recent = *of.recent_time = 0.0;
     }
 }
 
@@ -470,7 +480,7 @@ static void begin_tones(
 static void find_tones(const model *m, const state *at, long output, tone *found)
 {
     const sensor of = sensor_of(m, at, output);
-    const double share = memory_share(m, &of), step = m->constants[TONE_RATIO];
+    const double share = memory_share(m, counted_time(m, *of.since)), step = m->constants[TONE_RATIO];
     const double std
         = noise_of(m, at, output) * sqrt(m->innovation_covariance[output * (m->s.p + 1)]);
     double loud[TONES + 2] = {0.0}; /* and 0 beyond both ends */

@@ -129,7 +129,9 @@ int sizes_are_sound(const int64_t *numbers);
     F(NUMBER, previous, 1, 1)    /* the innovation before, */                             \
     F(COUNT, paired, 1, 1)       /* and its kind */                                       \
     F(NUMBER, since, 1, 1)       /* time since the last sample [s] */                     \
-    F(MATRIX, tones, TONES, 2)   /* the innovations' cosine and sine of each frequency */ \
+    F(MATRIX, tones, TONES, 2)   /* the innovations' cosine and sine of each frequency, */ \
+    F(NUMBER, recent, 1, 1)      /* less the sum of the newest ones, */                   \
+    F(NUMBER, recent_time, 1, 1) /* and the time of these [s] */                          \
     F(NUMBER, value, 1, 1)       /* latest sample, NaN before the first */                \
     F(NUMBER, motion, 1, 1)      /* less the value before, */                             \
     F(NUMBER, step, 1, 1)        /* step of the sensor, 0 before the first, */            \
