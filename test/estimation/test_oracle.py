@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tsobs_ros.core import native
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TorqueDisturbance
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
 from tsobs_ros.estimation.records import Basis, Hypothesis
@@ -274,6 +274,34 @@ def test_what_a_design_with_a_motor_torque_lacks_is_at_the_link() -> None:
     # In a gap it is the motor's torque that is unknown.
     for kind in (Hypothesis.AS_DESIGNED, Hypothesis.FORCE):
         check(moved(kind, 1, push, 0.0)["x"][:n], moved(kind, 1, 0.0, 0.0, push)["x"][:n], "gap")
+
+
+@pytest.mark.parametrize(
+    ("outputs", "uncertain", "hidden"),
+    [
+        (("link_angle",), (), [2, 3]),
+        (("motor_velocity", "motor_angle"), (), [0, 1]),
+        (("link_angle", "motor_angle"), (), []),
+        (("link_angle",), ("stiffness",), []),
+    ],
+)
+def test_a_stiffness_that_a_motor_torque_hides_is_in_the_bounds(
+    outputs: tuple[str, ...], uncertain: tuple[str, ...], hidden: list[int]
+) -> None:
+    friction = DisturbanceTerm("gauss_markov", {"std": 0.2, "time_constant": 0.5})
+    request = ArmRequest(
+        outputs=tuple(Output(name, 0.001) for name in outputs),
+        torque_disturbance=TorqueDisturbance(motor=(friction,)),
+        uncertainty=dict.fromkeys(uncertain, 0.4),
+    )
+    observer = make_estimator(synthesise(request), SOON)
+    still, twisted = observer.initial(), observer.initial()
+    for state, motion in ((still, [0.0] * 4), (twisted, [0.5, -1.0, 0.2, 2.0])):
+        state["hypotheses"]["x"][0, 0, :4] = request.arm.from_physical(motion)
+    bounds = [observer.readout(each).state_bound for each in (still, twisted)]
+    more = np.zeros(4)
+    more[hidden] = (BANK["SPRING"] * np.array([0.3, 3.0, 0.3, 3.0])[hidden]) ** 2
+    check(bounds[1] ** 2 - bounds[0] ** 2, more, "what the twist and its rate add")
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,7 @@ enum {
     C(SLOW_TIME, 0.4, "time constant of slow innovations [s]")                                 \
     C(POWER_TIME, 2.5, "time constant of their power [s]")                                     \
     C(CURVED, 0.5, "share of a learnt distance by which regressors are wrong")                 \
+    C(SPRING, 0.2, "1 sigma of a stiffness that nothing shows, by the design's")               \
     C(QUIET, 0.22, "slow power that white noise leaves, by that of all innovations")           \
     C(VOID, 4.0, "power of innovations, by that expected, from which on nothing is claimed")
 
@@ -312,6 +313,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(VECTOR, disturbance_std, s->p, 1)                                                           \
     F(VECTOR, torque_std, s->t, 1)                                                                \
     F(VECTOR, domain, s->plant, 1)   /* 1 sigma where nothing is known */                         \
+    F(COUNTS, hidden, s->plant, 1)   /* whether states of an arm are shown by its spring only */  \
     F(VECTOR, limits, s->k, 1)       /* of the parameters */                                      \
     F(VECTOR, theta_deviation, s->k, 1) /* 1 sigma of them beforehand */                          \
     F(NUMBER, random_walk, 1, 1)     /* growth of their variance [1/s] */                         \

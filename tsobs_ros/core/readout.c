@@ -126,6 +126,18 @@ static double slope_of(
     return dot(functional, slopes, states_in_use(m, h));
 }
 
+/* Return what a spring that is not as designed makes of a state of an arm which only it shows: a
+ * share of the twist, or of the twist's rate. */
+static double error_by_spring(const model *m, const hypothesis *h, long place)
+{
+    const long other = (place + 2) % 4;
+    if (m->hidden[place] == 0 || *m->design_flow.kind != KIND_ARM) {
+        return 0.0;
+    }
+    return m->constants[SPRING]
+           * (h->x[place] - h->x[other] * m->scale[other] / m->scale[place]);
+}
+
 /* Write the mean of a quantity over the hypotheses that are decided, and its bound: the root of
  * the mean, over all, of variance plus squared distance from it. Return their sum. least: its
  * 1-sigma by the certificate. What was learnt of parameters over a distance is wrong by a share of
@@ -139,6 +151,7 @@ static double read_one(
     for (long j = 0; j < count; j++) {
         const double weight = scratch->weights[j];
         const hypothesis h = hypothesis_of(m, at, scratch->places[j]);
+        const double sprung = what == STATE ? error_by_spring(m, &h, place) : 0.0;
         double variance, spread = 0.0, shift = 0.0, curved = 0.0, prior = 0.0;
         const double own_value = value_of(m, at, &h, what, place, &variance, scratch->functional);
         double own = *m->gain_mode == GAIN_OPEN ? least : sqrt(variance);
@@ -163,7 +176,7 @@ static double read_one(
         /* Parameters are known at least as well as in the beginning. */
         const double grown = maximum(minimum(growth * growth * (added + noise), prior), added);
         const double std
-            = sqrt(growth * growth * (own * own) + (grown + shift * shift + curved * curved));
+            = sqrt(growth * growth * (own * own) + (grown + shift * shift + curved * curved + sprung * sprung));
         mean += scratch->decided[j] * own_value;
         mean_of_all += weight * own_value;
         mean_square += weight * own_value * own_value;

@@ -350,6 +350,9 @@ def certified_estimator(
         if flow.torques[0].any():  # what is not explained is at the link, an acceleration
             known = congruent(flow.torques[:1], initial_covariance)[0, 0]
             one["force"] = 2.0 * math.sqrt(known) / flow.arm.link_inertia
+            # A wrong stiffness is explained, too.
+            measured = flow.output_matrix[:, :plant].reshape(p, 2, 2).any(axis=(0, 2))
+            one["hidden"] = np.repeat(~measured & (estimator.shape.k == 0), 2)
     elif flow.input_count > flow.scheduled_count:
         one["force"] = _unknown_input(flow, np.sqrt(np.diag(initial_covariance)[:plant]))
     one["initial"]["hypotheses"][0]["settling"] = non_negative("settle_time", settle_time)
