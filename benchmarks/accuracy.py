@@ -134,14 +134,11 @@ def main() -> None:
     names = options.scenarios or _NO_ADAPTATION
     mode = options.gain_mode
     results = {name: _measure(design, name, seeds, mode) for name in names}
-    head = (
-        f"medians over {options.seeds} seeds from {options.first_seed}, 60 s each, "
-        f"{mode.value} gain\n"
-    )
+    head = f"medians over {options.seeds} seeds from {options.first_seed}, 60 s each, {mode} gain\n"
     everything = {
         "seeds": options.seeds,
         "first_seed": options.first_seed,
-        "gain_mode": mode.value,
+        "gain_mode": mode,
         "scenarios": results,
     }
     show(everything, "\n".join([head, *_table(results)]), options.json)

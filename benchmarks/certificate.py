@@ -43,10 +43,10 @@ _SAMPLES = 1_000_000
 
 _REST = {"initial_state": (0.0,) * 4, "initial_spread": (0.01, 0.01, 0.1, 0.1)}
 _MOTIONS: dict[str, dict[str, Any]] = {
-    "small angles": {**_REST, "excitation": Sine(0.1, 1.0)},
+    "small angles": {**_REST, "inputs": (Sine(0.1, 1.0),)},
     # A little below the usual start, so that no run of a thousand leaves the domain.
-    "u = .9 sin t": {"initial_state": (0.26, 0.0, 1.7, 0.0), "excitation": Sine(0.9, 1.0)},
-    "multisine": {**_REST, "excitation": Multisine(1.7, 0.4, 6.5, 8)},
+    "u = .9 sin t": {"initial_state": (0.26, 0.0, 1.7, 0.0), "inputs": (Sine(0.9, 1.0),)},
+    "multisine": {**_REST, "inputs": (Multisine(1.7, 0.4, 6.5, 8),)},
 }
 
 

@@ -2,13 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """How punctually the player publishes a bag of 1 kHz, and what it costs, at several rates.
 
-The player runs as it is installed, except that it also keeps how late each message was published.
-Another process receives everything, and the middleware stamps the times at which each message left
-the player and arrived; those errors are relative to the most punctual message, as the two
-processes do not share a steady clock.
+The player runs as it is installed. This process receives everything, and the middleware stamps the
+times at which each message left the player and arrived; errors are relative to the most punctual
+message, as the two processes do not share a steady clock.
 """
 
-import json
 import os
 import sys
 import tempfile
@@ -39,29 +37,6 @@ def _write_bag(path: Path, seconds: float) -> int:
             stamp = _START + count * 10**9 // _SENSOR_RATE
             writer.write(_TOPIC, encode(stamp, [count * 1e-6] * 7), stamp, stamp)
     return count
-
-
-def _player(lags: Path) -> int:
-    """Run the player and keep all lags [ns]; the arguments that are left are the node's."""
-    from tsobs_ros import executables
-    from tsobs_ros.nodes import player
-
-    kept: list[int] = []
-
-    class Measured(player.Player):
-        def take_lags(self) -> list[int]:
-            lags = super().take_lags()
-            kept.extend(lags)
-            return lags
-
-        def deactivate(self) -> None:
-            super().deactivate()
-            self.take_lags()
-
-    player.create = Measured  # type: ignore[assignment]
-    exit_code = executables.player()
-    lags.write_text(json.dumps(kept), encoding="utf-8")
-    return exit_code
 
 
 def _receive(count: int) -> dict[str, list[int]]:
@@ -103,15 +78,12 @@ def _relative(times: list[int], stamps: list[int], rate: float) -> list[float]:
 
 
 def _measure(rate: float, seconds: float, folder: Path, domain: int) -> dict[str, Any]:
-    from node_processes import Process
+    from node_processes import executable
 
-    bag, lags = folder / f"bag_{rate:g}", folder / f"lags_{rate:g}.json"
+    bag = folder / f"bag_{rate:g}"
     count = _write_bag(bag, seconds * rate)
     parameters = {"bag": str(bag), "rate": rate, "wait_timeout": 0.0}
-    arguments = [__file__, "--as-player", str(lags), "--ros-args"]
-    for key, value in parameters.items():
-        arguments += ["-p", f"{key}:={value}"]
-    process = Process(f"player {rate:g}", arguments, folder, domain)
+    process = executable("player", parameters, folder, domain)
     received = _receive(count)
     used = process.cpu_seconds()
     if (code := process.stop()) != 0:
@@ -122,7 +94,6 @@ def _measure(rate: float, seconds: float, folder: Path, domain: int) -> dict[str
         "messages_per_second": _SENSOR_RATE * rate,
         "lost": count - len(stamps),
         "in_order": stamps == sorted(stamps),
-        "lag_ms": _quantiles(json.loads(lags.read_text(encoding="utf-8"))),
         "sent_ms": _quantiles(_relative(received["sent"], stamps, rate)),
         "arrived_ms": _quantiles(_relative(received["arrived"], stamps, rate)),
         "cpu_percent": round(100.0 * used / seconds, 1),
@@ -130,12 +101,12 @@ def _measure(rate: float, seconds: float, folder: Path, domain: int) -> dict[str
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
-    heads = "".join(f"{what + ' ' + name:>14}" for what in ("lag", "sent", "arrived")
+    heads = "".join(f"{what + ' ' + name:>14}" for what in ("sent", "arrived")
                     for name in _QUANTILES)  # fmt: skip
     lines = [f"{'rate':>5}{'msg/s':>7}{'lost':>6}{heads}{'CPU %':>8}   errors in ms"]
     for row in rows:
         numbers = "".join(
-            f"{row[key][name]:14.3f}" for key in ("lag_ms", "sent_ms", "arrived_ms")
+            f"{row[key][name]:14.3f}" for key in ("sent_ms", "arrived_ms")
             for name in _QUANTILES
         )  # fmt: skip
         lines.append(
@@ -161,8 +132,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--as-player"]:
-        lags_file = Path(sys.argv[2])
-        del sys.argv[1:3]
-        sys.exit(_player(lags_file))
     main()

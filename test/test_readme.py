@@ -257,6 +257,24 @@ def test_the_commands_of_a_page_run(page: Path, folder: Path, tools: Any) -> Non
     Shell(*tools).run_page(page)
 
 
+@SLOW
+@pytest.mark.parametrize(
+    "command",
+    [
+        "accuracy.py --seeds 1 noise",
+        "bags.py --messages 1000 --repeats 1",
+        "certificate.py --runs 100 --rates 100 --scales",
+        "joints.py --joints 2 --seconds 1",
+        "offline.py --seconds 20 --repeats 1",
+        "playing.py --seconds 1 --rates 1",
+    ],
+)
+def test_benchmarks_end_as_they_should(command: str, folder: Path) -> None:
+    script, *arguments = command.split()
+    run = [sys.executable, str(ROOT / "benchmarks" / script), *arguments]
+    subprocess.run(run, check=True, capture_output=True, text=True)
+
+
 def prelude(page: Path) -> dict[str, Any]:
     """Return what a page's Python takes for granted."""
     design = ts.load_design()

@@ -75,3 +75,23 @@ def test_what_happens_to_sensors_is_seen_and_survived(
     expected = 0.55 if jumps and outputs == [1] else 0.05
     assert rows.disturbance[-1, 1] == pytest.approx(expected, abs=0.02)
     assert tracker.rejected[RejectReason.NON_FINITE] == (300 if len(outputs) == 2 else 0)
+
+
+@pytest.mark.parametrize("time", [0.1, 0.2])
+def test_coloured_noise_is_taken_for_what_it_is(pendulum: Design, time: float) -> None:
+    count, left = 4000, math.exp(-0.01 / time)
+    runs = simulated(pendulum, 1, count, initial_state=(0.5, 0.0))
+    white = np.random.default_rng(3).standard_normal((count, 2)) * math.sqrt(1.0 - left * left)
+    noise = np.zeros((count, 2))
+    for k in range(1, count):
+        noise[k] = left * noise[k - 1] + white[k]
+    y, stamps = runs.states[0] + noise * [0.01, 0.02], 10**9 + 10_000_000 * np.arange(count)
+    errors, late = [], slice(1000, None)
+    for method in ("certified", "ekf"):
+        tracker = make_tracker(pendulum, ObserverSettings(method=method))
+        rows = tracker.follow(stamps, y, runs.torques[0])
+        errors.append(np.sqrt(((rows.state - runs.states[0])[late] ** 2).mean(axis=0)))
+        if method == "certified":
+            taken = np.bincount(rows.hypothesis[late].astype(int), minlength=len(Hypothesis))
+    assert taken.argmax() == Hypothesis.COLOURED_NOISE
+    assert (errors[0] <= errors[1]).all()

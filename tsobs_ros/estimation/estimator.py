@@ -46,6 +46,9 @@ _FIRST_PASS = 1.0
 _LASTING = 0.2
 """A disturbance whose mode is slower [1/s] can stay where a jump took it."""
 
+_COLOUR_OF_SYSTEMS = {"COLOUR_TIME": 0.4, "COLOUR_SIZE": 1.0}
+"""Coloured noise of a T–S system; of an arm, such slow noise would explain wrong parameters."""
+
 GAIN_MODES = ("certified", "riccati")
 """Which gain corrects the estimate once it has settled."""
 
@@ -353,8 +356,11 @@ def certified_estimator(
             # A wrong stiffness is explained, too.
             measured = flow.output_matrix[:, :plant].reshape(p, 2, 2).any(axis=(0, 2))
             one["hidden"] = np.repeat(~measured & (estimator.shape.k == 0), 2)
-    elif flow.input_count > flow.scheduled_count:
-        one["force"] = _unknown_input(flow, np.sqrt(np.diag(initial_covariance)[:plant]))
+    else:
+        for name, value in _COLOUR_OF_SYSTEMS.items():
+            one["constants"][CONSTANTS[name]] = value
+        if flow.input_count > flow.scheduled_count:
+            one["force"] = _unknown_input(flow, np.sqrt(np.diag(initial_covariance)[:plant]))
     one["initial"]["hypotheses"][0]["settling"] = non_negative("settle_time", settle_time)
     one["domain"] = np.sqrt(np.diag(initial_covariance)[:plant])
     if domain is not None:
