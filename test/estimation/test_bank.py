@@ -26,7 +26,7 @@ from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput, Traj
 from tsobs_ros.simulation.plant import TorqueDisturbance as DisturbingTorques
 from tsobs_ros.simulation.scenarios import SCENARIOS, arm_with, simulate
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import Pulses, Sinusoid
+from tsobs_ros.simulation.signals import Pulses, Signal, Sinusoid
 
 RATE, STD = 200, 0.028
 DESIGNS = {
@@ -37,6 +37,20 @@ EVENT, COUNT = 15 * RATE, 25 * RATE
 """Sample at which something happens in most runs, and their length."""
 both = pytest.mark.parametrize("name", [*DESIGNS])
 DESIGNS["precise"] = synthesise(ArmRequest(measurement_std=0.0005, uncertainty={}))
+DESIGNS |= {
+    name: synthesise(
+        ArmRequest(
+            outputs=tuple(Output(side, 0.0005) for side in sides),
+            torque_disturbance=TorqueDisturbance(
+                motor=(DisturbanceTerm("gauss_markov", {"std": 0.2, "time_constant": 0.5}),)
+            ),
+            process_noise=ProcessNoise(1e-3, 1e-3),
+            uncertainty={},
+        )
+    )
+    for name, sides in (("motor", ["motor_angle"]), ("both", ["link_angle", "motor_angle"]))
+}
+"""With precise encoders, the last two explain what pushes the motor."""
 
 
 class Course(NamedTuple):
@@ -178,23 +192,22 @@ def test_a_hit_moves_the_arm_and_not_the_bias(name: str) -> None:
     assert np.abs(got.disturbance[EVENT + 10 :]).max() < 0.1
 
 
+def pushed(name: str, *pushes: Signal) -> Trajectories:
+    """Simulate the arm of a precise design, whose link is pushed."""
+    sensors = [
+        SimulatedOutput(one.measures, Sensor(noise_std=0.0005))
+        for one in DESIGNS[name].arm_request.sensors
+    ]
+    torques = DisturbingTorques((), pushes)
+    return simulated(
+        replace(SCENARIOS["noise"], outputs=tuple(sensors), torque_disturbance=torques)
+    )
+
+
 def test_hits_of_the_link_are_found_by_the_encoder_of_the_motor() -> None:
-    friction = DisturbanceTerm("gauss_markov", {"std": 0.2, "time_constant": 0.5})
-    DESIGNS["motor"] = synthesise(
-        ArmRequest(
-            outputs=(Output("motor_angle", 0.0005),),
-            torque_disturbance=TorqueDisturbance(motor=(friction,)),
-            process_noise=ProcessNoise(1e-3, 1e-3),
-            uncertainty={},
-        )
+    run = pushed(
+        "motor", *(Pulses(size * RATE, 6.0, 1.0 / RATE, size % 3.0) for size in (1.0, -1.0))
     )
-    pushes = tuple(Pulses(size * RATE, 6.0, 1.0 / RATE, size % 3.0) for size in (1.0, -1.0))
-    scenario = replace(
-        SCENARIOS["noise"],
-        outputs=(SimulatedOutput("motor_angle", Sensor(noise_std=0.0005)),),
-        torque_disturbance=DisturbingTorques((), pushes),
-    )
-    run = simulated(scenario)
     ours = course("motor", run)
     plain = make_tracker(DESIGNS["motor"], ObserverSettings(method="ekf_plain", history=0.0))
     errors = [
@@ -203,6 +216,19 @@ def test_hits_of_the_link_are_found_by_the_encoder_of_the_motor() -> None:
     ]
     assert errors[0] <= 0.6 * errors[1]
     assert ours.is_honest()
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.05, 0.3])
+def test_a_push_at_the_link_is_followed_across_lost_samples(lost: float) -> None:
+    run = pushed("both", Sinusoid(0.4, 0.8, 0.0))
+    y = run.measurements[0].copy()
+    y[np.random.default_rng(0).random(COUNT) < lost] = math.nan
+    u = np.where(np.isnan(y[:, :1]), math.nan, run.torques[0, :COUNT])
+    got = course("both", run, y, u)
+    late = slice(10 * RATE, None)
+    assert (got.hypothesis[late] == Hypothesis.FORCE).mean() > 0.95
+    assert np.sqrt(((got.state - run.physical[0])[late, 0] ** 2).mean()) < 0.0003
+    assert got.is_honest()
 
 
 TAKEN_FOR = [
@@ -256,6 +282,14 @@ def test_tones_are_found_and_removed(frequencies: tuple[float, ...]) -> None:
     assert np.abs(got.disturbance - run.disturbances[0, :, 0])[late].mean() < 0.2 * 0.15
     found = likeliest(got.tracker.state)["x"][[-4, -1]]
     assert np.sort(found)[-len(frequencies) :] == pytest.approx(frequencies, rel=0.05)
+
+
+def test_a_tone_is_found_in_an_output_that_comes_seldom() -> None:
+    y = simulated(SCENARIOS["noise"], 1, 40).measurements[0, : 40 * RATE].copy()
+    y += 0.05 * np.sin(3.0 * np.arange(len(y)) / RATE)[:, np.newaxis]
+    y[np.arange(len(y)) % 4 != 0] = math.nan
+    got = course("fixed", simulated(SCENARIOS["noise"], 1, 40), y)
+    assert (got.hypothesis[20 * RATE :] == Hypothesis.TONE).mean() > 0.9
 
 
 @both

@@ -23,6 +23,7 @@ from tsobs_ros.estimation.estimator import Estimator, certified_estimator
 from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.estimation.state import likeliest
 from tsobs_ros.methods import ObserverSettings, make_estimator
+from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.prediction import Record
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, arm_with, simulate
@@ -244,36 +245,51 @@ def test_some_hypotheses_trust_the_model_less(kind: Hypothesis, power: float) ->
 def test_what_a_design_with_a_motor_torque_lacks_is_at_the_link() -> None:
     friction = DisturbanceTerm("gauss_markov", {"std": 0.2, "time_constant": 0.5})
     request = ArmRequest(
-        torque_disturbance=TorqueDisturbance(motor=(friction,)), disturbance=(), uncertainty={}
+        ElasticJointArm(link_inertia=0.8),
+        torque_disturbance=TorqueDisturbance(motor=(friction,)),
+        disturbance=(),
+        uncertainty={},
     )
     observer, T = make_estimator(synthesise(request), SOON), request.period
-    check(observer.model["force"], 2.0 * 0.2 / request.arm.link_inertia, "size of FORCE")
+    check(observer.model["force"], 2.0 * 0.2 / 0.8, "size of FORCE")
 
-    def moved(kind: int, in_gap: int, push: float, kick: float, torque: float = 0.0) -> Any:
-        """Predict x with an auxiliary state, of a variance of 1, and a change of the velocity."""
+    n, push, more = observer.shape.n, 3.0, BANK["IMPERFECTION"] - 1.0
+
+    def moved(
+        kind: int,
+        at_link: float = 0.0,
+        at_motor: float = 0.0,
+        kick: float = 0.0,
+        torque: float = 0.0,
+    ) -> Any:
+        """Predict x with auxiliary states, whose variances are 1, and a change of the velocity."""
         state = observer.initial()
-        one, n = state["hypotheses"][0], observer.shape.n
-        one["kind"], state["in_gap"] = kind, in_gap
+        one = state["hypotheses"][0]
+        one["kind"], state["in_gap"] = kind, int(at_motor != 0.0)
         one["x"][0, :n] = [0.3, 0.1 + kick, 2.0, -0.4, 0.05]
-        one["x"][0, n], one["covariance"][0, n, n] = push, 1.0
+        one["x"][0, n : n + 2] = at_motor, at_link
+        one["covariance"][0, n, n] = at_motor != 0.0
+        one["covariance"][0, n + 1, n + 1] = kind == Hypothesis.FORCE
         return likeliest(observer.predict(state, [torque], T))
 
-    plain, still = (moved(kind, 0, 0.0, 0.0) for kind in (Hypothesis.AS_DESIGNED, Hypothesis.FORCE))
-    n, push, more = observer.shape.n, 3.0, BANK["IMPERFECTION"] - 1.0
-    wrong = moved(Hypothesis.IMPERFECT, 0, 0.0, 0.0)["covariance"] - plain["covariance"]
+    plain, still = moved(Hypothesis.AS_DESIGNED), moved(Hypothesis.FORCE)
+    wrong = moved(Hypothesis.IMPERFECT)["covariance"] - plain["covariance"]
     check(wrong[:2, :2], more * request.flow.nominal.noise[:2, :2], "noise of the link")
     assert (wrong[2:] == 0.0).all()
     assert (wrong[:, 2:] == 0.0).all()
     # An acceleration that is held is half a kick before the step and half a kick after it.
-    pushed = moved(Hypothesis.FORCE, 0, push, 0.0)
-    kicked = moved(Hypothesis.AS_DESIGNED, 0, 0.0, 0.5 * T * push)["x"][:n]
+    pushed = moved(Hypothesis.FORCE, push)
+    kicked = moved(Hypothesis.AS_DESIGNED, kick=0.5 * T * push)["x"][:n]
     check(pushed["x"][:n], kicked + 0.5 * T * push * np.eye(n)[1], "link that is pushed")
     decay = math.exp(-T / BANK["FORCE_TIME"])
-    slope = (moved(Hypothesis.FORCE, 0, 1e-4, 0.0)["x"] - still["x"])[:n] / 1e-4
-    np.testing.assert_allclose(still["covariance"][n, :n], decay * slope, rtol=1e-6, atol=1e-10)
-    # In a gap it is the motor's torque that is unknown.
+    slope = (moved(Hypothesis.FORCE, 1e-4)["x"] - still["x"])[:n] / 1e-4
+    found = still["covariance"][n + 1, :n]
+    np.testing.assert_allclose(found, decay * slope, rtol=1e-6, atol=1e-10)
+    # In a gap the motor's torque is unknown as well.
     for kind in (Hypothesis.AS_DESIGNED, Hypothesis.FORCE):
-        check(moved(kind, 1, push, 0.0)["x"][:n], moved(kind, 1, 0.0, 0.0, push)["x"][:n], "gap")
+        at_link = push * (kind == Hypothesis.FORCE)
+        both = moved(kind, at_link, at_motor=push)["x"][:n]
+        check(both, moved(kind, at_link, torque=push)["x"][:n], "gap")
 
 
 @pytest.mark.parametrize(

@@ -37,16 +37,6 @@ static inline long count_finite(const double *a, long n)
     return found;
 }
 
-/* Return how many of the first n numbers are not 0. */
-static inline long count_nonzero(const double *a, long n)
-{
-    long found = 0;
-    for (long i = 0; i < n; i++) {
-        found += a[i] != 0.0;
-    }
-    return found;
-}
-
 /* Add c x to y. */
 static inline void add_scaled(double *restrict y, double c, const double *restrict x, long n)
 {

@@ -77,6 +77,7 @@ const char *model_view(double *memory, size_t length, model *view)
     const state initial = state_view(s, view->initial);
     if (!(*view->period >= SHORTEST) || (*view->supervised != 0 && s->hypotheses == 1)
         || (*view->torque_rate > 0.0 && s->width == s->n)
+        || (*view->at_link != 0 && *view->design_flow.kind != KIND_ARM)
         || !state_is_sound(view, &initial)) {
         return "expected a model's record of numbers that belong together";
     }
@@ -151,22 +152,6 @@ void hold_inputs(const model *m, state *at, const double *u)
     at->held[0] = mean_torque(m, at, 0.0, *m->period);
 }
 
-/* Forget the auxiliary states from a place on, up to another. */
-static void clear_auxiliary(const model *m, const hypothesis *h, long first, long end)
-{
-    const long width = m->s.width;
-    for (long i = first; i < end; i++) {
-        h->x[i] = 0.0;
-        for (long j = 0; j < width; j++) {
-            h->covariance[i * width + j] = 0.0;
-            h->covariance[j * width + i] = 0.0;
-        }
-        for (long j = 0; j < m->s.k; j++) {
-            h->sensitivity[j * width + i] = 0.0;
-        }
-    }
-}
-
 /* Begin a time in which the torque is unknown. */
 static void open_torque(const model *m, const state *at, const hypothesis *h)
 {
@@ -175,9 +160,6 @@ static void open_torque(const model *m, const state *at, const hypothesis *h)
         spread = maximum(minimum(*m->torque_rate * *at->torque_age, *m->torque_spread), spread);
     }
     leave_certified(m, at, h, BASIS_GAP);
-    if (explains_motor(m)) {
-        clear_auxiliary(m, h, m->s.n, m->s.n + 1);
-    }
     h->covariance[m->s.n * (m->s.width + 1)] += spread * spread;
 }
 
@@ -230,6 +212,22 @@ static hypothesis begin_from_best(
     return h;
 }
 
+/* Forget the auxiliary states from a place on, up to another. */
+static void clear_auxiliary(const model *m, const hypothesis *h, long first, long end)
+{
+    const long width = m->s.width;
+    for (long i = first; i < end; i++) {
+        h->x[i] = 0.0;
+        for (long j = 0; j < width; j++) {
+            h->covariance[i * width + j] = 0.0;
+            h->covariance[j * width + i] = 0.0;
+        }
+        for (long j = 0; j < m->s.k; j++) {
+            h->sensitivity[j * width + i] = 0.0;
+        }
+    }
+}
+
 /* Take arm and sensors for something else: parts of the sensors are forgotten, as the disturbance
  * has to explain them again, but a torque is unknown in a gap whatever they are taken for. */
 static void take_for(const model *m, const state *at, const hypothesis *h, int64_t kind)
@@ -255,11 +253,11 @@ static void open_all(const model *m, const hypothesis *h)
 static void begin_kind(
     const model *m, const state *at, long place, long kind, int64_t fork, double score)
 {
-    const long n = m->s.n, p = m->s.p, width = m->s.width;
+    const long n = m->s.n, p = m->s.p, width = m->s.width, force = n + (*m->at_link != 0);
     const hypothesis h = begin_from_best(m, at, place, fork, score);
     take_for(m, at, &h, kind);
-    if (kind == FORCE && h.covariance[n * width + n] <= 0.0) {
-        h.covariance[n * width + n] = *m->force * *m->force;
+    if (kind == FORCE && h.covariance[force * (width + 1)] <= 0.0) {
+        h.covariance[force * (width + 1)] = *m->force * *m->force;
     }
     for (long j = 0; j < p && kind == COLOURED_NOISE; j++) {
         const double std = m->constants[COLOUR_SIZE];
@@ -420,17 +418,18 @@ static void turn_tones(const model *m, const state *at, const correction *effect
 {
     const double step = m->constants[TONE_RATIO];
     for (long i = 0; i < m->s.p; i++) {
-        const outlook *expected = outlook_of(effect, i);
-        const sensor of = sensor_of(m, at, i);
         if (!effect->present[i]) {
             continue;
         }
+        const outlook *expected = outlook_of(effect, i);
+        const sensor of = sensor_of(m, at, i);
         *of.recent += clip(expected->innovation / sqrt(expected->variance), -3.0, 3.0);
         *of.recent_time += maximum(*of.since, *m->period);
+        *of.recent_counted += counted_time(m, *of.since);
         if (*of.recent_time * lowest_tone(m) < 0.015) {
             continue;
         }
-        const double left = 1.0 - memory_share(m, *of.recent_time);
+        const double left = 1.0 - memory_share(m, *of.recent_counted);
         double rate = lowest_tone(m);
         for (long j = 0; j < TONES; j++, rate *= step) {
             double *z = of.tones + 2 * j, sin, cos;
@@ -439,7 +438,7 @@ static void turn_tones(const model *m, const state *at, const correction *effect
             z[0] = left * (cos * first - sin * z[1]) + *of.recent;
             z[1] = left * (cos * z[1] + sin * first);
         }
-        *of.recent = *of.recent_time = 0.0;
+        *of.recent = *of.recent_time = *of.recent_counted = 0.0;
     }
 }
 
@@ -480,7 +479,8 @@ static void begin_tones(
 static void find_tones(const model *m, const state *at, long output, tone *found)
 {
     const sensor of = sensor_of(m, at, output);
-    const double share = memory_share(m, counted_time(m, *of.since)), step = m->constants[TONE_RATIO];
+    const double share = memory_share(m, counted_time(m, *of.since));
+    const double step = m->constants[TONE_RATIO];
     const double std
         = noise_of(m, at, output) * sqrt(m->innovation_covariance[output * (m->s.p + 1)]);
     double loud[TONES + 2] = {0.0}; /* and 0 beyond both ends */
@@ -1045,7 +1045,7 @@ void correct(const model *m, state *at, const double *y, correction *effect)
     hypothesis h;
     if (*at->in_gap != 0 && *at->torque_unknown == 0) {
         for (long i = 0; find_live(m, at, &i, &h); i++) {
-            if (*h.kind != FORCE || explains_motor(m)) {
+            if (*h.kind != FORCE || *m->at_link != 0) {
                 clear_auxiliary(m, &h, m->s.n, m->s.n + 1);
             }
         }
@@ -1104,10 +1104,8 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
                                                            * (2.0 * age + duration)
                                                      : 0.0;
     course along = course_over(m, duration, forgotten, scratch);
-    const int begins = in_gap && *at->in_gap == 0;
     hypothesis h;
     *at->late = is_late;
-    *at->in_gap = in_gap;
     for (long i = 0; find_live(m, at, &i, &h); i++) {
         const int simple = *m->gain_mode == GAIN_OPEN
                            || (*h.certified != 0 && *h.corrected != 0 && (regular || is_late));
@@ -1117,7 +1115,7 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
         if (!simple) {
             leave_certified(m, at, &h, BASIS_GAP);
         }
-        if (begins) {
+        if (in_gap && *at->in_gap == 0) {
             open_torque(m, at, &h);
         }
         predict_hypothesis(m, at, &h, &along, simple, scratch);
@@ -1127,6 +1125,7 @@ void predict(const model *m, state *at, double duration, int between_samples, wo
             *h.certified = 1;
         }
     }
+    *at->in_gap = in_gap;
     if (between_samples) {
         return;
     }

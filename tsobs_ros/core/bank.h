@@ -81,20 +81,6 @@ static inline double halfway_from(const model *m, double frequency)
     return 0.5 * (m->constants[TONE_RATIO] - 1.0) * frequency;
 }
 
-/* Return whether a design of an arm explains an unknown torque at the motor. Then what it does not
- * explain is at the link. */
-static inline int explains_motor(const model *m)
-{
-    return *m->design_flow.kind == KIND_ARM
-           && count_nonzero(m->design_flow.motor_torque, m->s.n) > 0;
-}
-
-/* Return whether the unknown torque of a hypothesis pushes the link. That of a gap is the motor's. */
-static inline int pushes_link(const model *m, const state *at, const hypothesis *h)
-{
-    return *h->kind == FORCE && *at->in_gap == 0 && explains_motor(m);
-}
-
 /* --- bank.c: torques --- */
 
 /* Return the mean of the torque at the motor over a time that begins `ahead` from now; there are

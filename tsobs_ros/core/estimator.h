@@ -32,7 +32,7 @@ enum { LEARNING_NONE, LEARNING_ACTIVE = 2 };
  * followed by room for forks. */
 enum {
     AS_DESIGNED,
-    FORCE,          /* an unknown torque at the motor, or part of a T-S system's first input */
+    FORCE,          /* an unknown torque, or part of a T-S system's first input */
     IMPERFECT,      /* a model that is wrong in unknown ways */
     LOUD,           /* white noise that is larger than designed */
     COLOURED_NOISE, /* noise that is correlated in time */
@@ -132,7 +132,8 @@ int sizes_are_sound(const int64_t *numbers);
     F(NUMBER, since, 1, 1)       /* time since the last sample [s] */                     \
     F(MATRIX, tones, TONES, 2)   /* the innovations' cosine and sine of each frequency, */ \
     F(NUMBER, recent, 1, 1)      /* less the sum of the newest ones, */                   \
-    F(NUMBER, recent_time, 1, 1) /* and the time of these [s] */                          \
+    F(NUMBER, recent_time, 1, 1) /* the time of these [s], */                             \
+    F(NUMBER, recent_counted, 1, 1) /* and how much of it counts [s] */                   \
     F(NUMBER, value, 1, 1)       /* latest sample, NaN before the first */                \
     F(NUMBER, motion, 1, 1)      /* less the value before, */                             \
     F(NUMBER, step, 1, 1)        /* step of the sensor, 0 before the first, */            \
@@ -292,7 +293,8 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(NUMBER, torque_gain, 1, 1)     /* of the torque at an arm's motor, */                       \
     F(NUMBER, torque_offset, 1, 1)   /* gain u(t - delay) + offset [N m], */                      \
     F(NUMBER, torque_delay, 1, 1)    /* [s] */                                                    \
-    F(NUMBER, force, 1, 1)           /* 1 sigma of an unknown one [N m], 0: none is considered */ \
+    F(NUMBER, force, 1, 1)           /* 1 sigma of an unknown one [N m], 0: none is considered, */ \
+    F(COUNT, at_link, 1, 1)          /* unless at an arm's link, as an acceleration [rad/s^2] */  \
     F(VECTOR, modes, 2, 1)           /* frequencies of an arm's own motion [rad/s] */             \
     F(COUNT, gain_mode, 1, 1)        /* GAIN_... */                                               \
     F(MATRIX, C, s->p, s->width)     /* states to outputs */                                      \

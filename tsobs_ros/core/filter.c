@@ -31,7 +31,7 @@ long states_in_use(const model *m, const hypothesis *h)
     case TONE:
         return h->x[n + 6] > 0.0 ? n + 7 : n + 4;
     case FORCE:
-        return n + 1;
+        return n + 1 + (*m->at_link != 0);
     default:
         return h->covariance[n * m->s.width + n] > 0.0 ? n + 1 : n;
     }
@@ -351,15 +351,19 @@ static double left_after(const model *m, double duration, int time, double *left
 /* Write the auxiliary states' own motion over a step, a = D a + noise, into D, a matrix whose rows
  * begin `stride` numbers apart, and the noise's variances. */
 static void write_own_motion(
-    const model *m, const state *at, const hypothesis *h, course *along, int is_rest, long stride,
-    double *D, double *added)
+    const model *m, const hypothesis *h, course *along, int is_rest, long stride, double *D,
+    double *added)
 {
     const double duration = along->steps[is_rest].duration;
     double *left = along->left[is_rest];
     const double torque = left_after(m, duration, FORCE_TIME, left);
-    const double force = *h->kind == FORCE && *at->in_gap == 0 ? *m->force * *m->force : 0.0;
     D[0] = torque;
-    added[0] = force * (1.0 - torque * torque) + along->forgotten * duration;
+    added[0] = along->forgotten * duration;
+    if (*h->kind == FORCE) { /* at the link it has a state of its own, beside the gap's torque */
+        const long at = *m->at_link != 0;
+        D[at * (stride + 1)] = torque;
+        added[at] += *m->force * *m->force * (1.0 - torque * torque);
+    }
     if (*h->kind == TONE) {
         const double decay = left_after(m, duration, TONE_TIME, left);
         for (long i = 1; m->s.n + i < states_in_use(m, h); i += 3) {
@@ -409,10 +413,11 @@ static inline void move_by(
 /* Take a step with signals u: move x, the regressors and, unless it is `simple`, the covariance,
  * by the map of the design's states and the auxiliary ones
  *
- *     F = [J g e'; 0 D],   g what the unknown torque, the first of these, pushes. */
+ *     F = [J g e'; 0 D],   g what the unknown torque, the first of these, pushes,
+ *
+ * or the second, an acceleration of the link: half a kick before the step and half behind it. */
 static void step_hypothesis(
-    const model *m, const state *at, hypothesis *h, course *along, int is_rest, double *u,
-    int simple, work *scratch)
+    const model *m, hypothesis *h, course *along, int is_rest, double *u, int simple, work *scratch)
 {
     const linear_step *over = &along->steps[is_rest];
     const flow_step *step = &along->work;
@@ -420,18 +425,19 @@ static void step_hypothesis(
     const long used = simple ? n : states_in_use(m, h), count = used - n;
     const double *F = count > 0 ? scratch->map : step->J;
     double *moved = scratch->moved, *added = scratch->added, *map = scratch->map;
-    const int is_at_link = count > 0 && pushes_link(m, at, h);
-    const double half = 0.5 * over->duration, pushed = count > 0 ? h->x[n] : 0.0;
+    const int is_at_link = count > 0 && *h->kind == FORCE && *m->at_link != 0;
+    const double half = 0.5 * over->duration, kick = is_at_link ? half * h->x[n + 1] : 0.0;
+    if (count > 0 && m->s.m > 0) {
+        u[0] += h->x[n];
+    }
     if (is_at_link) {
-        h->x[1] += half * pushed;
-    } else if (count > 0 && m->s.m > 0) {
-        u[0] += pushed;
+        h->x[1] += kick;
     }
     take_step(
         &m->design_flow, over, h->x, h->theta, u,
         simple ? (k > 0 ? DERIVATIVES : NOTHING) : COVARIANCE, step);
     if (is_at_link) {
-        h->x[1] += half * pushed;
+        h->x[1] += kick;
     }
     if (count > 0) {
         const long corner = n * (used + 1);
@@ -439,10 +445,12 @@ static void step_hypothesis(
         memset(added, 0, (size_t)count * sizeof *added);
         copy_matrix(step->J, n, map, used, n, n);
         for (long i = 0; i < n; i++) {
-            map[i * used + n] = is_at_link ? half * (step->J[i * n + 1] + (i == 1))
-                                           : step->effects[k * n + i];
+            map[i * used + n] = step->effects[k * n + i];
+            if (is_at_link) {
+                map[i * used + n + 1] = half * (step->J[i * n + 1] + (i == 1));
+            }
         }
-        write_own_motion(m, at, h, along, is_rest, used, map + corner, added);
+        write_own_motion(m, h, along, is_rest, used, map + corner, added);
         for (long i = 0; i < count; i++) {
             moved[i] = sparse_dot(map + corner + i * used, h->x + n, count);
         }
@@ -514,7 +522,7 @@ void predict_hypothesis(
             memcpy(u + m->s.m, at->sample, (size_t)m->s.p * sizeof *u);
             memcpy(u + m->s.m + m->s.p, at->sample, (size_t)m->s.p * sizeof *u);
         }
-        step_hypothesis(m, at, h, along, is_rest, u, simple, scratch);
+        step_hypothesis(m, h, along, is_rest, u, simple, scratch);
     }
     if ((*h->kind == IMPERFECT || *h->kind == TONE) && !simple) {
         /* What is left of a tone moves the arm's estimate, but its model is not that wrong. */
@@ -522,7 +530,10 @@ void predict_hypothesis(
         const double more = ((*h->kind == TONE ? sqrt(sqrt(imperfection)) : imperfection) - 1.0)
                             * (duration / *m->period);
         const double half = *f->kind == KIND_SYSTEM ? 2.0 : 1.0;
-        const long moved = explains_motor(m) ? 2 : m->s.plant; /* the link's only, or all states */
+        /* In a long gap the motor is not explained either. */
+        const int is_known = along->forgotten == 0.0 || duration < 8.0 * *m->period;
+        const int at_link = *m->at_link != 0 && *h->kind == IMPERFECT && is_known;
+        const long moved = at_link ? 2 : m->s.plant; /* the link's states, or all */
         for (long i = 0; i < moved; i++) {
             add_scaled(h->covariance + i * m->s.width, half * more, f->noise + i * m->s.n, moved);
         }

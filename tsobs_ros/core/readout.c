@@ -134,8 +134,8 @@ static double error_by_spring(const model *m, const hypothesis *h, long place)
     if (m->hidden[place] == 0 || *m->design_flow.kind != KIND_ARM) {
         return 0.0;
     }
-    return m->constants[SPRING]
-           * (h->x[place] - h->x[other] * m->scale[other] / m->scale[place]);
+    const double twist = h->x[place] - h->x[other] * m->scale[other] / m->scale[place];
+    return m->constants[SPRING] * twist;
 }
 
 /* Write the mean of a quantity over the hypotheses that are decided, and its bound: the root of
@@ -176,7 +176,8 @@ static double read_one(
         /* Parameters are known at least as well as in the beginning. */
         const double grown = maximum(minimum(growth * growth * (added + noise), prior), added);
         const double std
-            = sqrt(growth * growth * (own * own) + (grown + shift * shift + curved * curved + sprung * sprung));
+            = sqrt(growth * growth * (own * own)
+                   + (grown + shift * shift + curved * curved + sprung * sprung));
         mean += scratch->decided[j] * own_value;
         mean_of_all += weight * own_value;
         mean_square += weight * own_value * own_value;

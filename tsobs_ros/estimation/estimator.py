@@ -350,10 +350,12 @@ def certified_estimator(
         one["torque_rate"] = non_negative("torque_rate", torque_rate)
         share = one["constants"][CONSTANTS["FORCE_SHARE"]]
         one["force"], one["modes"] = share * flow.arm.reference_torque, flow.arm.modes
-        if flow.torques[0].any():  # what is not explained is at the link, an acceleration
-            known = congruent(flow.torques[:1], initial_covariance)[0, 0]
-            one["force"] = 2.0 * math.sqrt(known) / flow.arm.link_inertia
-            # A wrong stiffness is explained, too.
+        explains_motor, explains_link = (bool(each.any()) for each in flow.torques)
+        if explains_motor and not explains_link:
+            known = math.sqrt(congruent(flow.torques[:1], initial_covariance)[0, 0])
+            one["at_link"] = 1
+            one["force"] = max(2.0 * known, one["force"][()]) / flow.arm.link_inertia
+        if explains_motor:  # and a wrong stiffness, too
             measured = flow.output_matrix[:, :plant].reshape(p, 2, 2).any(axis=(0, 2))
             one["hidden"] = np.repeat(~measured & (estimator.shape.k == 0), 2)
     else:
