@@ -32,6 +32,9 @@ from tsobs_ros.simulation.signals import Sinusoid
 Array = NDArray[np.float64]
 SOON = ObserverSettings(settle_time=0.5)
 BANK = {name: value for name, value, _ in native.BANK_CONSTANTS}
+FRICTION = TorqueDisturbance(
+    motor=(DisturbanceTerm("gauss_markov", {"std": 0.2, "time_constant": 0.5}),)
+)
 PARTS = (Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT, Hypothesis.TONE)
 """Hypotheses with a part of the output that is a state of their own."""
 
@@ -243,10 +246,9 @@ def test_some_hypotheses_trust_the_model_less(kind: Hypothesis, power: float) ->
 
 
 def test_what_a_design_with_a_motor_torque_lacks_is_at_the_link() -> None:
-    friction = DisturbanceTerm("gauss_markov", {"std": 0.2, "time_constant": 0.5})
     request = ArmRequest(
         ElasticJointArm(link_inertia=0.8),
-        torque_disturbance=TorqueDisturbance(motor=(friction,)),
+        torque_disturbance=FRICTION,
         disturbance=(),
         uncertainty={},
     )
@@ -304,10 +306,9 @@ def test_what_a_design_with_a_motor_torque_lacks_is_at_the_link() -> None:
 def test_a_stiffness_that_a_motor_torque_hides_is_in_the_bounds(
     outputs: tuple[str, ...], uncertain: tuple[str, ...], hidden: list[int]
 ) -> None:
-    friction = DisturbanceTerm("gauss_markov", {"std": 0.2, "time_constant": 0.5})
     request = ArmRequest(
         outputs=tuple(Output(name, 0.001) for name in outputs),
-        torque_disturbance=TorqueDisturbance(motor=(friction,)),
+        torque_disturbance=FRICTION,
         uncertainty=dict.fromkeys(uncertain, 0.4),
     )
     observer = make_estimator(synthesise(request), SOON)

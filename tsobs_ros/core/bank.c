@@ -253,7 +253,7 @@ static void open_all(const model *m, const hypothesis *h)
 static void begin_kind(
     const model *m, const state *at, long place, long kind, int64_t fork, double score)
 {
-    const long n = m->s.n, p = m->s.p, width = m->s.width, force = n + (*m->at_link != 0);
+    const long n = m->s.n, p = m->s.p, width = m->s.width, force = force_place(m);
     const hypothesis h = begin_from_best(m, at, place, fork, score);
     take_for(m, at, &h, kind);
     if (kind == FORCE && h.covariance[force * (width + 1)] <= 0.0) {
@@ -406,12 +406,6 @@ static double lowest_tone(const model *m)
     return 4.0 / m->constants[AWAKE];
 }
 
-/* Return the share of a time in the memory of tones. */
-static double memory_share(const model *m, double time)
-{
-    return share_of(time, m->constants[AWAKE]);
-}
-
 /* Turn what the design's innovations have of each frequency, and add the newest: together those of
  * .015 rad of the lowest, which are .25 rad of the highest. */
 static void turn_tones(const model *m, const state *at, const correction *effect)
@@ -429,7 +423,7 @@ static void turn_tones(const model *m, const state *at, const correction *effect
         if (*of.recent_time * lowest_tone(m) < 0.015) {
             continue;
         }
-        const double left = 1.0 - memory_share(m, *of.recent_counted);
+        const double left = 1.0 - share_of(*of.recent_counted, m->constants[AWAKE]);
         double rate = lowest_tone(m);
         for (long j = 0; j < TONES; j++, rate *= step) {
             double *z = of.tones + 2 * j, sin, cos;
@@ -479,7 +473,7 @@ static void begin_tones(
 static void find_tones(const model *m, const state *at, long output, tone *found)
 {
     const sensor of = sensor_of(m, at, output);
-    const double share = memory_share(m, counted_time(m, *of.since));
+    const double share = share_of(counted_time(m, *of.since), m->constants[AWAKE]);
     const double step = m->constants[TONE_RATIO];
     const double std
         = noise_of(m, at, output) * sqrt(m->innovation_covariance[output * (m->s.p + 1)]);

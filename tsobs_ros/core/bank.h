@@ -81,6 +81,13 @@ static inline double halfway_from(const model *m, double frequency)
     return 0.5 * (m->constants[TONE_RATIO] - 1.0) * frequency;
 }
 
+/* Return the place of FORCE's state: that of the unknown torque, or behind it if it is at the link,
+ * so that it stays in a gap. */
+static inline long force_place(const model *m)
+{
+    return m->s.n + (*m->at_link != 0);
+}
+
 /* --- bank.c: torques --- */
 
 /* Return the mean of the torque at the motor over a time that begins `ahead` from now; there are

@@ -9,7 +9,8 @@
  * rule; what is published is the mixture. docs/estimator.md explains it.
  *
  * Fields of n states have rows of `width` numbers: the design's states, and behind them the
- * auxiliary ones: the unknown torque, then parts of the sensors' disturbance. Flags are 0 or 1.
+ * auxiliary ones: the unknown torque, then parts of the sensors' disturbance, or FORCE's
+ * acceleration of a link. Flags are 0 or 1.
  */
 #ifndef TSOBS_ESTIMATOR_H
 #define TSOBS_ESTIMATOR_H

@@ -31,7 +31,7 @@ long states_in_use(const model *m, const hypothesis *h)
     case TONE:
         return h->x[n + 6] > 0.0 ? n + 7 : n + 4;
     case FORCE:
-        return n + 1 + (*m->at_link != 0);
+        return force_place(m) + 1;
     default:
         return h->covariance[n * m->s.width + n] > 0.0 ? n + 1 : n;
     }
@@ -359,8 +359,8 @@ static void write_own_motion(
     const double torque = left_after(m, duration, FORCE_TIME, left);
     D[0] = torque;
     added[0] = along->forgotten * duration;
-    if (*h->kind == FORCE) { /* at the link it has a state of its own, beside the gap's torque */
-        const long at = *m->at_link != 0;
+    if (*h->kind == FORCE) {
+        const long at = force_place(m) - m->s.n;
         D[at * (stride + 1)] = torque;
         added[at] += *m->force * *m->force * (1.0 - torque * torque);
     }
@@ -426,18 +426,18 @@ static void step_hypothesis(
     const double *F = count > 0 ? scratch->map : step->J;
     double *moved = scratch->moved, *added = scratch->added, *map = scratch->map;
     const int is_at_link = count > 0 && *h->kind == FORCE && *m->at_link != 0;
-    const double half = 0.5 * over->duration, kick = is_at_link ? half * h->x[n + 1] : 0.0;
+    const double half = 0.5 * over->duration;
     if (count > 0 && m->s.m > 0) {
         u[0] += h->x[n];
     }
     if (is_at_link) {
-        h->x[1] += kick;
+        h->x[1] += half * h->x[n + 1];
     }
     take_step(
         &m->design_flow, over, h->x, h->theta, u,
         simple ? (k > 0 ? DERIVATIVES : NOTHING) : COVARIANCE, step);
     if (is_at_link) {
-        h->x[1] += kick;
+        h->x[1] += half * h->x[n + 1];
     }
     if (count > 0) {
         const long corner = n * (used + 1);
